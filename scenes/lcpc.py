@@ -117,17 +117,17 @@ class LongBoxFlow(LongBox, FreeConcrete):
     surfaces: Annotated[str, "Condition on all walls: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[float, "Edge length of the cells [m]", Above()] = 0.0125
-    # Concrete that trickles out below a slow gate changes its speed all the time. An error of 1e-3 would shorten the
-    # steps to microseconds.
+    # Allowed error of a step. Concrete that trickles out below a slow gate changes its speed all the time, so an
+    # allowed error of 1e-3 would shorten the steps to microseconds.
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-2
 
 
 @scene_function(LongBoxFlow)
 def scene(parameters: LongBoxFlow) -> FreeScene:
-    """Model concrete that spreads slowly along the LCPC box: spread length, depth, and the yield stress they tell.
+    """Model concrete that spreads slowly along the LCPC box, a test from whose result the yield stress follows.
 
-    Half of the box is simulated. The concrete is not poured; it stands behind a gate at one end, and the gate is lifted
-    slowly and without friction.
+    The results are the spread length, the depth and the yield stress. Half of the box is simulated. The concrete is not
+    poured; it stands behind a gate at one end, and the gate is lifted slowly and without friction.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

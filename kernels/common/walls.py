@@ -12,7 +12,8 @@ import warp as wp
 from .geometry import axis_functions
 from .types import types, vector_functions
 
-# Shapes of walls. Shapes given by a formula come before meshes, both in these codes and in a scene's list of walls.
+# Codes for the shapes of walls. Shapes given by a formula come before meshes, both in these codes and in a scene's list
+# of walls.
 PLANE: int = wp.constant(0)
 PIPE: int = wp.constant(1)
 MESH: int = wp.constant(2)

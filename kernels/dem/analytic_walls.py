@@ -20,8 +20,8 @@ from .wear import wear_functions
 
 # Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
 FARTHEST = 1.0e15
-# Number of walls that have a bit in a sphere's mask of touched walls. Walls with higher indices have no bit, so every
-# step reads their contact history.
+# Number of walls that have a bit in the mask in which a sphere marks the walls that it touches. Walls with higher
+# indices have no bit, so every step reads the contact history of these walls.
 WALL_BITS: int = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)
@@ -77,9 +77,9 @@ def wall_force_function(scalar):
 def warp_force_function(scalar):
     """Return the function `add_together`, which adds the wall forces of all threads of a warp with few atomics.
 
-    The threads first sum their forces within the warp, over all threads that are `lanes` apart. Then one thread adds
-    the sum to the wall. Many spheres touch the same wall, so one atomic addition per sphere would take most of the time
-    of a small step.
+    Many spheres touch the same wall. One atomic addition per sphere would take most of the time of a small step. The
+    threads of a warp therefore first sum their forces, over all threads that are `lanes` apart. Then one thread adds
+    the sum to the wall.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)

@@ -5,10 +5,10 @@ list entry, and its force is added to both spheres. A pair across two chunks has
 contain every pair at both spheres; see `links`.) A pair is always evaluated in the order of its spheres' permanent
 numbers, so both copies compute and store the same bits.
 
-The kernel processes each sphere's list entries in blocks of BLOCK entries, in two passes. The first pass computes
-distances and sets one bit for each contact. The second pass gathers these contacts into lanes (see `lanes`) and
-evaluates the lanes whenever they are full. The bits of a sphere's first block are kept for the next step. With these
-bits, the next step finds the contacts that have ended without reading the history of other pairs.
+The kernel processes the list of each sphere in blocks of BLOCK entries, in two passes. The first pass computes
+distances and sets one bit for each contact. The second pass copies the data of these contacts into vector lanes (see
+`lanes`), and evaluates the lanes whenever they are full. The bits of a sphere's first block are kept for the next step.
+With these bits, the next step finds the contacts that have ended without reading the history of other pairs.
 """
 
 import functools

@@ -35,10 +35,12 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
 def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     """Return the kernel ``search`` for half lists (CPU), which runs with one task per chunk.
 
-    A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
-    equal spheres, at that with the lower index. The search then reaches no further than a sphere's own diameter plus
-    the margin. Pairs across two chunks are listed at both spheres, so a search near another chunk must reach as far as
-    the largest sphere.
+    A chunk is the range of spheres of one CPU thread. Two rules decide where a pair is listed:
+
+    - A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
+      search around a sphere then reaches no further than the sphere's own diameter plus the margin.
+    - A pair across two chunks is listed at both spheres. A search near another chunk must therefore reach as far as the
+      largest sphere.
 
     Each task writes the list entries of its spheres, one sphere after the other, to the buffer `other`. `room` is the
     range of entries in this buffer that the chunk may use. The output `wanted` is the number of entries that the chunk

@@ -134,9 +134,10 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         first_load: wp.int32, row: wp.int32, base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4,
         velocity_i: t.vec4, spin_i: t.vec3, columns: Columns, ints: Ints, lane: wp.int32,
     ):  # fmt: skip
-        """Copy the data of list entry k of sphere i into one vector lane, which evaluates one contact.
+        """Copy the data of list entry k of sphere i into one vector lane.
 
-        `row` is the first contact parameter row of the sphere's material, and `base` is the first sphere of the scene.
+        A vector lane evaluates one contact. `row` is the first row of contact parameters for the sphere's material, and
+        `base` is the index of the scene's first sphere.
         """
         entry = read_int(pairs.other, k)
         j = base + decode(entry)
@@ -164,8 +165,8 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
                     pairs.bond[k] = bond
             kind = kind_of(bond)
             put_int(ints, wp.static(int_at["bond"]), lane, kind)
-            # The loop has no branches, so a lane without a bond computes with the parameters of bond kind 1. Its bond
-            # force is discarded.
+            # The loop over the lanes has no branches, so each lane computes a bond. A lane without a bond computes with
+            # the parameters of bond kind 1, and its bond force is discarded.
             write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
             force, moment, at_row = t.vec4(), t.vec4(), wp.int32(-1)
             if bond > 0:
@@ -328,9 +329,10 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
 
 @functools.cache
 def bond_columns(scalar, at: int):
-    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one vector lane.
+    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one contact.
 
-    The parameters are stored in columns, the first of which starts at index `at`.
+    Contacts are evaluated in vector lanes. Each parameter has a column with one number for each lane, and the first
+    column of the bond parameters starts at index `at`.
     """
     Bond = bond_functions(scalar).Bond
     assert tuple(Bond.vars) == BOND

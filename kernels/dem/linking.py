@@ -92,7 +92,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Return the position of sphere i among the list entries from `begin` to `end`, found by binary search.
+        """Return the index of the list entry whose neighbour is sphere i, by a binary search from `begin` to `end`.
 
         The entries are sorted by the index of the neighbour.
         """
@@ -145,8 +145,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 links.state[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
-                # Entries beyond the first MASKED_ENTRIES have no touching bit. Every step adds up their results without
-                # a check, so these results must start at zero.
+                # Only the first MASKED_ENTRIES list entries of a sphere have a bit that tells whether the pair touches.
+                # Every step adds up the results of later entries without a check, so these results must start at zero.
                 if k - pairs.start[i + s] >= MASKED_ENTRIES or twin - begin >= MASKED_ENTRIES:
                     for each in range(rows):
                         links.result[rows * p + each] = t.vec4()

@@ -35,8 +35,11 @@ def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
 def result_functions(scalar, count: int):
     """Return functions that store the results of a link in `count` rows, and that add up the results for a sphere.
 
-    `store_result` writes the rows of a link, and `store_loss` writes the energy loss of a link whose spheres have just
-    separated. `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
+    A link is a listed pair of spheres.
+
+    - `store_result` writes the rows of a link.
+    - `store_loss` writes the energy loss of a link whose spheres have just separated.
+    - `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -164,7 +167,7 @@ def contact_update_function(
 ):
     """Return the function `update_contact`, which checks if the two spheres of a link touch.
 
-    It clears the contact history when a contact has ended.
+    A link is a listed pair of spheres. The function clears the contact history when a contact has ended.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -232,8 +235,9 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            # Unlike APART, the state STIFF makes a later check clear the contact history. This is needed if the spheres
-            # are already apart at the first check after the bond broke.
+            # A stiff bond may break between two checks by this kernel, and its spheres may already be apart at the
+            # second check. The second check must then clear the contact history. The state STIFF makes sure of this;
+            # the state APART would not.
             after = STIFF
         if state != after:
             lost = scalar(0.0)

@@ -152,9 +152,10 @@ def list_kernels(scalar) -> SimpleNamespace:
         new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
     ):
-        """Store for each sphere the longest gap that a bond of the old list spans, with a margin for rounding.
+        """Store for each sphere the longest gap that one of its bonds spans, with a margin for rounding.
 
-        Only gaps longer than the skin are stored, because the search finds all shorter ones anyway.
+        The bonds are those of the old neighbour list. Only gaps longer than the skin are stored, because the search for
+        neighbours finds all shorter ones anyway.
         """
         i = wp.tid()
         s = spheres.scene[i]

@@ -14,8 +14,9 @@ from .structs import array_structs, subcycled_struct
 def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
     """Return the kernels ``index_spheres``, ``index_bodies``, ``locate_pairs`` and ``locate_bodies``.
 
-    The first two store, for each permanent number of a sphere or body, its current array index. The other two use these
-    indices to find stiff pairs and their bodies after a list rebuild, and copy their data to `Subcycled`.
+    ``index_spheres`` and ``index_bodies`` store the current array index for each permanent number of a sphere or body.
+    After a list rebuild, ``locate_pairs`` and ``locate_bodies`` use these indices to find the stiff pairs and their
+    bodies, and copy their data to `Subcycled`.
     """
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs

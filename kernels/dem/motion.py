@@ -80,10 +80,10 @@ def rotation_functions(scalar):
 
 @functools.cache
 def motion_functions(scalar, dissipation: bool):
-    """Return the functions that all kinds of bodies share.
+    """Return the functions that the kernels for all kinds of bodies share.
 
-    These functions compute drive force, local damping and positions with compensated summation, and check the neighbour
-    lists.
+    The functions compute the driving force, the local damping and the new positions (with compensated summation). They
+    also check whether the neighbour lists are still valid.
     """
     t = types(scalar)
     xyz = vector_functions(scalar).xyz
@@ -119,9 +119,9 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
-        """Return the new position and its rounding error, which the next step adds again (compensated summation).
+        """Return the new position of a body and its rounding error (compensated summation).
 
-        In double precision the rounding error is not compensated.
+        The next step adds this rounding error to the displacement. In double precision, it is not added.
         """
         if wp.static(single):
             displacement = displacement + rounding
@@ -236,11 +236,11 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
 def sphere_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
 ) -> wp.Kernel:
-    """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
+    """Return the kernel that advances bodies of a single sphere by one leapfrog step.
 
-    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the forces of each sphere's links (its
-    pairs), which are stored in `rows` rows per link. `sync_kernel` updates the arrays of bodies later, when they are
-    needed.
+    The step is the same as in `clump_kernel`, but the kernel computes it on the arrays of spheres alone. `sync_kernel`
+    updates the arrays of bodies later, when they are needed. With full lists (GPU), the kernel adds up the forces of
+    each sphere's links, which are its listed pairs. The forces of a link are stored in `rows` rows.
     """
     t = types(scalar)
     span = SPAN if half else 1

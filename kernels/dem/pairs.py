@@ -316,8 +316,9 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 def closeness_function(scalar, bonds: bool, subcycling: bool):
     """Return the function `close_entries`, which checks a block of list entries for contacts of sphere i.
 
-    The first result has a bit set for each entry that touches sphere i or is bonded to it. With `subcycling`, pairs
-    with stiff bonds have their bits in the second result instead of the first.
+    The function returns two integers with one bit for each entry of the block. A bit of the first integer is set if the
+    entry's sphere touches sphere i or is bonded to it. With `subcycling`, entries with stiff bonds have their bit in
+    the second integer instead.
     """
     t = types(scalar)
     structs = array_structs(scalar)

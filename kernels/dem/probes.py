@@ -283,9 +283,10 @@ def load_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
-    """Return the kernel that writes contact sums of scene `s`: one row per sphere, sorted by permanent number.
+    """Return the kernel that sums over the contacts of each sphere of scene `s`.
 
-    It also writes the normal force of each pair.
+    The result has one row per sphere, ordered by permanent number. The kernel also writes the normal force of each
+    pair.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -78,8 +78,8 @@ def begin_kernel(scalar) -> wp.Kernel:
         s = wp.tid()
         wanted = requested[s] != 0
         if by_device:
-            # A scene with stale neighbour lists waits until they are rebuilt, on a GPU as on a CPU. The sums depend on
-            # the order of the list entries, so an estimate with the old lists would differ.
+            # If the neighbour lists of a scene are stale, its estimate waits until they are rebuilt, on a GPU as on a
+            # CPU. The sums depend on the order of the list entries, so an estimate with the old lists would differ.
             wanted = flags[s, HALTED] == ARRIVED and flags[s, STALE] == 0 and flags[s, FAILED] == 0
             wanted = wanted and flags[s, STEPS] - flags[s, ESTIMATED] >= scenes.row[s].interval
         due[s] = wp.where(wanted, 1, 0)
@@ -98,11 +98,14 @@ def begin_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def recording_functions(scalar):
-    """Return functions that record speeds and wall loads in an `Estimate`, and that combine its parts.
+    """Return functions that record speeds and wall loads for the estimate of the stable step.
 
-    `record_speed` records a speed, `add_wall_stiffness` adds a contact's stiffness and damping to a wall, `fastest`
-    returns a scene's largest speed over all parts, and `least` the smallest value over all parts of another array. A
-    part is what one CPU thread recorded.
+    The struct `Estimate` holds the records; each CPU thread writes to its own part of the arrays.
+
+    - `record_speed` records a speed in a thread's part.
+    - `add_wall_stiffness` adds the stiffness and damping of a contact to the load of a wall.
+    - `fastest` returns the largest speed in a scene over all parts.
+    - `least` returns the smallest value over all parts of another array.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
@@ -179,12 +182,15 @@ def floor_function(scalar, pair_law, wall_law):
     ):
         """Return stiffness and damping of the next contact of a body in flight, and the stiffness to be resolved.
 
-        The contact is the stiffest one with a sphere or wall of any material. `turn` is the body's total response to a
-        shear force (translation and rotation) divided by its translation alone; `tip` is this ratio for a normal force.
-        The limit of the step holds a reserve of a factor of two in stiffness, for neighbours that move in opposition. A
-        body with a single contact does not need the reserve, so only half of the shear stiffness counts. Damping counts
-        in full: dashpots act half a step late, so their limit has no reserve. The third result is the stiffness that
-        the step must resolve for the contact to conserve energy.
+        The next contact is assumed to be the stiffest one with a sphere or wall of any material. `turn` is the body's
+        total response to a shear force (translation and rotation), divided by its translation alone; `tip` is this
+        ratio for a normal force.
+
+        The limit of the time step contains a reserve of a factor of two in stiffness, for neighbours that move in
+        opposition. A body with a single contact does not need this reserve, so only half of the shear stiffness counts.
+        Damping counts in full, because its limit contains no reserve: dashpots act half a step late.
+
+        The third result is the stiffness that the time step must resolve so that the contact conserves energy.
         """
         n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
         touch = wall_touch(n, scalar(0.0), -speed * n, scalar(0.0), radius, mass)

@@ -1,9 +1,10 @@
 """Structs of the arrays that the discrete-element kernels work on: scenes, bodies, spheres, slots, pairs, walls.
 
-Arrays are flat over all scenes of a batch. Indices stored in state arrays (`bodies.first`, `spheres.body`, entries of
-`pairs.other`, `slots.wall`, `candidates.face`) count from the scene's first row, so a scene holds the same numbers
-alone and in a batch. Indices into the tables of meshes and pipe axes, which are not part of the state, count over the
-whole batch. Arrays of features that no scene uses have zero rows.
+A slot stores a sphere's contact with a wall. Arrays are flat over all scenes of a batch. Indices stored in the arrays
+of the state count from the scene's first row; these are `bodies.first`, `spheres.body`, `slots.wall`, `candidates.face`
+and the entries of `pairs.other`. The state of a scene is therefore the same alone and in a batch. Indices into the
+tables of meshes and pipe axes, which are not part of the state, count over the whole batch. Arrays of features that no
+scene uses have zero rows.
 
 The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its columns.
 """
@@ -61,8 +62,9 @@ def scene_struct(scalar):
         expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        # The following integers are the scene's first indices in the flat arrays of bodies, spheres, pairs and so on.
-        # The integers named `..._count` are the numbers of entries that belong to the scene.
+        # The following integers are the first indices of the scene in the arrays of bodies, spheres, pairs and so on,
+        # which are joint arrays of all scenes of a batch. The integers named `..._count` are the numbers of entries
+        # that belong to the scene.
         bodies: wp.int32
         body_count: wp.int32
         spheres: wp.int32
@@ -142,8 +144,9 @@ def array_structs(scalar) -> SimpleNamespace:
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
         wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, (spheres, slots)
-        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls): work of sliding [J], energy
-        # loss of impacts [J] and the integral of load over sliding distance [N m].
+        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls). Each entry has three values:
+        # the work of sliding [J], the energy loss of impacts [J], and the integral of the load over the sliding
+        # distance [N m].
         worn: wp.array2d(dtype=wp.vec3d)
         worn_at: wp.array2d(dtype=t.vec3)  # last point of contact with each wall, in its frame [m], (spheres, walls)
 

@@ -1,10 +1,11 @@
 """Conjugate gradients on a GPU: a whole solve is one kernel, whose blocks stay resident and meet at barriers.
 
-Rows are divided into chunks with as many rows as a block has threads. Each chunk forms one partial sum, and the chunks
-are distributed among the blocks. Sums therefore have the same bits however many blocks there are: a flow may use many
-blocks while it runs alone, and few while it shares the GPU. Iterations need no launches by the host, so the solves of
-many flows can run at the same time. A small system gets a single wide block, which needs no barrier and no partial
-sums. `conjugate_gradient.py` explains the rows of the matrix.
+The rows of the matrix are divided into chunks with as many rows as a block has threads. Each block processes several
+chunks, and each chunk forms one partial sum. Sums therefore have the same bits however many blocks there are. A flow
+may use many blocks while it runs alone, and few while it shares the GPU.
+
+Iterations need no launches by the host, so the solves of many flows can run at the same time. A small system gets a
+single wide block, which needs no barrier and no partial sums. `conjugate_gradient.py` explains the rows of the matrix.
 """
 
 import functools
@@ -113,8 +114,9 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bo
     ) -> wp.float64:
         """Compute the new search direction of row `i`, and this row of the matrix times the search directions.
 
-        The previous search directions begin at index `old` of the array `direction`. The function computes the new
-        directions of the neighbours itself from their previous ones, so that no barrier is needed before the product.
+        The array `direction` contains the previous search directions, from index `old` on. The function computes the
+        new directions of the neighbours itself from their previous ones. No barrier is therefore needed before the
+        product.
         """
         if not has_unknown(i, count, matrix):
             return wp.float64(0.0)

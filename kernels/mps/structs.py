@@ -260,8 +260,8 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
     def inverse(m: t.mat) -> t.mat:
         """Return the inverse of a moment matrix.
 
-        If too few neighbours make the matrix nearly singular, the result is the inverse of a multiple of the identity
-        matrix that has the same trace.
+        If a particle has too few neighbours, the matrix is nearly singular. The result is then the inverse of a
+        multiple of the identity matrix that has the same trace.
         """
         mean = wp.trace(m) / scalar(dimensions)
         whole = mean

@@ -74,8 +74,8 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
     def turn(first: wp.int32, end: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
         """Compute the new search direction of each row from the preconditioned residual and the old direction.
 
-        The preconditioned residual is the residual divided by the diagonal, which `product` holds, plus the coarse
-        solution.
+        The preconditioned residual is the sum of two terms: the residual divided by the diagonal, which is stored in
+        `product`, and the coarse solution.
         """
         for i in range(first, end):
             now = system.product[i]
@@ -94,8 +94,8 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the number of all chunks, the range of this thread's chunks, the number of threads, and
-        # the barrier at which they wait for each other.
+        # The rows of the equations are divided into chunks. The next arguments are the number of all chunks, the range
+        # of this thread's chunks, the number of threads, and the barrier at which the threads wait for each other.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
@@ -188,10 +188,11 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
-    """Build `correct`, which solves the coarse equations for the current residual on a GPU, with one warp per cube.
+    """Build `correct`, which solves the coarse equations for the current residual on a GPU.
 
-    It returns the index at which the coarse solution begins in the array `lift`. The caller must place a barrier
-    between the computation of the residual and the call of this function; the function itself ends with a barrier.
+    Each warp computes one cube at a time. `correct` returns the index at which the coarse solution begins in the array
+    `lift`. The caller must place a barrier between the computation of the residual and the call of `correct`, which
+    itself ends with a barrier.
     """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix

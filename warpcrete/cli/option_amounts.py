@@ -30,7 +30,7 @@ def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return the growth rate A_thix of the yield stress at rest [Pa/s]: the stated one, or else the default.
+    """Return the rate A_thix [Pa/s] at which the yield stress grows at rest: the stated rate, or the default.
 
     Raises :class:`SceneError` if a rate is stated without a time of rest.
     """

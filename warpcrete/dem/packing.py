@@ -38,8 +38,8 @@ CHUNK = 50  # steps between two evaluations of the pressure of a packing
 # value.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
-# Number of consecutive evaluations in which the pressure was always too high, or always too low, after which sizes are
-# changed faster.
+# The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
+# consecutive evaluations in which it was always too high, or always too low, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
@@ -153,7 +153,7 @@ def pack_many(
 ) -> list[Any]:
     """Pack many containers side by side, on a GPU as one batch.
 
-    Returns for each request (bodies, report) as :func:`pack` does, or the error that its packing raised.
+    Returns one result for each request: (bodies, report) as from :func:`pack`, or the error that the packing raised.
     """
     device = find_device(device) if device is None or isinstance(device, str) else device
     tell = progress or (lambda done: None)

@@ -32,7 +32,8 @@ class Surfaces:
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
         edges, edge, uses = np.unique(ends @ [len(vertices), 1], return_inverse=True, return_counts=True)
-        # Indices 3 * face + side of the sides of all faces, sorted so that the sides of one edge are neighbours.
+        # The side k of a face f has the number 3 * f + k. Sort these numbers so that sides on the same edge of the mesh
+        # follow one another.
         order = np.argsort(edge, kind="stable")
         begin = np.concatenate([[0], np.cumsum(uses)[:-1]])
         across = np.full((len(faces), 6), int(BORDER), dtype=np.int64)

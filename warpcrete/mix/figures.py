@@ -9,8 +9,8 @@ from ..theory.fits import student_t
 
 INSTRUMENTS = 2.0
 """Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
-factor is a choice: comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP 2023),
-but no figure was taken from them."""
+factor is an assumption. Comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023), but the factor was not taken from them."""
 
 CONES = 3.0
 """Largest factor by which the yield stresses from spread and slump of one cone may lie apart. The factor is the ratio
@@ -58,10 +58,15 @@ def around(name: str, value: float, off: float, unit: str, way: str, source: str
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix, and each has an uncertainty band. Raises :class:`SceneError`
-    if the first band and another band are too far apart. Bands of the same rheometer must touch. Between a rheometer
-    and a cone, the gap may be a factor of :data:`INSTRUMENTS`. Between spread and slump of the same cone, the gap may
-    be a factor of :data:`CONES`; in this case, the band of the result is widened up to the other band.
+    The values come from different entries of the mix, and each has an uncertainty band. The gap between the first band
+    and another band has a limit:
+
+    - Two bands of rheometers must overlap or touch.
+    - Between a rheometer and a cone, the gap may be a factor of :data:`INSTRUMENTS`.
+    - Between spread and slump of a cone, the gap may be a factor of :data:`CONES`. In this case, the band of the result
+      is widened up to the other band.
+
+    Raises :class:`SceneError` if a gap is too large.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:

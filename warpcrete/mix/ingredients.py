@@ -54,8 +54,8 @@ UNKNOWN_MASS = 20.0
 """Mass in a cubic metre [kg/m3] above which an ingredient with an unknown name may be powder, so that the volume of the
 paste cannot be calculated. Lighter unknown ingredients are taken for admixtures and ignored."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
-"""Smallest and largest possible volume of all ingredients, without air, in a cubic metre of concrete [m3/m3]. The upper
-limit exceeds 1, because the densities of the ingredients vary."""
+"""Smallest and largest possible volume of all ingredients together, without air, in a cubic metre of concrete [m3/m3].
+The upper limit exceeds 1, because the true densities of the ingredients differ from the assumed ones."""
 USUAL_AIR = (-0.02, 0.06)
 """Lowest and highest air content of the concrete, calculated from the ingredients [m3/m3], that causes no warning.
 Usual contents are 1 to 3 %; the calculated content may be negative because densities are uncertain."""

@@ -17,8 +17,9 @@ from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Range of the ratio between two values of the slip layer's constants: the value that follows from pipe pressures,
-divided by that measured with a tribometer. The range covers 404 pipe flows of 22 concretes (Tavangar 2022)."""
+"""Range of the ratio between two values of the slip layer's constants. The first value follows from pipe pressures, and
+is divided by the second value, which was measured with a tribometer. The range covers 404 pipe flows of 22 concretes
+(Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
 et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.
@@ -26,10 +27,10 @@ et al. (2014) found that deliveries differ by 15 % on a single site. Over all, t
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of the relation in :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the densest
 packing of the powder. Both were fitted to the pressures of eight families of concretes in level lines of 325 to 1,044
-m, with water-binder ratios of 0.17 to 0.44; four other families were held out."""
+m, with water-binder ratios of 0.17 to 0.44. Four other families were not used for the fit, so that they can test it."""
 PASTE_ERROR_FACTOR = 1.7
-"""Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
-the fitted families differ by less."""
+"""Factor by which the layer of a mix may be weaker or stronger than :func:`paste_layer` predicts. For 90 % of the
+concretes in the fitted families, the difference is smaller."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
 """Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
 of its band [Pa]."""
@@ -154,8 +155,8 @@ def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
 
 
 _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
-"""Words on the origin of a measured layer's band if no uncertainty is stated. The first text is for a layer fitted to
-pipe pressures, and the second for one measured with a tribometer."""
+"""Explanations of the uncertainty band of a measured slip layer, used if the measurement states no uncertainty. The
+first text is for a layer fitted to pipe pressures, and the second for one measured with a tribometer."""
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:

@@ -23,7 +23,8 @@ FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield s
 """Names of the constants of a flow; each is mapped to the name of the same property of a mix."""
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
-"""Names of the constants of other flow laws than Bingham's. A mix has such a constant only if it states its value."""
+"""Names of the constants that only flow laws other than Bingham's have; each is mapped to the name of the same property
+of a mix. A mix has such a constant only if its description states the value."""
 FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
 """Factors on yield stresses and viscosities, with their defaults. The section `flow` of a concrete's file states them
 to describe the concrete at another age or temperature."""

@@ -31,11 +31,13 @@ READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
 HEAP_CENTRE, HEAP_CENTRE_MEDIAN, FLATTEST = 0.10, 0.03, 0.295
-"""Three heights of slump cones [m]. The first is how much higher the top of a real heap may be than that of a
-homogeneous heap, because aggregate piles up in the centre; the second is the median of this height. The third is the
-largest slump of a cone. The heights of the centre come from 82 cones of Yeh (2007) with measured slump and spread:
-compared with the height that the spread implies, the centre is 0 to 100 mm higher (5th to 95th percentile), and 30 mm
-in the median."""
+"""Three heights of slump cones [m].
+
+Aggregate piles up in the centre of a real heap. Its top is therefore higher than that of a homogeneous heap with the
+same spread. The first value is an upper limit of this excess height, and the second value is its median. They come from
+82 cones of Yeh (2007) with measured slump and spread: the excess height is 0 to 100 mm (5th to 95th percentile), and 30
+mm in the median. The third value is the largest slump of a cone.
+"""
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
 """Pairs of two properties of aggregate: intrinsic viscosity, and volume fraction of the densest packing.
 

@@ -158,7 +158,8 @@ class MovingParticles(Stepping):
     def _reserve(self) -> None:
         """Allocate neighbour lists with room for 1.6 times as many neighbours as in the initial lattice.
 
-        Crowded regions need the additional room. If a list overflows nevertheless, this factor is increased.
+        The additional room is for crowded regions. If a list overflows nevertheless, the lists are allocated again with
+        a larger factor.
         """
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi

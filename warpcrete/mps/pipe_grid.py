@@ -67,9 +67,10 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
 
 
 def _resistance(scene: FluidScene) -> float:
-    """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s].
+    """Return the derivative of the wall's force per volume with respect to the mean velocity [kg/m3/s].
 
-    The driving force of a periodic pipe uses this slope to anticipate how the wall's force changes with the velocity.
+    The derivative is that of the steady state. With it, the driving force of a periodic pipe anticipates how the wall's
+    force changes with the velocity.
     """
     little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))

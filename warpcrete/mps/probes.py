@@ -133,10 +133,11 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 
 
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
-    """Return the sum over all particles of `weight` times a factor that falls smoothly from 1 to 0 with height.
+    """Return the sum of `weight` over all particles, each times a factor between 0 and 1.
 
-    `part` is each particle's height relative to the column's height, and WINDOW the range in which the factor falls.
-    The sum keeps its initial value if the concrete neither loses nor gains volume.
+    `part` is the relative position of each particle, such as its height divided by the column's height. The factor is 1
+    for small values of `part`, and falls smoothly to 0 within the range WINDOW. The sum keeps its initial value if the
+    concrete neither loses nor gains volume.
     """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))

@@ -60,8 +60,9 @@ def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) ->
 def yield_of_slump_measured(slump: float, density: float) -> float:
     """Return the yield stress [Pa] for a `slump` [m], by the empirical relation of Ferraris & de Larrard (1998).
 
-    The relation, rho (30 cm - slump) / 34.7 + 212, describes measurements with the rheometer BTRHEOM on some 80 mixes,
-    with a mean deviation of 162 Pa. Hu's relation, from finite elements, is rho (30 cm - slump) / 27.
+    With the density rho [kg/m3], the yield stress is rho (30 cm - slump) / 34.7 + 212. The relation describes
+    measurements with the rheometer BTRHEOM on some 80 mixes, with a mean deviation of 162 Pa. Hu's relation, from
+    finite elements, is rho (30 cm - slump) / 27.
     """
     return density * (30 - 100 * slump) / 34.7 + 212
 

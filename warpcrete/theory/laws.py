@@ -33,9 +33,9 @@ def law_name(index: float, quadratic: float) -> str:
 
 @dataclass(frozen=True)
 class FlowLaw:
-    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, in which n is 1 or c is 0.
+    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, with the shear stress tau and the shear rate g.
 
-    All methods take numbers or arrays and return arrays.
+    Either n is 1 or c is 0. All methods take numbers or arrays and return arrays.
     """
 
     yield_stress: float
@@ -43,7 +43,7 @@ class FlowLaw:
     viscosity: float
     """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
 
-    In the law of a slip layer, this value is divided by the layer's thickness^n.
+    For a slip layer, this attribute holds that value divided by the n-th power of the layer's thickness.
     """
     index: float = 1.0
     """Flow index n."""
@@ -78,10 +78,11 @@ class FlowLaw:
         return excess / self.viscosity
 
     def integrals(self, stress: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the integrals J_0, J_1 and J_2, where J_j is the integral of g h^j dh [Pa^(j + 1) / s] up to `stress`.
+        """Return the integrals J_0, J_1 and J_2 up to a `stress`.
 
-        Here g is the shear rate at the stress tau_0 + h. J_0 is therefore also the integral of the rate over the
-        stress.
+        The integral J_j is that of g h^j dh [Pa^(j + 1) / s]. Here h is the viscous stress, which is the stress minus
+        the yield stress, and g is the shear rate at this stress. J_0 is therefore also the integral of the rate over
+        the stress.
         """
         h = np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0)
         g = self._rate_of_excess(h)

@@ -24,11 +24,9 @@ LAYERS = 4000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
-"""Numbers of slices and of tried speeds.
-
-SLICES is the number of slices of a box along its length, and SLICES_FUNNEL that of a funnel along its height. SPEEDS is
-the number of outlet speeds tried for each level of the concrete.
-"""
+"""Numbers of slices and of tried speeds. SLICES is the number of slices of a box along its length, and SLICES_FUNNEL
+that of a funnel along its height. SPEEDS is the number of outlet speeds that are tried for each height of the concrete
+in the funnel."""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
@@ -102,8 +100,9 @@ def heap_volume(reach: float, yield_stress: float, density: float, gravity: floa
 def viscous_front(volume: float, viscosity: float, density: float, time: float, gravity: float = 9.81) -> float:
     """Return how far a viscous fluid without yield stress has spread on a plate to one side [m] (Huppert 1982).
 
-    The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5) t^(1/5), with the `volume` V released to this
-    side per metre of depth [m2] and the `time` t since then [s]. There is no slip between fluid and plate.
+    There is no slip between fluid and plate. The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5)
+    t^(1/5). Here g is gravity, nu the kinematic viscosity, and t the `time` since the release [s]. V is the `volume`
+    released to this side per metre of depth [m2].
     """
     return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 
@@ -215,14 +214,15 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The formula of
-    Kozicki, Chou & Tiu is exact in slots and pipes. It states that 2 v / R is tau^(-b/a) / a times the integral of
-    s^(b/a - 1) g(s) ds up to tau, with the mean speed v, the hydraulic radius R, the wall stress tau and the shear rate
-    g. For Bingham's law the right side is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with
-    q = tau0 / tau.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. A slip `layer`
+    adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield stress [Pa].
+    For laws other than Bingham's, it is also given by its flow index and its quadratic coefficient.
 
-    A slip `layer` adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield
-    stress [Pa]. Laws other than Bingham's also need its flow index and its quadratic coefficient.
+    The formula of Kozicki, Chou & Tiu is exact in slots and pipes. Let v be the mean speed, R the hydraulic radius, tau
+    the wall stress, g(s) the shear rate at a stress s, and a and b two constants of the cross-section. The formula
+    states that 2 v / R is tau^(-b/a) / a times the integral of s^(b/a - 1) g(s) ds up to tau. For Bingham's law with
+    the yield stress tau0 and the plastic viscosity mu, this is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a +
+    b))), with q = tau0 / tau.
     """
     law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))
@@ -240,7 +240,7 @@ def duct_stress(
 
 
 def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -> np.ndarray:
-    """Return twice the mean speed of a duct over its hydraulic radius [1/s], at a mean wall `stress` [Pa].
+    """Return 2 v / R for a duct [1/s], with the mean speed v and the hydraulic radius R, at a mean wall `stress` [Pa].
 
     The formula and its constants `a` and `b` are those of :func:`duct_stress`.
     """

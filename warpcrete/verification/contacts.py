@@ -81,8 +81,8 @@ def oscillator(device, precision) -> list[Row]:
 def rolling(device, precision) -> list[Row]:
     """Compare the accelerations of a sphere on an incline with rigid-body mechanics.
 
-    The sphere rolls without slip if tan(theta), the incline's slope, is below 7/2 mu. On a steeper incline
-    the sphere slides, and friction spins it up.
+    The sphere rolls without slip if tan(theta), the incline's slope, is below 7/2 mu, with the coefficient of friction
+    mu. On a steeper incline the sphere slides, and friction spins it up.
     """
     rows = []
     friction, g = 0.2, 9.81

@@ -160,8 +160,8 @@ AXES: dict[str, tuple[float, float]] = {
     "flow": (1e-6, 1e-1),
     "gravity": (0.0, 981.0),
 }
-"""Lowest and highest value of each parameter. The cases are scenes with one extreme value, and all corners of this
-parameter space."""
+"""Lowest and highest value of each parameter. The cases of the verification are scenes in which one parameter has an
+extreme value, and scenes in which all parameters have extreme values (the corners of the parameter space)."""
 
 
 def scenes() -> Iterator[Case]:

@@ -23,9 +23,10 @@ TEST_4 = np.array([
     [50, 0.845, -457.0, 29.35], [60, 0.893, -357.5, 47.79], [70, 0.932, -246.2, 64.58], [80, 0.966, -126.3, 78.70],
     [85, 0.983, -63.1, 84.52],
 ])  # fmt: skip
-# Published curves of test 5 (steel), digitised. The first column is the normalised incident angle 2 v_t / (mu (1 + e)
-# v_n). The second column is a normalised rebound velocity: in the first table the velocity of the sphere's surface, in
-# the second table the part of it that is due to rotation.
+# Published curves of test 5 (steel), digitised. Here v_n and v_t are the normal and tangential velocities before the
+# impact, mu is the coefficient of friction and e the coefficient of restitution. The first column is the normalised
+# incident angle 2 v_t / (mu (1 + e) v_n). The second column is a normalised rebound velocity: in the first table the
+# velocity of the sphere's surface, in the second table the part of it that is due to rotation.
 TEST_5_SURFACE = np.array([
     [0.066, -0.08], [0.332, -0.28], [0.671, -0.493], [1.009, -0.747], [1.335, -1.0], [1.662, -1.267], [2.0, -1.533],
     [2.350, -1.813], [2.991, -2.44], [3.341, -2.693], [4.006, -2.787], [4.997, -2.0], [6.0, -1.013], [9.988, 3.013],
@@ -196,7 +197,9 @@ def oblique(device, precision) -> list[Row]:
     rows.append(
         _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
     )
-    # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n.
+    # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n. Here
+    # v_n and v_t are the normal and tangential velocities before the impact, mu is the coefficient of friction and e
+    # the coefficient of restitution.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
     worst = int(np.argmax(np.abs(tangential[slip] - exact)))

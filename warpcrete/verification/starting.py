@@ -39,9 +39,9 @@ def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.
 
 
 def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, step: float) -> np.ndarray:
-    """Return velocity profiles of a pipe flow that a force per volume drives from rest [m/s], shape (times, cells).
+    """Return velocity profiles [m/s] of a pipe flow that starts from rest, shape (times, cells).
 
-    The cells divide the radius of the pipe, or half the width of the channel.
+    A force per volume drives the flow. The cells divide the radius of the pipe, or half the width of the channel.
     """
     concrete, axial = scene.concrete, scene.dimensions == 3
     h = scene.radius / cells

@@ -1,8 +1,8 @@
 """The regularised Bingham law (Xu, Li & Jiang 2021, Eq. 15), and its means over cells in which the stress varies.
 
-The stress varies linearly across a pipe. The mean velocity of a cell is therefore an integral of the shear rate over
-the stress, which has a closed form here. A sheared layer at a wall or beside a plug is therefore computed as accurately
-as the stress, even if the layer is thinner than a cell.
+In a pipe, the stress varies linearly from the axis to the wall. The mean velocity of a cell is therefore an integral of
+the shear rate over the stress, which has a closed form for this law. Some layers, at a wall or beside a plug, are
+thinner than a cell. With the closed form, the velocity is as accurate as the stress even there.
 """
 
 import functools
@@ -136,14 +136,15 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
-        """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
+        """Return the mean velocity of a cell at a wall minus the velocity at the wall, and its derivative.
 
-        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from
-        the wall to the cell's opposite side, where it is `inner`.
+        Both velocities are those of the concrete. The derivative is with respect to `stress`, the shear stress at the
+        wall. The stress falls linearly from the wall to the cell's opposite side, where it is `inner`.
         """
-        # The stress varies linearly over the cell. Where the stress is tau, the velocity relative to the wall is
-        # u = width / change * (F1(stress) - F1(tau)), with F1 = `rate_integral`. The mean of u over the cell follows
-        # from the integral of F1, which is `double_integral`.
+        # The stress varies linearly across the cell, from `stress` at the wall to `inner`. The difference is `change`.
+        # Where the stress is tau, the velocity relative to the wall is u = width / change * (F(stress) - F(tau)). Here
+        # F, the function `rate_integral`, is the integral of the shear rate over the stress. The mean of u over the
+        # cell contains the integral of F, which is the function `double_integral`.
         change = stress - inner
         if change > scalar(0.05) * stress:
             part = (change * rate_integral(g, stress) - (double_integral(g, stress) - double_integral(g, inner))) / (

@@ -11,8 +11,8 @@ from .cells import OPEN, GridKind, grid_parameters_struct, grid_structs, item
 from .places import grid_functions
 
 WET = wp.constant(0.02)
-"""Fill fraction of a cell above which its concrete can flow. With a smaller value, a free surface at rest that
-coincides with the sides of cells would start to move (at 1 mm/s in a test with a viscosity of 10 Pa s)."""
+"""Fill fraction of a cell above which its concrete can flow. With a smaller value, concrete at rest would start to move
+if its free surface coincides with the sides of cells (at 1 mm/s in a test with a viscosity of 10 Pa s)."""
 
 
 @functools.cache

@@ -207,9 +207,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     """Build the kernels that keep the mean velocity along a periodic pipe constant.
 
-    `deficit` (on a GPU `sums` and `deficit_of_sums`) computes the difference between the wanted and the present mean
-    velocity. `correct` adds this difference to the velocity of all faces, which is equivalent to a uniform force. For
-    the next step, the driving force is increased by this force and by the resulting increase of wall friction.
+    `deficit` computes the wanted minus the present mean velocity; on a GPU, `sums` and `deficit_of_sums` do this.
+    `correct` adds this difference to the velocity of all faces, which is equivalent to a uniform force. This force and
+    the resulting increase of wall friction are added to the driving force of the next step.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     Fields = grid_structs(scalar, dimensions).Fields
@@ -253,9 +253,10 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     def deficit_of_sums(
         g: Grid, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Compute the deficit of the mean velocity and the new driving force from the partial sums.
+        """Compute the deficit of the mean velocity, and the new driving force.
 
-        The kernel runs in one block. The deficit is the wanted mean velocity minus the present one.
+        The deficit is the wanted minus the present mean velocity. The present mean velocity follows from the partial
+        sums of all blocks. The kernel runs in one block.
         """
         c = wp.tid()
         sum = total(c, partial, 0, blocks)

@@ -33,9 +33,10 @@ def with_gain_function(scalar, dimensions: int):
 
 @functools.cache
 def break_kernel(scalar, of: GridKind):
-    """Build the kernel that breaks down the structure of each cell, and of the slip layer along its faces, in a step.
+    """Build the kernel that updates the yield stress gained at rest, in each cell and in the slip layer.
 
-    It runs with one thread per cell.
+    The flow breaks down the structure that has built up at rest. The kernel computes one time step, with one thread per
+    cell; the slip layer is that along the faces of the cell.
     """
     Grid = grid_parameters_struct(scalar, of.dimensions)
     structs = grid_structs(scalar, of.dimensions)
@@ -44,9 +45,10 @@ def break_kernel(scalar, of: GridKind):
 
     @wp.func
     def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
-        """Return the increase of the gained yield stress by recovery in a step, less its breakdown in the same step.
+        """Return the yield stress that recovery adds in a step, less what breaks down again in the same step.
 
-        The recovery has the given `rate`. The breakdown reduces older structure by the factor exp(-broken).
+        The recovery has the given `rate`. The result does not include the structure from earlier steps, which the
+        breakdown reduces by the factor exp(-broken).
         """
         if broken > scalar(1.0e-3):
             return rate * dt * (scalar(1.0) - wp.exp(-broken)) / broken

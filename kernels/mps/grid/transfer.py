@@ -170,10 +170,13 @@ def gather_kernel(scalar, of: GridKind):
 def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it. If
-    walls are sides of cells, the velocity is continued linearly through its value at a wall. If walls cut cells, the
-    velocities of ghost faces inside walls are unknowns of the solve instead. The kernel runs with one task per cell and
-    extends the velocities by one cell per launch.
+    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it, so
+    these faces need velocities too.
+
+    - If walls are sides of cells, the velocity is continued linearly through its value at a wall.
+    - If walls cut cells, the velocities of ghost faces inside walls are unknowns of the solve instead.
+
+    The kernel runs with one task per cell and extends the velocities by one cell per launch.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -274,9 +277,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def sample(
         g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
-        """Return a velocity component at a position, its gradient, and the total weight of the faces used.
+        """Return a velocity component at a position, its gradient, and the total weight of the faces that contribute.
 
-        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        The component is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
+        far from the concrete, their total weight is 0.
         """
         base = whole()
         s = vec()
@@ -308,9 +312,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carry(g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        """Return the velocity at a position, its gradient, and the total weight of the faces used.
+        """Return the velocity at a position, its gradient, and the total weight of the faces that contribute.
 
-        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        The velocity is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
+        far from the concrete, their total weight is 0.
         """
         here = vec()
         slopes = mat()
@@ -399,8 +404,9 @@ def advect_kernel(scalar, of: GridKind):
         if wp.static(not of.periodic):
             if total == scalar(0.0):  # A particle alone in the air falls freely.
                 here = particles.velocity[p] + dt * g.gravity
-        # Estimate the velocity that the grid had at the particle's present position in the previous step. The estimate
-        # starts from the particle's own velocity and adds the gradient's contribution over the distance moved since.
+        # Estimate the velocity that the grid had in the previous step at the particle's present position. The estimate
+        # is the particle's own velocity, plus the velocity gradient times the distance that the particle has moved
+        # since then.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here

@@ -149,8 +149,8 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
     """Report the progress of compiling while the block runs.
 
-    The function `tell` is called with "compiling" and the fraction done, if compiling takes longer than
-    `COMPILE_PROGRESS_DELAY`.
+    If compiling takes longer than `COMPILE_PROGRESS_DELAY`, the function `tell` is called with the word "compiling" and
+    the fraction done.
     """
     token = _compile_callback.set(tell)
     try:
@@ -219,9 +219,10 @@ def graph_sizes(count: int, largest: int) -> list[int]:
 
 
 def merge_thread_stages(step: Step) -> Step:
-    """Merge the threads' stage lists into a list for one thread, barrier by barrier.
+    """Merge the stage lists of several threads into one list, for a single thread.
 
-    The single thread runs the stages of all threads up to a barrier, then those up to the next barrier.
+    The single thread runs the stages of all threads up to the first barrier, then those of all threads up to the next
+    barrier, and so on.
     """
     parts: list[list[list[Stage]]] = []
     for stages in step:
@@ -376,7 +377,7 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch a GPU's stages during a graph capture, those with `on_side_stream` on a side stream.
+    """Launch the stages of a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
 
     The main stream waits for the side stream before a stage with `joins_side_stream`, and at the end.
     """

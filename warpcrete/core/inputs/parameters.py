@@ -74,9 +74,10 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Needs:
-    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`.
+    """Rule for a parameter that has a meaning only if the value of another parameter passes a test.
 
-    If there are further parameters `others`, it is enough that `test` holds for one of them.
+    The other parameter is `field`, and `test` is a function of its value. If `others` names further parameters, it is
+    enough that one of all these parameters passes the test.
     """
 
     field: str
@@ -92,9 +93,9 @@ class Needs:
 
 @dataclass(frozen=True)
 class FileIf:
-    """Rule that a text for which `test` holds names a file.
+    """Rule that a text names a file if `test` holds for the text.
 
-    The text is stored as an absolute path, which is valid in any working folder.
+    Such a text is stored as an absolute path, which is valid in any working folder.
     """
 
     test: Callable[[str], bool]

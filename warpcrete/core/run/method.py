@@ -47,7 +47,7 @@ class Quantity:
 
 
 def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float | Quantified]:
-    """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as such.
+    """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as numbers.
 
     `known` is the method's data about a run, which is passed to the function `of` of each quantity.
     """

@@ -390,9 +390,12 @@ class Simulation:
     def _end(self, finished: bool, interrupted: bool) -> Run:
         """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
 
-        The last state takes effect as a checkpoint when all recorders have finished. Recorders then
-        join the files of their recordings; a run that is killed meanwhile need not repeat its last steps. If a
-        recorder fails, the run can go on from the previous checkpoint without loss of data.
+        The order makes sure that no data are lost if a recorder fails or the run is killed:
+
+        - The final state is written first, but does not yet replace the previous checkpoint.
+        - All recorders finish. If one fails, the run can go on from the previous checkpoint.
+        - The final state becomes the checkpoint. Recorders then join the files of their recordings; a run that is
+          killed meanwhile need not repeat its last steps.
         """
         recording, path = self._recording, self.checkpoint_path
         written = False

@@ -25,11 +25,9 @@ from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Wal
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
-"""Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
-
-Growing arrays discards all recorded launches of the batch, so scenes that will soon need more room grow at the same
-time.
-"""
+"""Fill level of a scene's arrays, as a fraction of their size. When the arrays of one scene of a batch must grow, those
+of the other scenes grow as well if their fill level is higher than this. The reason is that growing arrays discards all
+recorded launches of the batch."""
 
 
 class JointArrays:
@@ -167,9 +165,10 @@ class JointArrays:
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
     def _join(self, parts: Sequence[object], name: str) -> DeviceArray:
-        """Return the arrays named `name` of all objects in `parts`, one for each scene, joined end to end.
+        """Return the arrays `name` of several objects, joined end to end.
 
-        The array of each object is replaced by its slice of the joint array.
+        `parts` contains one object for each scene. The array of each object is replaced by its slice of the joint
+        array.
         """
         arrays: list[DeviceArray] = [getattr(part, name) for part in parts]
         if len(arrays) == 1:
@@ -299,8 +298,8 @@ class JointArrays:
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
-        # A link is a pair of the neighbour list, and the array `result` contains the contact forces of all links. Free
-        # `result`, the largest array of the old links, before new arrays are allocated. Its values are not needed,
+        # A link is a pair of the neighbour list, and the array `result` contains the contact forces of all links. It is
+        # the largest array of the old links, so free it before new arrays are allocated. Its values are not needed,
         # because every step computes the forces anew.
         before.result = None
         self._regrow("pairs", used, self.capacity, wanted)

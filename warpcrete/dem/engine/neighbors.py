@@ -49,11 +49,12 @@ MOST_KEPT = 64
 
 
 class NeighborLists:
-    """Builder of the neighbour lists and mesh candidates (triangles near a sphere) of the scenes with stale lists.
+    """Builder of the neighbour lists of all scenes of a batch whose lists are stale.
 
-    A list contains the pairs with gaps of less than a skin [m]. It stays complete until some sphere has moved by half
-    the skin relative to a common drift (its scene's mean velocity at the build), or by the mesh skin relative to a
-    mesh.
+    It also builds the lists of mesh candidates, which are the triangles near each sphere. A neighbour list contains all
+    pairs of spheres whose gap is less than a margin, the skin [m]. The list stays complete until a sphere has moved too
+    far. The limit is half the skin, relative to the motion of the scene as a whole (at its mean velocity when the list
+    was built). Relative to a mesh, the limit is the mesh skin.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -183,10 +184,10 @@ class NeighborLists:
             self._recorded.clear()
 
     def device_rebuild(self) -> Rebuild:
-        """Return the phases of a rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
+        """Return the phases of a list rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
 
-        The device launches all phases. A rebuild by the host instead begins at the phase `cells`, after the host has
-        copied the old lists.
+        The device launches all phases. In a rebuild by the host, the host first copies the old lists and then begins at
+        the phase `cells`.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
@@ -376,9 +377,10 @@ class NeighborLists:
         return Chunks(parts, b.launch_chunks) if f.half_list else parts[0]
 
     def _link_stages(self, scan: list[Stage]) -> list[Stage]:
-        """Return the launches that build a GPU's links (pairs) from the new lists; empty for half lists.
+        """Return the launches that build a GPU's links from new neighbour lists; empty for the half lists of a CPU.
 
-        `scan` contains the launches of the prefix sum that gives the index of each sphere's first link.
+        A link represents the two list entries of a pair. `scan` contains the launches of the prefix sum that gives the
+        index of each sphere's first link.
         """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         if f.half_list:

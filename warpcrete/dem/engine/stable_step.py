@@ -58,9 +58,9 @@ class StableStep:
         self._estimate_for([s])
 
     def precompute(self, scenes: list[int]) -> None:
-        """Estimate the stable steps of several scenes of a GPU batch together, before they are needed.
+        """Estimate the stable steps of several scenes of a batch together, before they are needed.
 
-        On a GPU, this takes as long as the estimate for one scene. On a CPU, nothing is done.
+        On a GPU, this takes as long as the estimate for one scene. On a CPU, the method does nothing.
         """
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)

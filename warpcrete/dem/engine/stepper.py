@@ -30,9 +30,9 @@ from .stepper_protocol import StepperRecord, Steps
 from .subcycling import MARGIN, rounds_for
 
 # Skin of the neighbour lists divided by the mean sphere radius. On a CPU, a step of a pumping scene takes equally long
-# for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin and so fewer list rebuilds: for 28,000
-# spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, a skin of 1.0 is
-# 2 to 3 % slower than 0.7.
+# for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin, because the lists are rebuilt less
+# often: for 28,000 spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres
+# on, a skin of 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
 MESH_SKIN = 4  # Skin of the mesh candidates (triangles near a sphere), as a multiple of the neighbour lists' skin.
@@ -182,10 +182,10 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Strengthen the scene's bonds and lubrication layer by what they gain during its rest.
+        """Strengthen the scene's bonds and lubrication layer by what they gain while the concrete rests.
 
-        Pairs without a bond are bonded as well. Returns the travel [m] of the wall `Rest.wall` at the rest, from which
-        the slip along the wall is counted.
+        Pairs without a bond are bonded as well. Returns the present travel [m] of the wall `Rest.wall`; the slip along
+        the wall is counted from there.
         """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None

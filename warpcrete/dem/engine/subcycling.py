@@ -51,10 +51,11 @@ BODY_ARRAYS = (
 
 
 def rounds_for(ratio: float) -> int:
-    """Return the number of rounds for a time step that is `ratio` times the stable step of the undamped stiff bonds.
+    """Return the number of sub-cycling rounds in a time step; `ratio` is this step over the stable step.
 
-    Stiff bonds have dashpots with a relaxation time of RELAXATION times the step. A round of 1/n of the step is then
-    stable if n^2 >= ratio^2 (1 + RELAXATION n); the result is the smallest such whole number.
+    The stable step is that of the stiff bonds without damping. Stiff bonds have dashpots with a relaxation time of
+    RELAXATION times the step. A round of 1/n of the step is then stable if n^2 >= ratio^2 (1 + RELAXATION n). The
+    result is the smallest whole number n for which this holds.
     """
     damped = 0.5 * RELAXATION * ratio * ratio
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))

@@ -171,9 +171,10 @@ def _sums(state: State, what: str, columns: int) -> wp.array:
 
 
 def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
-    """Return the kernel launches that reduce each column of `values` to its sum or, if listed in `maxima`, its maximum.
+    """Return the kernel launches that reduce each column of `values` to one number.
 
-    The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
+    This number is the maximum for the columns in `maxima`, and the sum for the others. The order of the additions
+    depends only on the number of rows, so that the sums are reproducible to the bit.
     """
     columns = values.shape[1]
     lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)

@@ -31,10 +31,8 @@ from .probes import launch_recorded, scene_stage
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""
 FRONT = 0.98
-"""Fraction of the solid volume that lies behind the point defined as the front of the concrete.
-
-Beyond this point the concrete no longer fills the cross-section.
-"""
+"""Fraction of the solid volume that lies behind a point, which is defined as the front of the concrete. Beyond this
+point the concrete no longer fills the cross-section."""
 FARTHEST = 8
 """The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
 PLACES = ("place", "radius")
@@ -182,17 +180,18 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
 
 
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
-    """Return the friction losses along a pipe from a table of stations, after subtraction of the weight.
+    """Return the friction losses along a pipe, from a table of the measured stress at stations along it.
 
-    For a straight pipe the losses are the pressure gradient [Pa/m] and the wall stress [Pa]. For a pipe with a bend or
-    taper in its middle, both are returned for the straight stretches before and behind it. They follow from line fits
-    that leave out one radius at each end of a stretch.
+    The weight of the concrete is subtracted. For a straight pipe the losses are the pressure gradient [Pa/m] and the
+    wall stress [Pa]. For a pipe with a bend or taper in its middle, both are returned for the straight stretch before
+    the middle and for that behind it. They follow from straight lines, fitted to each stretch without one radius at
+    each end. Such a pipe has three more results:
 
-    A pipe with a bend or taper has three more results. `middle_loss` [Pa] is the axial stress lost over the middle
-    between these lines. `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length.
-    Friction rises with pressure, so the gradient of this straight pipe is the logarithmic mean of 4 tau / d at both
-    ends of the middle, which is exact if friction rises linearly with pressure. `flux_ratio` is the solid volume flux
-    downstream divided by that upstream.
+    - `middle_loss` [Pa] is the axial stress lost over the middle, between the two lines.
+    - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
+      pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
+      middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
+    - `flux_ratio` is the solid volume flux downstream divided by that upstream.
 
     A result is left out if concrete fills too few of the slices that it needs.
     """

@@ -161,7 +161,7 @@ class Course:
 
 
 def course_of(given: PartElements) -> Course:
-    """Return the course of a part or of a line, after a straight run-up for the travel of the piston.
+    """Return the pipe of a scene: a straight stretch in which the piston moves, then a part of a line or a line.
 
     Raises :class:`SceneError` if parameters contradict each other.
     """

@@ -218,8 +218,8 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     def mould_grip_or_default(self) -> float:
         """Resistance of the mould to sliding, divided by that of the grains.
 
-        Both friction and yield stress are multiplied by this factor. The default depends on the contact law and is no
-        larger than the plate's factor.
+        The friction and the yield stress of contacts with the mould are those of the grains times this factor. The
+        default depends on the contact law, and is at most the plate's factor.
         """
         if self.mould_grip is not None:
             return self.mould_grip
@@ -313,9 +313,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
 
 def shear_means() -> tuple[float, float, float]:
-    """Return three means over contacts in all directions n in a simple shear of rate 1 with the strain rate tensor D.
+    """Return three means over contacts in all directions, in a simple shear of rate 1.
 
-    The vector D n has a part across n (sliding) and a part along n (approach). The results are:
+    Let n be the direction of a contact and D the strain rate tensor. The vector D n has a part across n (sliding) and a
+    part along n (approach). The results are:
 
     - the mean magnitude of the part across n,
     - the mean square of the part across n, which is 1/10 exactly,
@@ -365,14 +366,15 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 def plastic_law(given: VesselParameters) -> PlasticMortar:
     """Return the law of :class:`PlasticMortar` that has the yield stress and viscosity of the concrete.
 
-    As in :func:`mortar_law`, the dissipation of all contacts in a simple shear of rate 1 equals that of the concrete.
-    With the contact's direction n and the strain rate tensor D, a contact dissipates its yield stress times |D n|,
-    whose mean is pi/8. It also dissipates its viscosity over the shell thickness times |D n|^2, whose mean is 1/6.
+    In a simple shear of rate 1, all contacts together dissipate as much as the concrete, as in :func:`mortar_law`. Let
+    n be the direction of a contact and D the strain rate tensor. The dissipation of a contact has two parts. One part
+    is the yield stress times |D n|, whose mean is pi/8. The other part is the viscosity over the shell thickness, times
+    |D n|^2, whose mean is 1/6.
 
-    The tension of the shells, in units of the yield stress, is a choice: it was varied for a cone with a yield stress
-    of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the
-    closed form of a tall cone gives 78 mm, and the implicit material points of Newton 1.8 give 104 mm. At other yield
-    stresses the slumps are predictions without a fit.
+    The tension of the shells, in units of the yield stress, does not follow from the concrete. It was chosen by trials
+    with a cone of a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands
+    whole. For comparison, the closed form of a tall cone gives 78 mm, and the implicit material points of Newton 1.8
+    give 104 mm. At other yield stresses the slumps are predictions without a fit.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(

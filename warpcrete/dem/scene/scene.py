@@ -360,7 +360,8 @@ class Rest(Declared):
     def layer_gained(self) -> float:
         """Increase of the yield stress of a wall's lubrication layer during the rest [Pa].
 
-        The increase is `gained` divided by the fraction of the wall's area on which contacts act.
+        The layer acts only where contacts are, on a fraction of the wall's area. The stress `gained` is divided by this
+        fraction, so that it is the mean increase over the whole wall.
         """
         return self.gained / self.coverage
 

@@ -203,10 +203,10 @@ class _Run:
             self._resume(failure)
 
     def check_steps(self) -> None:
-        """Check the completed steps.
+        """Check the completed steps, and resume the run's coroutine if they failed or reached its goal.
 
-        At the goal, let the run continue until it sets its next goal or ends. Store its result when it ends, or its
-        error.
+        The goal is the time or the number of steps that the coroutine has requested. The coroutine then requests its
+        next goal, or it ends. When it ends, its result or its error is stored.
         """
         try:
             self._flow.settle()

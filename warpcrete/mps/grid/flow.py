@@ -1,8 +1,11 @@
 """Flow on a grid through which particles carry the concrete.
 
-A step has four parts. Particles bring their velocities to the faces of the cells (affine particle-in-cell, Jiang et al.
-2015). An implicit solve changes these velocities by viscosity, walls, pressure and weight. An increment of the pressure
-removes their divergence. Particles take their velocity from the grid and move with it.
+A step has four parts:
+
+- Particles bring their velocities to the faces of the cells (affine particle-in-cell, Jiang et al. 2015).
+- An implicit solve changes these velocities by viscosity, walls, pressure and weight.
+- An increment of the pressure removes the divergence of the velocities.
+- Particles take their velocity from the grid and move with it.
 
 The length of steps may adapt to the flow. The equations do not depend on how the particles are arranged, so concrete
 can be sheared without limit.

@@ -176,7 +176,7 @@ class GridStep:
         return self._alone(used_rows_kernel(self.scalar, 2), 1, rows=system.rows, matrix=system.matrix)
 
     def _solve(self, system: Any, what: int, x: wp.array, tolerance: float) -> list[Any]:
-        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
+        """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
 
         The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
         system.

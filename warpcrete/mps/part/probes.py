@@ -82,10 +82,12 @@ def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
 
 
 def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]:
-    """Return the frictional loss of each section of a part [Pa], the difference of the pressures at its ends.
+    """Return the frictional loss of each section of a part of a pump line [Pa].
 
-    At the end of a straight stretch the pressure is that of a straight line, fitted to the stretch without a length of
-    one radius at both ends. Elsewhere, and in stretches too short for a line, it is the mean over the cross section.
+    The loss is the difference of the pressures at the ends of the section. At the end of a straight stretch, the
+    pressure is that of a straight line. The line is fitted to the pressures in the stretch, without a length of one
+    radius at both ends. At all other ends, and in stretches too short for a line, the pressure is the mean over the
+    cross-section.
     """
     sections = scene.sections
     at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]

@@ -274,7 +274,7 @@ class PartScene(Parametrised, PartSettings):
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
         """Yield the sections of a straight piece of the axis.
 
-        They are straight pipes, tapers, and the stretch where the bore of a mesh changes.
+        A section is a straight pipe, a taper, or the stretch in which the bore of a mesh varies.
         """
         odd = [("bore", *self.insert)] if self.insert is not None else []
         if self.wall is None:

@@ -15,8 +15,8 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Difference between a target and the best value that parameters can reach, in standard deviations of the target. Above
-this limit, the target counts as unreachable."""
+"""Largest difference between a target and the best value that parameters can reach, in standard deviations of the
+target. If the difference is larger, the target counts as unreachable."""
 
 
 @dataclass

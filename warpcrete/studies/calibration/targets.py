@@ -27,8 +27,8 @@ from ...methods import METHODS, method_of
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
 LOG_SCALE_RATIO = 10.0
-"""Ratio of the upper to the lower end of a parameter's range. From this ratio on, the parameter is searched on a
-logarithmic scale unless its entry `scale` says otherwise."""
+"""Smallest ratio of the upper to the lower end of a parameter's range at which the parameter is searched on a
+logarithmic scale. The parameter's own entry `scale` overrides this rule."""
 MAX_DEVIATIONS_APART = 3.0
 """Largest difference between two measured values of one quantity, in standard deviations. Values that differ by more
 contradict each other, and the targets are refused."""

@@ -157,10 +157,11 @@ def run_blocking(
 def _parameters(
     part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters of one simulation. The simulation ends as soon as the part is blocked.
+    """Return the scene parameters of one simulation.
 
-    The smallest values of friction and modulus are :data:`FRICTION` and :data:`MODULUS`, unless the concrete has a
-    contact law of its own.
+    The simulation ends as soon as the part is blocked. The friction and the modulus of the stones are raised to
+    :data:`FRICTION` and :data:`MODULUS` if they are smaller, because smoother or softer stones would pass bores that
+    block in reality. A contact law that belongs to the concrete stays unchanged.
     """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)

@@ -34,8 +34,8 @@ STRAIGHT_DIAMETERS = 3.0
 """Length of the straight pipe before a simulated bend or reducer, in diameters. The straight pipe behind it has the
 same length. If a straight pipe is simulated, it consists of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
-"""Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
-that fewer elements have to be simulated."""
+"""Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
+they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
 """Default factor on the elastic modulus of the concrete.
 
@@ -139,8 +139,8 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield each kind of part that needs a simulation, as its key and an example part.
 
-    Straight pipe is needed at every diameter of the line, once with and once without a pressing plug
-    (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
+    Straight pipe is needed at every diameter of the line, once with and once without a plug that presses on the
+    concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
     """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:

@@ -24,8 +24,9 @@ from .losses import GRAVITY, straight_friction, with_layer_factor
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
 COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
-"""Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
-the number of the part before which the tap lies."""
+"""Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
+where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
+before which it sits."""
 SAME_FLOW = 0.02
 """Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
@@ -107,9 +108,9 @@ class LineFit:
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return the concrete with the fitted slip layer at the lower and at the upper end of its band.
+        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its band.
 
-        The pair is the value of the key 'slip layer', which is the only cause of uncertainty after a fit.
+        The result maps the cause of uncertainty, 'slip layer', to this pair. After a fit there is no other cause.
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
@@ -213,8 +214,8 @@ class _Model:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                # A bend whose factor is fitted counts as straight pipe here, because the fit multiplies it by the
-                # factor. All other parts have the friction of the prediction.
+                # A bend whose factor is fitted counts as straight pipe here, because the fit later multiplies its
+                # friction by the factor. All other parts have the same friction as in a prediction.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise
@@ -245,12 +246,16 @@ class _Model:
 
 
 def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
-    """Fit the slip layer, and the factor of bends, to pressures along a line by least squares.
+    """Fit the slip layer and the factor of bends to pressures along a line, by least squares.
 
-    `concrete` supplies density, viscosity and yield stress of the bulk, and values of constants that the points do not
-    determine. If all pressures were measured at a single flow, they do not distinguish the layer's yield stress from
-    its viscosity. If the same proportion of bends lies behind all taps, the pressures do not determine the factor of
-    bends. All pressures have the same weight. Raises :class:`SceneError` for too few points or an impossible result.
+    All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
+    It also supplies the fitted constants that the pressures do not determine:
+
+    - The yield stress of the layer, if all pressures were measured at a single flow. Such pressures do not distinguish
+      it from the layer's viscosity.
+    - The factor of bends, if bends have the same share in the line behind each gauge.
+
+    Raises :class:`SceneError` for too few measured points or an impossible result.
     """
     model = _Model(line, concrete, taps)
     measured = np.array([tap.pressure for tap in taps])

@@ -58,11 +58,15 @@ the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the fricti
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
-    """Return the lowest and highest friction of a part, divided by that of straight pipe of the same length and bores.
+    """Return the range of a part's friction, divided by the friction of straight pipe, or None without a range.
 
-    `straight` is the friction of this straight pipe [Pa]. If the line's file states a factor for the part, or if a fit
-    to a trial line determined the factor, the range is the one stored with the factor, or None. The result is also None
-    for straight pipe.
+    The range consists of the lowest and the highest value. The straight pipe has the same length and bores as the part,
+    and `straight` is its friction [Pa]. The range depends on the part:
+
+    - If the line's file states a factor for the part, or a fit to a trial line determined the factor, the result is
+      what is stored with the factor: a range or None.
+    - For all other parts, it is the range of the model for this kind of part. Straight pipe needs no model, so the
+      result is None.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:

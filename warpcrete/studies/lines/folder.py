@@ -64,9 +64,9 @@ def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _free_folder(folder: Path) -> Path:
-    """Return the path `folder`, or the path with a number appended if this folder exists.
+    """Return the path `folder`, or this path with a number appended if it exists.
 
-    Two similar parts may have the same name because their dimensions are rounded in it.
+    A folder's name contains rounded dimensions of a part of a pump line, so similar parts may have the same name.
     """
     count, free = 1, folder
     while free.exists():

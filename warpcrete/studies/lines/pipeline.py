@@ -26,8 +26,9 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
     """Refuse a scene to which Eq. 13 of Zhan et al. (2019) does not apply, or a second result that does not suit it.
 
-    `other` is the result of a run of pipe in the other direction, and `source` the place from which it was read, for
-    error messages. Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
+    Eq. 13 combines results of vertical and horizontal pipe. `other` is the result of a run with pipe in the other
+    direction, and `source` the place from which it was read, for error messages. Raises :class:`SceneError` for the
+    scene and :class:`RunFolderError` for the result.
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:

@@ -49,7 +49,7 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of the friction relative to straight pipe, because of the error of the part's model.
+        """Range of the friction of a part due to the error of the part's model, divided by that of straight pipe.
 
         The value is None for parts without such an error, such as straight pipe.
         """

@@ -43,11 +43,17 @@ def line_by_theory(
 ) -> LineResult:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` without any simulation.
 
-    Straight pipe follows from the closed form. For bends and reducers, the closed form of straight pipe is multiplied
-    by factors from earlier simulations. The uncertainty band has two causes: the concrete, and the error of the models
-    of fittings. For the concrete, the resistance of the slip layer is multiplied and divided by `layer_factor`, or the
-    pairs of concretes in `variants` are used. With a `stop`, the result includes the pressures that restart the line.
-    `fit` is the fit that gave the line and the concrete, for the report. With a folder `out`, the result is written
+    The pressure of straight pipe follows from the closed form. For bends and reducers, the pressure of straight pipe is
+    multiplied by factors from earlier simulations.
+
+    The uncertainty band has two causes:
+
+    - the error of these factors,
+    - the concrete: the resistance of the slip layer is multiplied and divided by `layer_factor`, or the pairs of
+      concretes in `variants` are used.
+
+    With a `stop`, the result includes the pressures that restart the line. If `line` and `concrete` come from a fit to
+    measured pressures, `fit` is this fit, which the report then describes. With a folder `out`, the result is written
     there. Raises :class:`SceneError` for an impossible flow or setting.
     """
     check_settings(flow, layer_factor)

@@ -51,9 +51,13 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered. They are ranked by whether both scenes agree in having a
-    closed form, then by how few knobs (accuracy parameters) exist in only one of them, then by how few parameters
-    differ, then by the kind of machine (GPU or CPU).
+    Only records of the scene function `name` are considered. They are ranked by four criteria, the most important
+    first:
+
+    - whether both scenes agree in having a closed form,
+    - how few knobs (accuracy parameters) exist in only one of them,
+    - how few parameters differ,
+    - whether the kind of machine is the same (GPU or CPU).
     """
     own = module.scene.resolved(given)
     found = []

@@ -78,8 +78,8 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
 def prediction_bound(shifts: Sequence[float]) -> float:
     """Return the bound of the next error with 95 % probability, for normally distributed errors.
 
-    This is the prediction interval |mean| + t s sqrt(1 + 1/n) of n errors with the standard deviation s. A single error
-    is its own bound.
+    The bound is |mean| + t s sqrt(1 + 1/n), the prediction interval of n errors. Here s is their standard deviation and
+    t the 95 % quantile of Student's distribution. A single error is its own bound.
     """
     values = np.asarray(shifts, float)
     if len(values) < 2:

@@ -16,9 +16,9 @@ from .fronts import Error, worst
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
-"""Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
-allows, a combination of knob levels, and a setting that is repeated in a variant of the scene.
-"""
+"""Origins of the settings of a trade-off study in which not just one accuracy parameter is changed. In this order, they
+are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and a
+setting that is repeated in a variant of the scene."""
 
 
 @dataclass
@@ -41,8 +41,9 @@ class Setting:
     """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions, by name, for quantities that mean something else at this setting than in the scene as given. A
-    conversion is a pair (offset, factor); see :class:`Level`."""
+    """Conversions of result quantities, by name. In a run with this setting, a quantity may mean something else than in
+    the scene as given; the conversion makes both comparable. A conversion is a pair (offset, factor); see
+    :class:`Level`."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""

@@ -210,7 +210,7 @@ class Trade:
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
     def run(self, point: Setting, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
-        """Run the missing seeds of a setting; return whether all of them are complete.
+        """Run a setting with those `seeds` that have not run yet; return whether all of them are complete.
 
         A run does not start if it is expected to exceed the fraction `until` of the budget.
         """
@@ -218,7 +218,7 @@ class Trade:
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run the missing seeds of settings in order, on all workers.
+        """Run each setting with those `seeds` that have not run yet, in order, on all workers.
 
         A run does not start if it is expected to exceed the fraction `until` of the budget.
         """
@@ -404,9 +404,11 @@ class Trade:
         return max(found)
 
     def promised(self, point: Setting) -> float:
-        """Return the error bound of a setting: the measured error with its interval, or the sum of its knobs' errors.
+        """Return an upper bound for the error of a setting.
 
-        The function returns the larger value, because errors that cancel in this scene need not cancel in another one.
+        The bound is the larger of two values. The first is the measured error with its confidence interval. The second
+        is the sum of the errors that each changed knob (accuracy parameter) causes alone. Errors that cancel in this
+        scene need not cancel in another one.
         """
         if point.worst is None:
             return math.inf

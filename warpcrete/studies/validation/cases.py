@@ -24,16 +24,17 @@ SCATTER_KEYS = ("concretes", "from", "to")
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""Number of groups of cases of which one is held out: 3 means that a third of the groups are held out."""
+"""Number of groups of cases, of which one group is held out. No fit of a constant uses a held-out group. With the value
+3, a third of the groups is held out."""
 FITTED = {
     "slump": ("yeh-2007",),
     "fitting": ("park-2020", "calibe"),
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm"),
 }
-"""Groups from which a constant of the program was taken before cases were held out, by kind. The constants are the
-height of the centre of a heap, the range of the friction of bends, the factor of a viscosity-modifying admixture, and
-limits of rules against blocking. These groups are never held out."""
+"""Groups of cases from which constants of the program were taken before any groups were held out, by kind. These groups
+are therefore never held out. The constants are the height of the centre of a heap, the range of the friction of bends,
+the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,10 @@ class Case:
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
-    """Return the groups of cases, as pairs of kind and group, that are held out of every fit of a constant.
+    """Return the groups of cases that no fit of a constant uses, as pairs of kind and group.
 
-    About a third of the groups of each kind are held out; if a kind has two groups, one is held out. Which groups are
-    held out follows from a hash of their names, so that nobody can choose them after seeing the results.
+    About a third of the groups of each kind are held out in this way; if a kind has two groups, one is held out. The
+    choice follows from a hash of the groups' names, so that nobody can make it after seeing the results.
     """
     found = set()
     for kind in {case.kind for case in cases}:

@@ -35,9 +35,9 @@ class Comparison:
 
     @property
     def inside(self) -> float:
-        """Share of the case's concretes that lie in the band: 0 or 1 for a single concrete.
+        """Fraction of the case's concretes whose measured values lie in the predicted band; 0 or 1 for one concrete.
 
-        Of several concretes, only the smallest and the largest value are known. The others are assumed to lie evenly
+        For several concretes, only the smallest and the largest value are known. The others are assumed to lie evenly
         between these two on a logarithmic scale.
         """
         if self.case.ends is None:

@@ -15,8 +15,8 @@ STYLES = (
     (True, False, {"marker": "o", "color": "C0", "label": "held out, with band"}),
     (False, True, {"marker": "s", "color": "C1", "label": "simulated as a flow"}),
 )
-"""Markers of the three groups of cases in the figure. An entry tells whether the cases are held out and whether they
-are simulated, and holds the keyword arguments of Matplotlib."""
+"""Markers of the three groups of cases in the figure. Each entry has three elements: True if the cases are held out
+(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
 """Displayed unit for each kind of measurement: the factor from the SI unit to this unit, and its name. Kinds that are
 not listed are shown in SI units."""

@@ -145,8 +145,9 @@ def _slump(case: Case) -> list[Band]:
 def _spread(case: Case) -> list[Band]:
     """Predict the spread [m] from the yield stress of the mix.
 
-    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The last is the
-    difference between a heap that resists stretching (:func:`heap_at_rest`) and a long heap without this resistance.
+    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The theory
+    resists stretching (:func:`heap_at_rest`); the error of the theory is the difference from a long heap without this
+    resistance.
     """
     mix = mix_of_case(case)
     own = mix.concrete
