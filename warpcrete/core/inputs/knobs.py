@@ -19,8 +19,9 @@ class Level:
     """Expected wall time of a run at this level, relative to the other levels of the same knob. It is used only for
     planning, before wall times are measured."""
     key: str = ""
-    """Name of this level that is the same in all scenes. For example, half the element size has the key "x 0.5" in
-    every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
+    """Name that this level of a knob has in all scenes. A knob is a parameter that trades accuracy for run time. For
+    example, half the element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If
+    the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Pair (offset, factor) for each result quantity, by name, whose meaning at this level differs from that in the
     scene as given. The value offset + factor * (value - offset) is comparable with the scene as given."""

@@ -268,7 +268,7 @@ class GridFlow(Stepping):
         2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
         3. Solve for the pressure increment, and remove the divergence of the velocities.
         4. Adapt the driving force, measure the speed, break the structure, and move crowded particles apart.
-        5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
+        5. Extrapolate the velocities beyond the concrete, move the particles, and advance the time.
         """
         slots, serial = self.state.slots, not self.parallel
         layout = self.state.layout
