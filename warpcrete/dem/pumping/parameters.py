@@ -467,7 +467,10 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Initial arc length of the front [m]. With a plug of balls, the front is the end of the plug. Otherwise it is the end of the concrete."""
+        """Initial arc length of the front [m].
+
+        With a plug of balls, the front is the end of the plug. Otherwise it is the end of the concrete.
+        """
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
