@@ -1,6 +1,6 @@
 """Contact of spheres with planes and pipe surfaces, and the summation of forces on all walls.
 
-Forces on walls are summed as 64-bit integers (`clock[FORCE_SCALE]` units per newton), so the order of the summation
+Forces on walls are summed as 64-bit integers with a fixed number of units per newton, so the order of the summation
 cannot change the result. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
 """
 

@@ -111,7 +111,8 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
 def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
     """Return the function `gather`, which copies the data of one contact into a vector lane.
 
-    The contact is list entry k of sphere i.
+    A vector lane is one of the contacts that a CPU computes at the same time. Here it is the contact in list entry k of
+    sphere i.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -232,8 +233,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
                     get4(columns, wp.static(at["bond_force"]), lane),
                     get4(columns, wp.static(at["bond_moment"]), lane), lost, dt,
                 )  # fmt: skip
-                # The bond formulas may yield NaN in a lane without a bond. Multiplication by 0 would keep the NaN, so
-                # the bond's results are selected component by component.
+                # The bond formulas may yield NaN for a contact without a bond. Multiplication by 0 would keep the NaN,
+                # so the bond's results are selected component by component.
                 total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + where3(kind > 0, pull.total)
                 bending = where3(kind > 0, pull.bending)
                 lost = wp.where(kind > 0, pull.lost, lost)
@@ -262,7 +263,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
 def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
     """Return the function `scatter`, which adds the contact results of the first `count` vector lanes to their spheres.
 
-    It also stores the contact history of the pairs.
+    A vector lane is one of the contacts that a CPU computes at the same time. `scatter` also stores the contact history
+    of the pairs.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -284,9 +286,9 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
     ):
         """Add the results of all vector lanes to their spheres and pairs.
 
-        The calling CPU thread owns spheres `first` to `last`. A pair across the border of that range is listed and
-        evaluated on both sides. Only the copy at the sphere with the lower permanent number counts energy and broken
-        bonds.
+        A vector lane is one of the contacts that a CPU computes at the same time. The calling CPU thread owns spheres
+        `first` to `last`. A pair across the border of that range is listed and evaluated on both sides. Only the copy
+        at the sphere with the lower permanent number counts energy and broken bonds.
         """
         lane = wp.int32(0)
         while lane < count:

@@ -262,7 +262,8 @@ def contact_update_function(
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
     """Return the function `evaluate`, which computes the force and the moments between the two spheres of a link.
 
-    It also updates the contact history and the bond. `mixed` is True if the spheres have several materials.
+    A link is a pair of spheres in a neighbour list. The function also updates the contact history and the bond. `mixed`
+    is True if the spheres have several materials.
     """
     t = types(scalar)
     structs = array_structs(scalar)

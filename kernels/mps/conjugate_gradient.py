@@ -196,8 +196,11 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sp
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the number of all chunks, the range of this thread's chunks, the number of threads, and
-        # the barrier at which they wait for each other.
+        # The next arguments are:
+        # - the number of all chunks,
+        # - the first chunk of this thread, and the end of its range of chunks,
+        # - the number of threads,
+        # - the barrier at which the threads wait for each other.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,

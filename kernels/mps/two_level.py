@@ -1,7 +1,8 @@
 """Conjugate gradients whose preconditioner contains the coarse grid of `coarse.py`; a whole solve is one kernel.
 
-The structure is that of `conjugate_gradient.py` and `resident_solver.py`, which use the diagonal alone: on a CPU every
-thread processes some chunks of rows, and on a GPU the blocks stay resident and meet at barriers.
+The structure is that of `conjugate_gradient.py` and `resident_solver.py`, whose preconditioner is the diagonal of the
+matrix alone. On a CPU every thread processes some chunks of rows. On a GPU the blocks stay resident and meet at
+barriers.
 """
 
 import functools

@@ -117,7 +117,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     """Return the pipeline with the diameter of its concrete's largest stone replaced by `stone` [m].
 
-    The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not pass through a part.
+    The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not fit through a part
+    of the pipeline.
     """
     for part in line.parts:
         if stone is not None and stone >= part.narrow:

@@ -72,8 +72,8 @@ def bore_of(
     """
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    # The measurement begins with a comparison of the mesh's extent with the part's length, because the bore cannot be
-    # followed if the file's unit of length is wrong.
+    # The measurement begins with a comparison of the mesh's extent with the length of the pipeline part. If the file's
+    # unit of length is wrong, the bore cannot be followed.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)
     name = str(file)

@@ -54,8 +54,8 @@ def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -
     cone, so that the mesh has the volume of the exact cone.
     """
     angle = 2 * np.pi * np.arange(sides) / sides
-    # A regular polygon whose corners have the distance r from its centre has the area sides r^2 sin(2 pi / sides) / 2.
-    # The radius is scaled so that the polygon has the area of the circle.
+    # A regular polygon with n sides, whose corners have the distance r from its centre, has the area n r^2 sin(2 pi /
+    # n) / 2. Scale the radius so that the polygon has the area of the circle.
     wider = np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
     ring = wider * np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], 1)
     return _between(base * ring, top * ring + [0, 0, height], np.array([[0, 0, 0], [0, 0, height]]))

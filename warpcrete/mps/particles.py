@@ -263,8 +263,8 @@ class MovingParticles(Stepping):
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on.
 
-        Among the arrays are the positions at which the neighbour lists were built: neighbour lists rebuilt from these
-        positions have the same order, so that all sums have the same bits.
+        Among the arrays are the positions at which the neighbour lists were built. Neighbour lists that are rebuilt
+        from these positions have the same order, so that all sums have the same bits.
         """
         lists = {"built": self.fields.position_at_build.numpy(), "late": self.fields.event_flags.numpy()}
         return self.state.state_dict() | lists

@@ -19,8 +19,8 @@ PARTICLES_PER_AXIS = 2
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
     """Return the number of cells across a pipe and the number of cells along the pipe.
 
-    A whole number of cells must fit into the width of a channel or the radius of a tube. The cells have the width
-    nearest to the wanted spacing with which this is so.
+    A whole number of cells must fit into the width of a channel or the radius of a tube. Among the widths for which
+    they fit, the cells have the one nearest to the wanted spacing.
     """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))

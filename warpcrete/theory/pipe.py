@@ -170,8 +170,8 @@ def _bulk(concrete: Concrete, line: Line, stress, form: str):
         return (inner / line.radius) ** (1 if form == "plane" else 2) * law.mean_velocity(own, inner, form)
     with np.errstate(divide="ignore"):
         x = np.where(own > concrete.yield_stress, concrete.yield_stress / np.where(own > 0, own, 1.0), 1.0)
-    # If the yield stress nearly equals the wall stress (x = 1), the expanded polynomials of x subtract nearly equal
-    # numbers. The factored forms avoid this cancellation.
+    # If the yield stress nearly equals the wall stress, x is nearly 1, and the expanded polynomials of x subtract
+    # nearly equal numbers. The factored forms avoid this cancellation.
     rest = (1 - x) ** 2
     if form == "plane":
         return inner / line.radius * inner * own / (3 * concrete.viscosity) * rest * (1 + 0.5 * x)
@@ -333,8 +333,9 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # The velocity relative to the bulk's edge is the integral of the shear rate over the radius. The stress is
-        # proportional to the radius, so this is the integral over the stress, divided by the stress gradient.
+        # The velocity relative to the edge of the bulk is the integral of the shear rate over the radius. The stress is
+        # proportional to the radius. The integral over the radius is therefore the integral over the stress, divided by
+        # the stress gradient.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)

@@ -278,8 +278,8 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # The pressure of the weight above the outlet minus the losses by friction and inertia [Pa]. It is stored for each
-    # outlet speed and each level of the concrete in the funnel.
+    # Compute the pressure of the weight above the outlet minus the losses by friction and inertia [Pa], for each outlet
+    # speed and each level of the concrete in the funnel.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,

@@ -179,7 +179,7 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def friction_function(scalar, of: GridKind):
-    """Build `wall_friction`, a function for the friction of a wall that passes between a face and the next face.
+    """Build `wall_friction`, a function for the friction of a wall that passes between a cell face and the next one.
 
     The next face is that along the axis `b`. The function returns three values:
 

@@ -1,9 +1,9 @@
 """Thixotropy on a grid: the yield stress that concrete gained at rest, and how flow breaks this structure down.
 
 While concrete is sheared, the gained yield stress G changes as dG/dt = A - alpha G rate. Here A is the rate of recovery
-and alpha the constant of breakdown. In Roussel 2006 the equation is d lambda/dt = 1/T - alpha lambda rate, with
-G = tau_0 lambda and A = tau_0 / T. The term A is included only with `GridKind.rebuilding`. The slip layer on a wall is
-sheared by its slip velocity only.
+and alpha the constant of breakdown. Roussel 2006 writes this equation for a state of structure lambda: d lambda/dt =
+1/T - alpha lambda rate, with the time of recovery T. With the yield stress tau_0, G is tau_0 lambda and A is tau_0 / T.
+The term A is included only with `GridKind.rebuilding`. The slip layer on a wall is sheared by its slip velocity only.
 The structure is stored on the grid and not carried with the flow, which makes no difference in a pipe whose state is
 the same all along its axis.
 """

@@ -20,8 +20,9 @@ class Level:
     the accuracy parameter that the knob changes. The expected time is used only for planning, before wall times are
     measured."""
     key: str = ""
-    """Name of this level that is the same in all scenes. For example, half the element size has the key "x 0.5" in
-    every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
+    """Name that this level of a knob has in all scenes. A knob is a parameter that trades accuracy for run time. For
+    example, half the element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If
+    the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Conversions of result quantities, by name. At this setting of the knob, a quantity may mean something else than
     in the scene as given. A conversion is a pair (offset, factor): the value offset + factor * (value - offset) is

@@ -1,10 +1,10 @@
 """Batch of one or many scenes: their arrays joined end to end, and the kernel launches that advance them together.
 
-The scenes of a batch share kernels and launches only; each has its own parameters, walls, clock, flags and neighbour
+The scenes of a batch share kernels and launches only; each has its own parameters, walls, time, flags and neighbour
 lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
 goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
-and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time,
-because every kernel visits it; the module `regrouping` removes finished scenes.
+and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time, because
+every kernel visits it; the module `regrouping` removes finished scenes.
 """
 
 from __future__ import annotations

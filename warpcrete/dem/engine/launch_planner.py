@@ -56,8 +56,8 @@ MINIMUM_LIFETIME = 8
 class LaunchPlanner:
     """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
 
-    The choices of the planner affect speed only: a scene halts itself where it must, and the kernels in flight skip a
-    halted scene.
+    The choices of the planner affect speed only: a scene halts itself where it must, and kernels that are already
+    launched skip a halted scene.
     """
 
     def __init__(self, parallel: bool, scenes: int) -> None:

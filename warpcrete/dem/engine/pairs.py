@@ -16,7 +16,7 @@ def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def chunks_of(state: State) -> list[int] | None:
-    """Return the index of the first sphere of each CPU thread's chunk, and the number of spheres.
+    """Return the index of the first sphere of each CPU thread's range of spheres, and the number of spheres.
 
     The result is None for full lists (GPU).
     """

@@ -65,8 +65,8 @@ def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> i
     """Return the number of GPU blocks that compute the sub-cycling rounds of one batch.
 
     A round computes `count` pairs or bodies. The blocks of a batch wait for each other after every round, so all of
-    them must be resident on the GPU at once. The `concurrent_batches`, which may compute rounds at the same time,
-    therefore share the blocks that fit on the GPU.
+    them must be resident on the GPU at once. Several batches, `concurrent_batches` in number, may compute rounds at the
+    same time. They share the blocks that fit on the GPU.
     """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 

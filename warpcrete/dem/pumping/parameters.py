@@ -181,7 +181,10 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Initial arc length of the front [m]. A plug of balls extends the concrete, so its end is then the front."""
+        """Initial arc length of the front [m].
+
+        With a plug of balls, the front is the end of the plug. Otherwise it is the end of the concrete.
+        """
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
@@ -244,9 +247,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # If the wall stress is uniform along the pipe, the pressure without the plug's share is proportional to the
-        # pipe's length. Each level therefore states how to convert the pressure of a shorter pipe to that of the pipe
-        # as given.
+        # The pipe's length is one of the parameters that can be reduced to save run time. If the wall stress is uniform
+        # along the pipe, the pressure without the plug's share is proportional to this length. Each shorter length
+        # therefore comes with the factor that converts its pressures to those of the pipe as given.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

@@ -40,7 +40,7 @@ def plot_part(run: Run) -> Any:
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end of each stretch of the part that is not straight pipe.
+    """Yield name, begin and end of each stretch of the pipeline part that is not straight pipe.
 
     The names serve for the legend. The first name lists the kinds of all stretches, and the other names are empty.
     """

@@ -1,4 +1,4 @@
-"""Probability that the narrowest part of a line is blocked: one run of discrete elements for each of many seeds.
+"""Probability that the narrowest part of a pump line is blocked, from one discrete element run for each of many seeds.
 
 Each seed packs the stones differently. On a GPU all runs form one batch, on a CPU each process runs one at a time. The
 runs are a study in the line's folder, so an interrupted command continues with the seeds that are missing.

@@ -174,10 +174,10 @@ def part_parameters(
 
 
 def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
-    """Return a part's scene parameters with scaled stone sizes and a scaled elastic modulus.
+    """Return the parameters for the scene of a line's part, with scaled stone sizes and a scaled elastic modulus.
 
-    `own` holds the parameters before scaling, `narrowest` is the narrowest bore of the line [m], and `elements` states
-    the factors.
+    `own` holds the parameters before scaling, `narrowest` is the narrowest bore of the pump line [m], and `elements`
+    states the factors.
     """
     given = modules()[SCENE].scene.declared(dict(own))
     whole = {**own, "modulus": elements.stiffer * given.modulus}

@@ -42,8 +42,8 @@ class PracticeRow:
 
     rule: str
     pressures: dict[str, float]
-    """Pressure losses of the line [Pa], summed over the parts of each kind. The pressure due to weight belongs to the
-    kind of the part that rises."""
+    """Pressure losses in the pump line [Pa], summed over the parts of each kind. The weight of rising concrete counts
+    for the kind of the part in which the concrete rises."""
     implies: str
     """Sentence on the friction, and the pressure of rising concrete, that the rule assumes."""
     source: str = ""

@@ -169,14 +169,15 @@ class LineResult:
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Return positions along the line [m], and the pressure there with its uncertainty band [Pa].
+        """Return positions along the pump line [m], and the pressure there with its uncertainty band [Pa].
 
         The positions are the start of the line and the end of each part, and both results have parts + 1 entries. The
         uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
         friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
         calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
-        changed together. For another concrete, the friction of a simulated part is multiplied by the ratio of the
-        friction of both concretes by the closed form.
+        changed together. The friction of a simulated part was found with one concrete only. For changed constants, it
+        is multiplied by a ratio: the closed form's friction with the changed constants over that with the original
+        ones.
         """
         return self._bands
 
@@ -272,7 +273,7 @@ class LineResult:
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the positions of the parts' ends along the line [m] and the pressures there [Pa], shape (parts + 1,).
+        """Return the ends of all parts along the pump line [m] and the pressures there [Pa], shape (parts + 1,).
 
         The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
         where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
