@@ -2,8 +2,9 @@
 
     python notebooks/both_methods.py --device cuda --out both
 
-Writes `both.md` and `both.json` into the new folder; notebooks/concretes.md shows and discusses them. Elements follow
-the mortar law in vessels; in the pipe they are clumps with contacts of Table 1 and the slip layer on the wall.
+Writes `both.md` and `both.json` into the new folder; notebooks/validation/both-methods.md shows and discusses them.
+Elements follow the mortar law in vessels; in the pipe they are clumps with contacts of Table 1 and the slip layer on
+the wall.
 """
 
 import argparse

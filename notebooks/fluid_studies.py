@@ -3,8 +3,8 @@
     python notebooks/fluid_studies.py --device cuda --out studies
     python notebooks/fluid_studies.py --only resolution flow --out studies
 
-Writes `NAME.md` and `NAME.png` for each study into the new folder; notebooks/fluid_pipes.md and fluid_phases.md show
-and discuss them.
+Writes `NAME.md` and `NAME.png` for each study into the new folder. The pages flow-pipes, flow-xu and flow-phases in
+`notebooks/validation` show and discuss them.
 """
 
 import argparse

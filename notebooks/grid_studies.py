@@ -2,8 +2,8 @@
 
     python notebooks/grid_studies.py --device cpu --out studies
 
-Writes `NAME.md`, and `NAME.png` for some, for each study into the new folder; notebooks/fluid_shear.md,
-fluid_slump.md, fluid_vessels.md and fluid_parts.md show and discuss them.
+Writes `NAME.md`, and `NAME.png` for some, for each study into the new folder; notebooks/validation/flow-shear.md,
+flow-slump.md, flow-vessels.md and flow-parts.md show and discuss them.
 """
 
 import multiprocessing

@@ -1,4 +1,6 @@
-"""A line of 3 m by discrete elements, as one scene and from its parts, for three concretes, as in lines.md.
+"""A line of 3 m by discrete elements, as one scene and from its parts, for three concretes.
+
+The page validation/lines-by-elements.md shows the results.
 
 Run as `python notebooks/line_studies.py [out] [--seeds N] [--device cuda]`.
 """

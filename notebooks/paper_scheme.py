@@ -1,4 +1,4 @@
-"""The scheme of Xu, Li & Jiang 2021 as printed, next to ours: table and picture of notebooks/fluid_theory.md.
+"""The scheme of Xu, Li & Jiang 2021 as printed, next to ours: table and picture of notebooks/theory/particles.md.
 
     python notebooks/paper_scheme.py --out FOLDER
 

@@ -1,4 +1,6 @@
-"""Bends and reducers over straight pipe, by flows and by discrete elements, for three concretes, as in lines.md.
+"""Bends and reducers over straight pipe, by flows and by discrete elements, for three concretes.
+
+The page validation/lines-by-elements.md shows the results.
 
 Run as `python notebooks/part_studies.py [out] [--seeds N] [--device cuda]`. Elements run side by side on a
 GPU; a concrete whose walls have a layer and no friction needs clumps, as single spheres roll along it.

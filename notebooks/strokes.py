@@ -1,4 +1,6 @@
-"""Two strokes with a stop, and a restart after ten minutes of rest, by both methods, as notebooks/strokes.md has them.
+"""Two strokes with a stop, and a restart after ten minutes of rest, by both methods.
+
+The page how-to/strokes.md shows them.
 
 `python notebooks/strokes.py` takes some four minutes on a core and writes notebooks/images/strokes.png.
 """

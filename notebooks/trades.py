@@ -1,4 +1,4 @@
-"""Measures the trades of notebooks/trade.md, and puts their tables and figures there and into the package.
+"""Measures the trades of notebooks/performance/trades.md, and puts their tables and figures there and into the package.
 
 python notebooks/trades.py --folder trades [NAME ...]   runs those (default: none), and takes what the folder has
 
@@ -17,7 +17,7 @@ from warpcrete.studies.tradeoffs.advice import SHIPPED, compact
 from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
-PAGE = HERE / "trade.md"
+PAGES = [HERE / "performance" / name for name in ("trades.md", "trades-more.md")]
 NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
 NARROW_BEND = NARROW | {"unit": "D", "elbow_radius": 0.3}
 HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
@@ -84,19 +84,21 @@ def main() -> None:
     given = parser.parse_args()
     for name in given.names:
         measure(name, given.folder)
-    page = PAGE.read_text()
+    pages = {path: path.read_text(encoding="utf-8") for path in PAGES}
     SHIPPED.mkdir(exist_ok=True)
     for name in TRADES:
         source = given.folder / name
         if (source / "trade.json").is_file():
             record = json.loads((source / "trade.json").read_text())
-            before, _, rest = page.partition(f"<!-- {name} -->\n")
+            path = next(path for path in PAGES if f"<!-- {name} -->" in pages[path])
+            before, _, rest = pages[path].partition(f"<!-- {name} -->\n")
             _, _, after = rest.partition(f"<!-- /{name} -->")
-            page = f"{before}<!-- {name} -->\n{section(name, record)}\n<!-- /{name} -->{after}"
+            pages[path] = f"{before}<!-- {name} -->\n{section(name, record)}\n<!-- /{name} -->{after}"
             shutil.copy(source / "trade.png", HERE / "images" / f"trade_{name}.png")
             write_json(SHIPPED / f"{name}.json", compact(record))
             print(f"{name}: {record['machine']}")
-    PAGE.write_text(page)
+    for path, page in pages.items():
+        path.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

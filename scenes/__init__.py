@@ -49,7 +49,7 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return the scene of discrete elements in a file that also holds a flow, as a module like that of other scenes.
+    """Return the scene of discrete elements in a file that also holds a flow, as a module like those of other scenes.
 
     The module can be imported as NAME_dem, because worker processes of studies import scenes by name.
     """

@@ -18,9 +18,8 @@ from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
 from warpcrete.standards import FUNNEL
 
 FALL = 0.3
-"""Height of the outlet above the floor [m]. Grains on the floor must not pile up to the outlet, and falling grains must
-not become so fast that these soft particles pass into one another.
-"""
+"""Height of the outlet above the floor [m]. If it were smaller, grains on the floor could pile up to the outlet. If it
+were larger, falling grains would become so fast that these soft particles pass into one another."""
 DOOR_SPEED = 5.0
 """Speed at which the trap door falls away [m/s]: the concrete starts from rest and cannot catch up with the door."""
 EDGE = 0.01

@@ -36,9 +36,8 @@ THICK = 2.5
 ABOVE = 3
 """Height of the flow's room above the box, in cells."""
 VOLUME = 0.06
-"""Limit of the volume error of the free surface, as a fraction of the volume; with cells of 20 mm, measured errors
-reach 0.040.
-"""
+"""Largest accepted error of the concrete's volume below the free surface, as a fraction of the volume. With cells of 20
+mm, measured errors reach 0.040."""
 POURED = "concrete is not poured: it stands behind a gate at one end, which is lifted slowly"
 
 
@@ -48,8 +47,9 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _at_rest(k: Outcome, place: int) -> float | None:
-    """Return the depth at the near end, that at the far end, or the length that concrete covers, by `place` [m].
+    """Return a depth or a length of the concrete at rest [m], which `place` selects.
 
+    A `place` of 0 selects the depth at the near end, 1 the depth at the far end, and 2 the length that concrete covers.
     The result is None for concrete so stiff that it would rest deeper than the column in which it starts.
     """
     found = box_at_rest(k.whole, k.size["length"], k.size["width"], k.concrete.yield_stress, k.density, k.gravity)
@@ -117,17 +117,17 @@ class LongBoxFlow(LongBox, FreeConcrete):
     surfaces: Annotated[str, "Condition on all walls: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[float, "Edge length of the cells [m]", Above()] = 0.0125
-    # Concrete that trickles out below a slow gate changes its speed all the time. An error of 1e-3 would shorten the
-    # steps to microseconds.
+    # Allowed error of a step. Concrete that trickles out below a slow gate changes its speed all the time, so an
+    # allowed error of 1e-3 would shorten the steps to microseconds.
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-2
 
 
 @scene_function(LongBoxFlow)
 def scene(parameters: LongBoxFlow) -> FreeScene:
-    """Model concrete that spreads slowly along the LCPC box: spread length, depth, and the yield stress they tell.
+    """Model concrete that spreads slowly along the LCPC box, a test from whose result the yield stress follows.
 
-    Half of the box is simulated. The concrete is not poured; it stands behind a gate at one end, and the gate is lifted
-    slowly and without friction.
+    The results are the spread length, the depth and the yield stress. Half of the box is simulated. The concrete is not
+    poured; it stands behind a gate at one end, and the gate is lifted slowly and without friction.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -184,11 +184,11 @@ class LongBoxElements(LongBox, VesselParameters):
 
 @scene_function(LongBoxElements)
 def scene_dem(parameters: LongBoxElements) -> Scene:
-    """Model the LCPC box by discrete elements: spread length, depth, and the yield stress they tell (Roussel 2007).
+    """Model the LCPC box by discrete elements, and compute spread length, depth and yield stress (Roussel 2007).
 
     The concrete is not poured; it stands behind a gate at one end, and the gate is lifted slowly. `plate_grip` scales
-    the resistance of the floor and the sides to sliding, and `mould_grip` that of the gate. With the laws mortar and
-    plastic, closed forms stand beside the results.
+    the resistance of the floor and the sides to sliding, and `mould_grip` that of the gate. With the contact laws
+    mortar and plastic, the result also contains values from closed forms for comparison.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

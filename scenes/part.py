@@ -47,10 +47,8 @@ REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and
 
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
-"""Minimum distance between two stretches of a line that pass each other, in grid cells.
-
-At this distance no cell belongs to both stretches.
-"""
+"""Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
+belongs to both stretches."""
 
 
 def _is_given(value: Any) -> bool:
@@ -134,7 +132,7 @@ class _PipeCourse:
 
 
 def _unit(given: PartParameters) -> _PipeCourse:
-    """Return axis, inner radii and, if it is a mesh, the wall of the pipe of a single part (not of a whole line)."""
+    """Return the axis and the inner radii of a pipe that is a single part, and its wall if the wall is a mesh."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)
@@ -231,8 +229,8 @@ def _line(given: PartParameters) -> _PipeCourse:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
-    # taper.
+    # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, a straight stretch lies between
+    # bend and taper.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(

@@ -31,11 +31,12 @@ from .pipe import check as check_of_pipe
 
 @scene_function(PartElements)
 def scene(parameters: PartElements) -> Scene:
-    """Model aggregates that a piston pushes through a part of a line or a whole line: pressure and pressure losses.
+    """Model aggregates that a piston pushes through a part of a pump line or a whole line, and compute the pressure.
 
-    The part begins at the origin. A straight run-up before it holds the concrete that the piston pushes into the part,
-    so that the part stays full. Slices along the part measure stress, wall stress, solid fraction and velocity
-    (`stations.csv`). The losses of straight stretches, and of the bend or taper between them, follow from the slices.
+    The part begins at the origin. A straight pipe before it is filled with concrete at the start. The piston pushes
+    this concrete into the part, so that the part stays full. Slices along the part measure stress, wall stress, solid
+    fraction and velocity (`stations.csv`). From the slices follow the pressure losses of the straight stretches, and of
+    the bend or taper between them.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -55,10 +55,8 @@ MIN_AGGREGATES = 30
 MAX_LEAK = 0.01
 """Maximum fraction of the aggregates that may slip past the plug."""
 PAUSE_LEFT_AT_REST = 0.05
-"""Fraction of the piston's last pause that follows the long rest of the concrete.
-
-The rest, which takes no time steps, begins shortly before the end of the pause.
-"""
+"""Fraction of the piston's last pause that is left when the long rest of the concrete is applied. The rest itself takes
+no time steps."""
 SLICES, MAX_SLICES = 2.0, 1000
 """Resolution of the stress along the pipe that recordings show.
 
@@ -137,8 +135,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     bodies = run.bodies  # type: ignore[attr-defined]
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
-    # The last time step may end after the planned duration, so the travel may exceed its goal by the travel of one
-    # step.
+    # The last time step may end after the planned duration. The travel may therefore exceed its goal by the travel in
+    # one step.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
     blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)

@@ -11,10 +11,8 @@ sleeps (with a futex on Linux). This frees its core for a thread whose own core 
 import warp as wp
 
 GATE = 3
-"""Length of a barrier's integer array.
-
-Its elements count the threads that have arrived, how often all threads have passed the barrier, and sleeping threads.
-"""
+"""Length of a barrier's integer array. The three elements are the number of threads that have arrived, the number of
+times that all threads have passed the barrier, and the number of sleeping threads."""
 SPINS = 2000
 """Number of times a waiting thread checks the barrier before it sleeps; the checks take about 30 microseconds."""
 

@@ -10,8 +10,10 @@ from .types import types
 LINE: int = wp.constant(0)
 ARC: int = wp.constant(1)
 
-# Codes returned by `closest_on_triangle` for the part of the triangle on which the closest point lies: 0 for the
-# inside of the face, 1, 2, 3 for the edge from corner 0, 1, 2 to the next corner, and 4, 5, 6 for corner 0, 1, 2.
+# Codes that `closest_on_triangle` returns for the location of the closest point on the triangle:
+# - 0: inside the face,
+# - 1, 2, 3: on the edge from corner 0, 1, 2 to the next corner,
+# - 4, 5, 6: at corner 0, 1, 2.
 FACE: int = wp.constant(0)
 FIRST_EDGE: int = wp.constant(1)
 FIRST_CORNER: int = wp.constant(4)

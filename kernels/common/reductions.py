@@ -57,9 +57,9 @@ def serial_scale(scalar):
 
 @functools.cache
 def parallel_scale(scalar):
-    """Build the GPU kernels that compute the factor by which `weight` is multiplied to sum to `wanted`.
+    """Build the GPU kernels that compute the factor by which all weights are multiplied so that their sum is `wanted`.
 
-    `gather` runs in whole blocks and stores partial sums; `divide` then runs in a single block.
+    `gather` runs in whole blocks and stores partial sums of `weight`; `divide` then runs in a single block.
     """
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -153,8 +153,8 @@ PRODUCT = """
         a += factor[k] * value.data[place[k]];
     return (a + b) + (c + d);
 """
-"""C++ source of a sparse row times a vector. It adds up four independent sums, because in a single sum every addition
-would have to wait for the one before."""
+"""C++ source of the product of one row of a sparse matrix with a vector. It adds up four independent sums, because in a
+single sum every addition would have to wait for the previous one."""
 
 
 DIRECTED = """

@@ -15,8 +15,9 @@ VALUES_PER_THREAD = 8
 def scanning_kernels(alone: bool) -> SimpleNamespace:
     """Build the kernels that write the exclusive prefix sums of `values` to `before`, both of shape (count,).
 
-    If `alone` is true, the kernel ``spread`` does this in a single task (CPU). Otherwise ``add_up`` stores a `partial`
-    sum for each block and ``spread`` completes the sums; both run in whole blocks (GPU).
+    The exclusive prefix sum of an element is the sum of all elements before it. If `alone` is true (CPU), the kernel
+    ``spread`` computes all sums in a single task. Otherwise (GPU), two kernels run in whole blocks: ``add_up`` stores
+    the sum of each block in `partial`, and ``spread`` completes the sums.
     """
     sums = block_sums(BLOCK)
     keep, total = sums.keep, sums.total

@@ -12,14 +12,16 @@ import warp as wp
 from .geometry import axis_functions
 from .types import types, vector_functions
 
-# Shapes of walls. Shapes given by a formula come before meshes, both in these codes and in a scene's list of walls.
+# Codes for the shapes of walls. Shapes given by a formula come before meshes, both in these codes and in a scene's list
+# of walls.
 PLANE: int = wp.constant(0)
 PIPE: int = wp.constant(1)
 MESH: int = wp.constant(2)
 
-# For each edge of a mesh face, an array stores the opposite corner of the neighbouring face. Unless exactly one other
-# face shares the edge, it stores a negative code instead: BORDER if no other face shares the edge, and SHARED minus a
-# row number if several do. This row of a second array (`ring`) then lists the opposite corners of all these faces.
+# An array stores a number for each edge of a mesh face. If exactly one other face shares the edge, the number is the
+# corner of that face opposite the edge. If no other face shares the edge, the number is BORDER. If several faces share
+# the edge, it is SHARED - k, where k is the number of a list in a second array, `ring`. This list contains the opposite
+# corners of all these faces.
 BORDER: int = wp.constant(-1)
 SHARED: int = wp.constant(-2)
 
@@ -73,10 +75,10 @@ def wall_functions(scalar):
 
     @wp.func
     def distance_to_wall(wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3):
-        """Return the distance of `x` from a wall [m], negative beyond its surface, and a vector towards the wall.
+        """Return the distance of `x` from a wall [m], which is negative behind the wall, and a vector towards the wall.
 
-        `place` is the wall's position and `normal` the present normal of a plane. The vector points towards the
-        nearest point of the surface, and its length has no meaning.
+        `place` is the present position of the wall, and `normal` the present normal if the wall is a plane. The vector
+        points towards the nearest point of the wall. Its length has no meaning.
         """
         if wall.kind == PLANE:
             return wp.dot(place - x, -normal), -normal

@@ -1,6 +1,6 @@
 """Contact of spheres with planes and pipe surfaces, and the summation of forces on all walls.
 
-Forces on walls are summed as 64-bit integers (`clock[FORCE_SCALE]` units per newton), so the order of the summation
+Forces on walls are summed as 64-bit integers with a fixed number of units per newton, so the order of the summation
 cannot change the result. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
 """
 
@@ -20,8 +20,8 @@ from .wear import wear_functions
 
 # Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
 FARTHEST = 1.0e15
-# Number of walls that have a bit in a sphere's mask of touched walls. Walls with higher indices have no bit, so every
-# step reads their contact history.
+# Number of walls that have a bit in the mask in which a sphere marks the walls that it touches. Walls with higher
+# indices have no bit, so every step reads the contact history of these walls.
 WALL_BITS: int = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)
@@ -77,9 +77,9 @@ def wall_force_function(scalar):
 def warp_force_function(scalar):
     """Return the function `add_together`, which adds the wall forces of all threads of a warp with few atomics.
 
-    The threads first sum their forces within the warp, over all threads that are `lanes` apart. Then one thread adds
-    the sum to the wall. Many spheres touch the same wall, so one atomic addition per sphere would take most of the time
-    of a small step.
+    Many spheres touch the same wall. One atomic addition per sphere would take most of the time of a small step. The
+    threads of a warp therefore first sum their forces, over all threads that are `lanes` apart. Then one thread adds
+    the sum to the wall.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)
@@ -97,9 +97,10 @@ def warp_force_function(scalar):
         step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
         f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """Add the forces `f` and moments `m` of a warp's threads to the walls that their spheres touch.
+        """Add the forces `f` and moments `m` of the threads of a GPU warp to the walls that their spheres touch.
 
-        All threads of the warp must call this function; without a touched wall, `f` and `m` are zero.
+        All threads of the warp must call this function. If the sphere of a thread touches no wall, `f` and `m` must be
+        zero.
         """
         first = leader(touches, w, lanes)
         for c in range(3):

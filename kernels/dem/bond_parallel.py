@@ -16,8 +16,9 @@ BROKEN_IN_TENSION: int = wp.constant(-1)
 BROKEN_IN_SHEAR: int = wp.constant(-2)
 HYDRATED: int = wp.constant(2)  # Kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond.
 
-# The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above are the row of `pairs.load` that holds
-# the bond's force and moment. Few pairs of a neighbour list are bonded, so `pairs.load` has rows for bonded pairs only.
+# The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above hold an index in `pairs.load`, where the
+# bond's force and moment are stored. Few pairs of a neighbour list are bonded, so `pairs.load` has room for bonded
+# pairs only.
 KIND_BITS: int = wp.constant(4)
 MOST_KINDS = 2 ** int(KIND_BITS) - 1
 MOST_ROWS = 2 ** (31 - int(KIND_BITS))
@@ -78,12 +79,12 @@ def bond_functions(scalar):
     def bond_force(
         p: Bond, touch: Touch, stretch: scalar, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, dt: scalar
     ):
-        """Return the new force, moment and state of a bond; if the bond breaks, the force and moment that broke it.
+        """Return the new force, moment and state of a bond.
 
-        `force` consists of the shear force vector and the tension, `moment` of the bending moment vector and the
-        torsion. `stretch` is the exact change of the distance between the centres in this step. The approximation
-        `velocity dt` along the normal would count a rotation of the pair as stretch, with an error of first order in
-        dt.
+        If the bond breaks, the returned force and moment are those that broke it. `force` consists of the shear force
+        vector and the tension, `moment` of the bending moment vector and the torsion. `stretch` is the exact change of
+        the distance between the centres in this step. The approximation `velocity dt` along the normal would count a
+        rotation of the pair as stretch, with an error of first order in dt.
         """
         n = touch.normal
         k = bond_stiffness(p, touch)

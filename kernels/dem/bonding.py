@@ -12,10 +12,10 @@ from .structs import array_structs
 
 @functools.cache
 def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
-    """Return the kernels ``make`` (bond contacts within a gap) and ``reassign`` (change the kind of a random fraction).
+    """Return the kernels ``make``, which bonds close pairs of spheres, and ``reassign``, which changes kinds of bonds.
 
-    They run over the spheres of one scene. The structs passed to them contain the arrays of this scene alone, not those
-    of a batch of scenes.
+    Each launch processes the spheres of one scene. The structs passed to it contain the arrays of this scene alone, not
+    those of a batch of scenes.
     """
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs
@@ -36,10 +36,9 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     ):
         """Bond all pairs that have no intact bond and whose surfaces are at most `gap` apart.
 
-        If `group` >= 0, only pairs are bonded of which both spheres belong to bodies of that group.
-
-        With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without `healing`,
-        the bonds receive their rows in `pairs.load` later.
+        If `group` is not negative, only pairs inside this group are bonded: the bodies of both spheres must belong to
+        it. With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without
+        `healing`, the bonds receive their rows in `pairs.load` later.
         """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):

@@ -15,11 +15,13 @@ from .warps import warp_functions
 
 @functools.cache
 def gather_functions(scalar, dissipation: bool, rows: int, width: int):
-    """Return the functions that gather the force [N] and moment about the centroid [N m] of a body's spheres.
+    """Return the functions that sum the force [N] and the moment about the centroid [N m] over a body's spheres.
 
-    `gather` is used with half lists (CPU). `gather_with_lanes` is used with full lists (GPU): `lanes` threads share a
-    body, and it also returns the energy that the body's contacts lost [J]. Both functions clear the spheres' forces for
-    the next step.
+    Both functions clear the spheres' forces for the next step.
+
+    - `gather` is used with half lists (CPU).
+    - `gather_with_lanes` is used with full lists (GPU), where `lanes` threads share a body. It also returns the energy
+      that the body's contacts lost [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -5,10 +5,10 @@ list entry, and its force is added to both spheres. A pair across two chunks has
 contain every pair at both spheres; see `links`.) A pair is always evaluated in the order of its spheres' permanent
 numbers, so both copies compute and store the same bits.
 
-The kernel processes each sphere's list entries in blocks of BLOCK entries, in two passes. The first pass computes
-distances and sets one bit for each contact. The second pass gathers these contacts into lanes (see `lanes`) and
-evaluates the lanes whenever they are full. The bits of a sphere's first block are kept for the next step. With these
-bits, the next step finds the contacts that have ended without reading the history of other pairs.
+The kernel processes the list of each sphere in blocks of BLOCK entries, in two passes. The first pass computes
+distances and sets one bit for each contact. The second pass copies the data of these contacts into vector lanes (see
+`lanes`), and evaluates the lanes whenever they are full. The bits of a sphere's first block are kept for the next step.
+With these bits, the next step finds the contacts that have ended without reading the history of other pairs.
 """
 
 import functools
@@ -132,9 +132,9 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # Pairs with a stiff bond (`held`) count as touching here. The kernel first checks such a pair
-                        # after its bond has broken, when the spheres may already have separated. It clears the contact
-                        # history only of pairs that counted as touching before.
+                        # Pairs with a stiff bond (`held`) count as touching, even if their spheres are apart. When such
+                        # a bond breaks, the pair may therefore change from touching to apart in one step. In this case,
+                        # the kernel clears the pair's contact history.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

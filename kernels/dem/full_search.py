@@ -54,7 +54,8 @@ def octant_functions(scalar):
 def recording_functions(scalar, bonds: bool):
     """Return the functions `old_row` and `add_neighbour`, with which a search writes full neighbour lists.
 
-    A full list contains each pair at both of its spheres.
+    `old_row` finds the entries of a sphere in the old list, and `add_neighbour` writes an entry into the new list. A
+    full list contains each pair at both of its spheres.
     """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs

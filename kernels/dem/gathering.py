@@ -54,8 +54,12 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # The next arguments are the flags of the scenes for which an estimate is due, the first sphere of the launch,
-        # the range of spheres of the chunk, the index of the CPU thread, and True if only pairs with stiff bonds count.
+        # The next arguments are:
+        # - the flags of the scenes for which an estimate is due,
+        # - the first sphere of the launch,
+        # - the first sphere of the CPU thread's range, and the end of this range,
+        # - the index of the CPU thread,
+        # - true if only pairs with stiff bonds count.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         first: wp.int32,

@@ -111,8 +111,9 @@ def grid_functions(scalar) -> SimpleNamespace:
 def grid_kernels(scalar) -> SimpleNamespace:
     """Return two kernels over points that sort points into cells.
 
-    ``count`` counts the points of each cell; the array `held` must be zero before. When prefix sums have been written
-    to the array `start`, ``put`` writes the indices of the points to the array `point`, sorted by cell.
+    ``count`` counts the points of each cell; the array `held` must be zero before. The prefix sums of these counts are
+    then written to the array `start`. Finally, ``put`` writes the indices of the points to the array `point`, sorted by
+    cell.
     """
     Grid = grid_struct(scalar)
     cell_at = grid_functions(scalar).cell_at

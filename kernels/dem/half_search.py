@@ -35,10 +35,12 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
 def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     """Return the kernel ``search`` for half lists (CPU), which runs with one task per chunk.
 
-    A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
-    equal spheres, at that with the lower index. The search then reaches no further than a sphere's own diameter plus
-    the margin. Pairs across two chunks are listed at both spheres, so a search near another chunk must reach as far as
-    the largest sphere.
+    A chunk is the range of spheres of one CPU thread. Two rules decide where a pair is listed:
+
+    - A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
+      search around a sphere then reaches no further than the sphere's own diameter plus the margin.
+    - A pair across two chunks is listed at both spheres. A search near another chunk must therefore reach as far as the
+      largest sphere.
 
     Each task writes the list entries of its spheres, one sphere after the other, to the buffer `other`. `room` is the
     range of entries in this buffer that the chunk may use. The output `wanted` is the number of entries that the chunk
@@ -62,9 +64,10 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
 
     @wp.func
     def near_another(x: t.vec3, reach: scalar, boxes: wp.array2d(dtype=t.vec3), part: wp.int32):
-        """Return True if a neighbour within `reach` may belong to another chunk.
+        """Return True if a sphere of another chunk may be within the distance `reach` of the position `x`.
 
-        `boxes` holds the bounding box of each chunk, and `part` is the index of the own chunk.
+        A chunk is the range of spheres that one CPU thread computes. `boxes` holds the bounding box of each chunk, and
+        `part` is the index of the chunk that searches.
         """
         for other in range(boxes.shape[0]):
             if other != part:
@@ -77,8 +80,9 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # The next arguments are the range of spheres of this chunk and its index, the range of entries of `other` that
-        # belongs to the chunk, and the bounding boxes of all chunks.
+        # `first` and `last` bound the chunk of spheres that this launch processes, and `part` is the index of the
+        # chunk. `room` bounds the entries of `other` that belong to the chunk. `boxes` contains the bounding boxes of
+        # all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,

@@ -31,10 +31,11 @@ BOND = (
 
 @functools.cache
 def column_functions(scalar):
-    """Return functions that read and write vectors in columns, and that select a vector or zero.
+    """Return functions that read and write numbers and vectors in columns, and that select a vector or zero.
 
-    A column holds one number for each vector lane. `get`, `put` and their variants access the number of lane `lane` in
-    the columns that start at index `at`. `where3` and `where4` return the vector if a condition holds, else zero.
+    A vector lane is one of the contacts that a CPU computes at the same time. A column holds one number for each lane.
+    `get`, `put` and their variants access the number of lane `lane` in the column that starts at index `at`, or a
+    vector in several columns from there on. `where3` and `where4` return the vector if a condition holds, else zero.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -89,9 +90,10 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Return where the columns of each quantity begin in the float and the integer array of the lanes.
+    """Return where the columns of each quantity begin in the float array and the integer array of the vector lanes.
 
-    The result also contains the sizes of both arrays.
+    A vector lane is one of the contacts that a CPU computes at the same time. The result also contains the sizes of
+    both arrays.
     """
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})
@@ -109,7 +111,8 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
 def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
     """Return the function `gather`, which copies the data of one contact into a vector lane.
 
-    The contact is list entry k of sphere i.
+    A vector lane is one of the contacts that a CPU computes at the same time. Here it is the contact in list entry k of
+    sphere i.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -132,9 +135,10 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         first_load: wp.int32, row: wp.int32, base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4,
         velocity_i: t.vec4, spin_i: t.vec3, columns: Columns, ints: Ints, lane: wp.int32,
     ):  # fmt: skip
-        """Copy the data of list entry k of sphere i into one vector lane, which evaluates one contact.
+        """Copy the data of list entry k of sphere i into one vector lane.
 
-        `row` is the first contact parameter row of the sphere's material, and `base` is the first sphere of the scene.
+        A vector lane evaluates one contact. `row` is the first row of contact parameters for the sphere's material, and
+        `base` is the index of the scene's first sphere.
         """
         entry = read_int(pairs.other, k)
         j = base + decode(entry)
@@ -162,8 +166,8 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
                     pairs.bond[k] = bond
             kind = kind_of(bond)
             put_int(ints, wp.static(int_at["bond"]), lane, kind)
-            # The loop has no branches, so a lane without a bond computes with the parameters of bond kind 1. Its bond
-            # force is discarded.
+            # The loop over the lanes has no branches, so each lane computes a bond. A lane without a bond computes with
+            # the parameters of bond kind 1, and its bond force is discarded.
             write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
             force, moment, at_row = t.vec4(), t.vec4(), wp.int32(-1)
             if bond > 0:
@@ -180,8 +184,9 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
 def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool, mixed: bool):
     """Return the function `evaluate`, which computes forces and moments of all lanes and updates histories and bonds.
 
-    Without `mixed`, all spheres have one material and all lanes share one parameter set. Reading parameters in the loop
-    would keep the compiler from vectorising it.
+    A lane is one of the contacts that the vector instructions of a CPU process together. Without `mixed`, all spheres
+    have one material, and all lanes share one parameter set that is read before the loop. Reading parameters in the
+    loop would keep the compiler from vectorising it.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -228,8 +233,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
                     get4(columns, wp.static(at["bond_force"]), lane),
                     get4(columns, wp.static(at["bond_moment"]), lane), lost, dt,
                 )  # fmt: skip
-                # The bond formulas may yield NaN in a lane without a bond. Multiplication by 0 would keep the NaN, so
-                # the bond's results are selected component by component.
+                # The bond formulas may yield NaN for a contact without a bond. Multiplication by 0 would keep the NaN,
+                # so the bond's results are selected component by component.
                 total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + where3(kind > 0, pull.total)
                 bending = where3(kind > 0, pull.bending)
                 lost = wp.where(kind > 0, pull.lost, lost)
@@ -258,7 +263,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
 def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
     """Return the function `scatter`, which adds the contact results of the first `count` vector lanes to their spheres.
 
-    It also stores the contact history of the pairs.
+    A vector lane is one of the contacts that a CPU computes at the same time. `scatter` also stores the contact history
+    of the pairs.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -280,9 +286,9 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
     ):
         """Add the results of all vector lanes to their spheres and pairs.
 
-        The calling CPU thread owns spheres `first` to `last`. A pair across the border of that range is listed and
-        evaluated on both sides. Only the copy at the sphere with the lower permanent number counts energy and broken
-        bonds.
+        A vector lane is one of the contacts that a CPU computes at the same time. The calling CPU thread owns spheres
+        `first` to `last`. A pair across the border of that range is listed and evaluated on both sides. Only the copy
+        at the sphere with the lower permanent number counts energy and broken bonds.
         """
         lane = wp.int32(0)
         while lane < count:
@@ -325,9 +331,10 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
 
 @functools.cache
 def bond_columns(scalar, at: int):
-    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one vector lane.
+    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one contact.
 
-    The parameters are stored in columns, the first of which starts at index `at`.
+    Contacts are evaluated in vector lanes. Each parameter has a column with one number for each lane, and the first
+    column of the bond parameters starts at index `at`.
     """
     Bond = bond_functions(scalar).Bond
     assert tuple(Bond.vars) == BOND

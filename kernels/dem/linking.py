@@ -14,10 +14,8 @@ from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
 EXTRA_MASKS: int = wp.constant(4)
-"""Number of bit masks per sphere for its list entries beyond the first BLOCK entries.
-
-The bits of the first BLOCK entries are in `spheres.touching`.
-"""
+"""Number of bit masks per sphere for the entries of its neighbour list after the first BLOCK entries. Each bit tells if
+the pair of an entry touches. The bits of the first BLOCK entries are in `spheres.touching`."""
 MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
@@ -53,10 +51,10 @@ def mark_function(scalar):
 
 @functools.cache
 def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int) -> SimpleNamespace:
-    """Return the kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``.
+    """Return the kernels that create the links (pairs as the GPU evaluates them) when neighbour lists are rebuilt.
 
-    ``fill_links`` runs with `lanes` threads per sphere, which share the sphere's list entries. `rows` is the number of
-    rows in which a link stores its forces.
+    ``clear_links`` runs over links, and ``count_own`` over spheres. ``fill_links`` runs with `lanes` threads per
+    sphere, which share the sphere's list entries. `rows` is the number of rows in which a link stores its forces.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -94,7 +92,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Return the position of sphere i among the list entries from `begin` to `end`, found by binary search.
+        """Return the index of the list entry whose neighbour is sphere i, by a binary search from `begin` to `end`.
 
         The entries are sorted by the index of the neighbour.
         """
@@ -113,10 +111,10 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Create one link per pair, at the list entry of the sphere with the lower permanent number.
+        """Create one link for each listed pair, at the list entry of the sphere with the lower permanent number.
 
-        The pair's bond is also copied to the list entry of the other sphere. A link with contact history or a bond
-        counts as touching until a step checks it.
+        A link stands for the pair when the GPU computes contact forces. The pair's bond is also copied to the list
+        entry of the other sphere. A link with contact history or a bond counts as touching until a time step checks it.
         """
         i = wp.tid() / lanes
         s = spheres.scene[i]
@@ -147,8 +145,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 links.state[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
-                # Entries beyond the first MASKED_ENTRIES have no touching bit. Every step adds up their results without
-                # a check, so these results must start at zero.
+                # Only the first MASKED_ENTRIES list entries of a sphere have a bit that tells whether the pair touches.
+                # Every step adds up the results of later entries without a check, so these results must start at zero.
                 if k - pairs.start[i + s] >= MASKED_ENTRIES or twin - begin >= MASKED_ENTRIES:
                     for each in range(rows):
                         links.result[rows * p + each] = t.vec4()

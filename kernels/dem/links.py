@@ -23,10 +23,10 @@ from .structs import APART, DT_PREVIOUS, PARTED, STIFF, TOUCHING, array_structs,
 
 
 def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Return the number of rows in `links.result` per link: four with bonds, rolling or dissipation, else two.
+    """Return the number of rows of `links.result` in which each pair of spheres stores its result.
 
-    Two rows are enough for both spheres, because their forces are opposite. If a link has a moment of its own or loses
-    energy, each sphere needs its own two rows.
+    Two rows are enough for both spheres, because the forces on them are opposite. With bonds, rolling resistance or a
+    sum of the lost energy, each sphere needs two rows of its own, for its moment and its energy.
     """
     return 4 if bonds or rolls or dissipation else 2
 
@@ -35,8 +35,11 @@ def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
 def result_functions(scalar, count: int):
     """Return functions that store the results of a link in `count` rows, and that add up the results for a sphere.
 
-    `store_result` writes the rows of a link, and `store_loss` writes the energy loss of a link whose spheres have just
-    separated. `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
+    A link is a listed pair of spheres.
+
+    - `store_result` writes the rows of a link.
+    - `store_loss` writes the energy loss of a link whose spheres have just separated.
+    - `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -87,7 +90,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
-        """Add up force, moment and lost energy of the links of sphere i, in list order.
+        """Add up force, moment and lost energy over the links (pairs) of sphere i, in list order.
 
         `row` is the index of the scene's first list entry, and `slot` the sphere's index in `pairs.start`.
         """
@@ -134,8 +137,9 @@ def result_functions(scalar, count: int):
                 if found > 3:
                     r = row_of(row / 2, w)
                     g, h = read_vec4(links.result, r), read_vec4(links.result, r + 1)
-                # Add the results of links strictly one after the other, so that their rounding is always the same. A
-                # link whose spheres have just separated adds zeros, which do not change this rounding.
+                # Add the results of a sphere's links (contacts with other spheres) strictly one after the other, so
+                # that their rounding is always the same. A link whose spheres have just separated adds zeros, which do
+                # not change this rounding.
                 force = (((force + force_on_end(q, a)) + force_on_end(u, c)) + force_on_end(v, e)) + force_on_end(w, g)
                 moment = (moment + moment_on_end(q, a, b)) + moment_on_end(u, c, d)
                 moment = (moment + moment_on_end(v, e, f)) + moment_on_end(w, g, h)
@@ -163,7 +167,7 @@ def contact_update_function(
 ):
     """Return the function `update_contact`, which checks if the two spheres of a link touch.
 
-    It clears the contact history when a contact has ended.
+    A link is a listed pair of spheres. The function clears the contact history when a contact has ended.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -214,9 +218,10 @@ def contact_update_function(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
-        """Return True if the spheres of a link touch or are bonded; also store the link's state if it changed.
+        """Return True if the spheres of a link (listed pair) touch or are bonded, and update the link's state.
 
-        `state` is the link's value in `links.state`; `kind` is the kind of its bond.
+        `state` is the previous value in `links.state`; the new value is stored only if it differs. `kind` is the kind
+        of the bond between the spheres.
         """
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
@@ -230,8 +235,9 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            # Unlike APART, the state STIFF makes a later check clear the contact history. This is needed if the spheres
-            # are already apart at the first check after the bond broke.
+            # A stiff bond may break between two checks by this kernel, and its spheres may already be apart at the
+            # second check. The second check must then clear the contact history. The state STIFF makes sure of this;
+            # the state APART would not.
             after = STIFF
         if state != after:
             lost = scalar(0.0)
@@ -256,7 +262,8 @@ def contact_update_function(
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
     """Return the function `evaluate`, which computes the force and the moments between the two spheres of a link.
 
-    It also updates the contact history and the bond. `mixed` is True if the spheres have several materials.
+    A link is a pair of spheres in a neighbour list. The function also updates the contact history and the bond. `mixed`
+    is True if the spheres have several materials.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -335,9 +342,9 @@ def link_kernel(
 ) -> wp.Kernel:
     """Return the kernel that computes the contact forces of all links (pairs of spheres) that touch.
 
-    The launch has `threads` threads. They first divide the near links among them, which are the pairs close enough to
-    touch within a few steps. Scenes whose near links may miss a contact are left out there. In a second pass the
-    threads divide all links of these scenes.
+    The launch has `threads` threads. In the first pass they share the near links, which are the pairs close enough to
+    touch within a few steps. This pass skips scenes whose near links may lack a contact. In the second pass the threads
+    share all links of the skipped scenes.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

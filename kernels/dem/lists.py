@@ -1,6 +1,6 @@
 """Kernels that build neighbour (Verlet) lists from the result of a search and carry over contact history exactly.
 
-All kernels run over a whole batch. They skip scenes whose lists are still valid; those scenes keep their rows.
+All kernels run over a whole batch. They skip scenes whose lists are still valid and leave these lists unchanged.
 """
 
 import functools
@@ -40,11 +40,11 @@ def transfer_kernel(
 
     @wp.func
     def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
-        """Return the bond state to store at an entry of a half list.
+        """Return the bond state to store at one entry of a half neighbour list.
 
-        If the two spheres of a pair belong to different CPU threads, both threads compute the pair's bond. Each thread
-        needs its own copy of the bond's force and moment. The entry that owns the bond uses an even row of `load`; the
-        other entry uses the odd row after it.
+        If the two spheres of a pair belong to different CPU threads, the pair has two entries, and both threads compute
+        its bond. Each entry then needs its own copy of the bond's force and moment. The entry that owns the bond uses
+        an even row of `load`. The other entry uses the odd row after it.
         """
         found = bond
         if bond > 0:
@@ -152,9 +152,10 @@ def list_kernels(scalar) -> SimpleNamespace:
         new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
     ):
-        """Store for each sphere the longest gap that a bond of the old list spans, with a margin for rounding.
+        """Store for each sphere the longest gap that one of its bonds spans, with a margin for rounding.
 
-        Only gaps longer than the skin are stored, because the search finds all shorter ones anyway.
+        The bonds are those of the old neighbour list. Only gaps longer than the skin are stored, because the search for
+        neighbours finds all shorter ones anyway.
         """
         i = wp.tid()
         s = spheres.scene[i]

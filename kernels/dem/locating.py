@@ -14,8 +14,9 @@ from .structs import array_structs, subcycled_struct
 def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
     """Return the kernels ``index_spheres``, ``index_bodies``, ``locate_pairs`` and ``locate_bodies``.
 
-    The first two store, for each permanent number of a sphere or body, its current array index. The other two use these
-    indices to find stiff pairs and their bodies after a list rebuild, and copy their data to `Subcycled`.
+    ``index_spheres`` and ``index_bodies`` store the current array index for each permanent number of a sphere or body.
+    After a list rebuild, ``locate_pairs`` and ``locate_bodies`` use these indices to find the stiff pairs and their
+    bodies, and copy their data to `Subcycled`.
     """
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -59,8 +60,8 @@ def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
         subcycled.higher_offset[p] = spheres.offset[j]
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         subcycled.law[p] = row + spheres.material[j]
-        # A pair has an entry at both spheres in a full list, and also in a half list if its spheres belong to two
-        # chunks. Both entries must be kept up to date.
+        # In a full list, every pair has an entry at both of its spheres. In a half list, this is so for a pair whose
+        # spheres belong to two CPU threads. Both entries must be kept up to date.
         k = find(pairs, s, base, scenes.row[s].pairs, i, j)
         copy = find_own(pairs, s, base, scenes.row[s].pairs, j, i)
         subcycled.entry[p] = k

@@ -108,9 +108,10 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3),
     ):
-        """Return normal and gap, seen from the side of the surface that the sphere touched in the previous step.
+        """Return the normal and the gap of a contact, seen from the side that the sphere touched in the previous step.
 
-        This matters when the sphere's centre has been pushed through the surface: the normal must then not flip.
+        This matters if the sphere's centre has been pushed through the surface: the normal must then not flip to the
+        other side.
         """
         gap = distance - radius
         # Cosine of the angle between `n` and the old normal on this wall that is most nearly parallel to `n`.

@@ -34,8 +34,9 @@ def surface_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
-        # Return True if a step along `direction` on the surface comes nearer to the sphere's centre. The tolerance
-        # covers rounding in single precision. Minima reported twice because of the tolerance are merged by angle later.
+        # Return True if a small step along `direction` on the surface leads nearer to the sphere's centre. The
+        # tolerance covers rounding in single precision. Because of the tolerance, two faces may report the same
+        # minimum; such minima are merged later, because their directions form a small angle.
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
@@ -56,16 +57,16 @@ def surface_functions(scalar) -> SimpleNamespace:
     ):
         """Return True if the face's closest point is a local minimum of the distance to the whole surface.
 
-        `offset` points from the closest point to the sphere's centre. Only the face with the lowest number reports a
-        point that several faces share.
+        `offset` points from this point to the sphere's centre. If several faces share the point, only the face with the
+        lowest number reports it.
         """
         if feature == 0:
             return True
         if feature < 4:
             edge = feature - 1
-            # `across` describes what lies beyond each edge of a face. Column `edge` holds the corner of the
-            # neighbouring face that is not on the edge, and column `edge + 3` holds the number of the neighbouring
-            # face.
+            # `across` describes, for each edge of a face, the neighbouring face beyond this edge. Column `edge` holds
+            # the corner of the neighbouring face that is not on the edge. Column `edge + 3` holds the number of the
+            # neighbouring face.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True

@@ -15,10 +15,10 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
 
 
 def motion_options(half: bool) -> dict:
-    """Return the compiler options of a motion kernel.
+    """Return the compiler options of a kernel that moves bodies.
 
-    On a GPU, `fast_math` speeds up division as for contacts, see :func:`contacts.contact_options`. It also gives sines
-    an error of 4e-7; only drives along bends use sines.
+    On a GPU, `fast_math` speeds up division, as it does in contact kernels (:func:`contacts.contact_options`). It also
+    gives sines an error of 4e-7. Only drives along bends use sines.
     """
     return {"fast_math": not half}
 
@@ -80,10 +80,10 @@ def rotation_functions(scalar):
 
 @functools.cache
 def motion_functions(scalar, dissipation: bool):
-    """Return the functions that all kinds of bodies share.
+    """Return the functions that the kernels for all kinds of bodies share.
 
-    These functions compute drive force, local damping and positions with compensated summation, and check the neighbour
-    lists.
+    The functions compute the driving force, the local damping and the new positions (with compensated summation). They
+    also check whether the neighbour lists are still valid.
     """
     t = types(scalar)
     xyz = vector_functions(scalar).xyz
@@ -119,9 +119,9 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
-        """Return the new position and its rounding error, which the next step adds again (compensated summation).
+        """Return the new position of a body and its rounding error (compensated summation).
 
-        In double precision the rounding error is not compensated.
+        The next step adds this rounding error to the displacement. In double precision, it is not added.
         """
         if wp.static(single):
             displacement = displacement + rounding
@@ -138,7 +138,8 @@ def motion_functions(scalar, dissipation: bool):
     def exceeds_skin(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
         """Return True if a sphere has moved so far that a list with this skin may miss one of its contacts.
 
-        The sphere may move by half the skin relative to the common drift; any growth of its radius is subtracted.
+        The allowed motion relative to the common drift of the spheres is half the skin, minus the growth of the
+        sphere's radius.
         """
         slack = scalar(0.5) * skin - (radius - built[3])
         return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)
@@ -197,10 +198,12 @@ def clearing_function(scalar, half: bool):
 def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     """Return the function `place_sphere`, which stores a sphere's new position and checks the neighbour lists.
 
-    The function sets LATE if the neighbour lists may miss a contact in the next step, and `near_list_exceeded` if the
-    near links (the close pairs among them) may do so. It sets FAILED if a sphere moves by more than its radius in one
-    step, because the sphere may then pass through another one or a wall. During growth in packing this is no failure,
-    because spheres start small and overlap anyway.
+    The function sets three flags:
+
+    - LATE, if the neighbour lists may miss a contact in the next step.
+    - `near_list_exceeded`, if the list of near links (the close pairs among the listed ones) may miss a contact.
+    - FAILED, if a sphere moves by more than its radius in one step. It could then pass through another sphere or a
+      wall. During growth in packing this is no failure, because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -233,11 +236,11 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
 def sphere_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
 ) -> wp.Kernel:
-    """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
+    """Return the kernel that advances bodies of a single sphere by one leapfrog step.
 
-    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the forces of each sphere's links (its
-    pairs), which are stored in `rows` rows per link. `sync_kernel` updates the arrays of bodies later, when they are
-    needed.
+    The step is the same as in `clump_kernel`, but the kernel computes it on the arrays of spheres alone. `sync_kernel`
+    updates the arrays of bodies later, when they are needed. With full lists (GPU), the kernel adds up the forces of
+    each sphere's links, which are its listed pairs. The forces of a link are stored in `rows` rows.
     """
     t = types(scalar)
     span = SPAN if half else 1

@@ -56,10 +56,11 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
 
 @functools.cache
 def near_kernels(scalar) -> SimpleNamespace:
-    """Return the two kernels that choose near links.
+    """Return the kernels that select near links, which are listed pairs of spheres that may touch within a few steps.
 
-    First `record_positions` records the current positions. It needs a thread for each sphere and for each scene, and at
-    least two threads. Then `choose_near` runs over the links, in whole blocks.
+    The kernel `record_positions` runs first and stores the current positions of the spheres. It needs a thread for each
+    sphere and for each scene, and at least two threads. The kernel `choose_near` follows. It runs with one thread per
+    listed pair, in whole blocks.
     """
     structs = array_structs(scalar)
     Scenes, Spheres = structs.Scenes, structs.Spheres
@@ -94,8 +95,8 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # A link that touched must be evaluated again, so that the end of its contact is noticed. Bonded links count
-            # as touching.
+            # Put a pair that touched or is bonded into the list, even if its spheres are far apart now. The next step
+            # must evaluate such a pair, to notice that its contact has ended.
             near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:

@@ -75,8 +75,9 @@ def pair_functions(scalar):
         arm_i = position_i[3] + scalar(0.5) * gap
         arm_j = position_j[3] + scalar(0.5) * gap
         apart = sign * (xyz(velocity_j) - xyz(velocity_i))
-        # The two copies of a pair must give the same bits, also where the compiler fuses multiply and add. This form of
-        # arm_i spin_i + arm_j spin_j rounds the same way when i and j are exchanged.
+        # A pair is stored twice, as (i, j) and as (j, i). Both copies must give the same bits, even if the compiler
+        # fuses a multiplication and an addition. The following form of arm_i spin_i + arm_j spin_j rounds in the same
+        # way when i and j are exchanged.
         spins = spin_i + spin_j
         sliding = (scalar(0.5) * (arm_i + arm_j)) * spins
         sliding = sliding + (scalar(0.5) * (arm_j - arm_i)) * (spin_j - spin_i)
@@ -97,8 +98,8 @@ def pair_functions(scalar):
 def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
     """Return the function `part_entries`, which clears the contact history of pairs that separated in this step.
 
-    The set bits of `bits` mark these pairs: bit b stands for list entry `block` + b. Entries from `end` on are ignored.
-    The function returns the lost energy [J].
+    In the argument `bits`, bit b is set if the pair of the list entry `block` + b has separated. Entries from `end` on
+    are ignored. The function returns the energy that these pairs lose [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -280,9 +281,10 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
         lost: scalar,
         dt: scalar,
     ):
-        """Return force of contact and bond [N], moment of the bond [N m], energy lost [J] and outcome of the bond.
+        """Return total force [N], bond moment [N m], lost energy [J] and bond outcome of a pair that may be bonded.
 
-        The outcome is 1 if the bond holds, else the negative code of how it broke.
+        The total force is the sum of the forces of contact and bond. The outcome is 1 if the bond holds or there is
+        none. If the bond breaks, the outcome is a negative code of how it broke.
         """
         moment = t.vec3()
         outcome = wp.int32(1)
@@ -314,8 +316,9 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 def closeness_function(scalar, bonds: bool, subcycling: bool):
     """Return the function `close_entries`, which checks a block of list entries for contacts of sphere i.
 
-    The first result has a bit set for each entry that touches sphere i or is bonded to it. With `subcycling`, pairs
-    with stiff bonds have their bits in the second result instead of the first.
+    The function returns two integers with one bit for each entry of the block. A bit of the first integer is set if the
+    entry's sphere touches sphere i or is bonded to it. With `subcycling`, entries with stiff bonds have their bit in
+    the second integer instead.
     """
     t = types(scalar)
     structs = array_structs(scalar)

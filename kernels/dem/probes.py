@@ -23,9 +23,9 @@ BOND_ENERGY: int = wp.constant(4)  # elastic energy of bonds [J]
 BONDED: int = wp.constant(5)  # number of bonded pairs
 VIRIAL: int = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
 BONDED_HYDRATED: int = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
-# DEPTH_MAX is the largest value of (overlap / permitted overlap). Between two spheres, the permitted overlap is the one
-# that swallows the smaller sphere or halves the distance of the centres. At a wall, the permitted overlap is the
-# sphere's radius.
+# DEPTH_MAX is the largest ratio of an overlap to its permitted overlap. Between two spheres, the permitted overlap is
+# reached when the larger sphere contains the smaller one, or when the distance of the centres is half that at first
+# touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
 DEPTH_MAX: int = wp.constant(8)
 BROKEN_TENSION: int = wp.constant(9)  # number of bonds broken in tension since the start
 BROKEN_SHEAR: int = wp.constant(10)  # number of bonds broken in shear since the start
@@ -251,9 +251,9 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
 
 @functools.cache
 def load_probe(scalar) -> wp.Kernel:
-    """Return the kernel over spheres of scene `s` that updates the largest normal force on each body.
+    """Return the kernel over the spheres of scene `s` that updates the largest normal force on each body.
 
-    The pairs' normal forces come from :func:`contact_probe`.
+    :func:`contact_probe` supplies the normal forces of the pairs of spheres.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -283,9 +283,10 @@ def load_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
-    """Return the kernel that writes contact sums of scene `s`: one row per sphere, sorted by permanent number.
+    """Return the kernel that sums over the contacts of each sphere of scene `s`.
 
-    It also writes the normal force of each pair.
+    The result has one row per sphere, ordered by permanent number. The kernel also writes the normal force of each
+    pair.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -32,11 +32,11 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
         scanned: wp.array(dtype=wp.int32), room: wp.int32, face_scanned: wp.array(dtype=wp.int32), face_room: wp.int32,
         fits: wp.array(dtype=wp.int32), built: wp.array(dtype=wp.int32),
     ):  # fmt: skip
-        """Set `fits` to 1 if the neighbours and mesh faces found by the search fit into the arrays, else to 0.
+        """Set `fits` to 1 if the results of a neighbour search fit into the arrays, else to 0.
 
-        `scanned` and `face_scanned` are running sums of the numbers of entries per sphere; their last value is the
-        total number of entries. An empty `face_scanned` means that the scene has no meshes. `room` and `face_room` are
-        the sizes of the arrays.
+        `scanned` and `face_scanned` are running sums over the spheres, of the numbers of listed neighbours and of
+        listed mesh faces. The last element of each is the total number of entries. The arrays have space for `room` and
+        `face_room` entries. An empty `face_scanned` means that the scene has no meshes.
         """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room

@@ -51,10 +51,10 @@ def find_function(scalar, half: bool):
 
 @functools.cache
 def close_function(scalar):
-    """Return the function `is_close`: true if the gap between two spheres is below a limit.
+    """Return the function `is_close`, which returns true if the gap between two spheres is below a limit.
 
-    On a GPU the function gives the same answer wherever it is called. A bond exactly at the edge of the skin is
-    therefore neither lost nor listed twice.
+    On a GPU, all kernels that call the function round in the same way and get the same answer. A bonded pair whose gap
+    equals the skin is therefore neither lost nor listed twice.
     """
     t = types(scalar)
     name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
@@ -78,8 +78,8 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     """Return the functions that decide where to search for neighbours and which spheres are neighbours.
 
     They are `query_of`, `padded_reach`, `is_neighbour` and `bonded_beyond_skin`. A bond may span a gap wider than the
-    skin. Half lists find such pairs by a wider search in the grid, full lists take them from the old list
-    (`bonded_beyond_skin`).
+    skin. Half lists find such pairs by a wider search in the grid. Full lists take such pairs from the old list, with
+    the function `bonded_beyond_skin`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -146,9 +146,9 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), query: Query,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Return the index of the other sphere of an old list entry if the pair's bond spans a gap wider than the skin.
+        """Return the other sphere of an old list entry if the bond of the pair spans a gap wider than the skin.
 
-        Otherwise return -1.
+        The result is the index of that sphere in the new order of the spheres. It is -1 if the pair has no such bond.
         """
         if old_pairs.bond[old] <= 0:
             return -1

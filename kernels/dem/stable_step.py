@@ -55,10 +55,10 @@ def estimate_options(half: bool) -> dict:
 
 @functools.cache
 def begin_kernel(scalar) -> wp.Kernel:
-    """Return the kernel over scenes that selects the scenes with an estimate due and resets their sums.
+    """Return the kernel over scenes that selects the scenes whose stable step is estimated, and resets their sums.
 
-    An estimate is due for a scene if the host set the scene's entry in `requested`. With `by_device` the device decides
-    instead: an estimate is due if the scene has halted because its interval between estimates is over.
+    Without `by_device`, these are the scenes that the host has marked in `requested`. With `by_device`, these are the
+    scenes that have halted because their interval between two estimates is over.
     """
     structs = array_structs(scalar)
     Scenes = structs.Scenes
@@ -78,8 +78,8 @@ def begin_kernel(scalar) -> wp.Kernel:
         s = wp.tid()
         wanted = requested[s] != 0
         if by_device:
-            # A scene with stale neighbour lists waits until they are rebuilt, on a GPU as on a CPU. The sums depend on
-            # the order of the list entries, so an estimate with the old lists would differ.
+            # If the neighbour lists of a scene are stale, its estimate waits until they are rebuilt, on a GPU as on a
+            # CPU. The sums depend on the order of the list entries, so an estimate with the old lists would differ.
             wanted = flags[s, HALTED] == ARRIVED and flags[s, STALE] == 0 and flags[s, FAILED] == 0
             wanted = wanted and flags[s, STEPS] - flags[s, ESTIMATED] >= scenes.row[s].interval
         due[s] = wp.where(wanted, 1, 0)
@@ -98,11 +98,14 @@ def begin_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def recording_functions(scalar):
-    """Return functions that record speeds and wall loads in an `Estimate`, and that combine its parts.
+    """Return functions that record speeds and wall loads for the estimate of the stable step.
 
-    `record_speed` records a speed, `add_wall_stiffness` adds a contact's stiffness and damping to a wall, `fastest`
-    returns a scene's largest speed over all parts, and `least` the smallest value over all parts of another array. A
-    part is what one CPU thread recorded.
+    The struct `Estimate` holds the records; each CPU thread writes to its own part of the arrays.
+
+    - `record_speed` records a speed in a thread's part.
+    - `add_wall_stiffness` adds the stiffness and damping of a contact to the load of a wall.
+    - `fastest` returns the largest speed in a scene over all parts.
+    - `least` returns the smallest value over all parts of another array.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
@@ -141,9 +144,9 @@ def recording_functions(scalar):
 
 @functools.cache
 def floor_function(scalar, pair_law, wall_law):
-    """Return the function `floor_of`: the least stiffness and damping for which the step must be stable.
+    """Return the function `floor_of`, which computes the stiffness and damping that every stable step must allow for.
 
-    They apply to a body in free flight, whose step must already be stable for its next contact.
+    A body in free flight has no contact, but its step must already be stable for the next contact.
     """
     t = types(scalar)
     Pair, pair_stiffness = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).stiffness
@@ -152,12 +155,12 @@ def floor_function(scalar, pair_law, wall_law):
 
     @wp.func
     def resolved(k: t.vec4, onset: scalar, mass: scalar):
-        """Return the stiffness k for which a step sqrt(m / k) keeps the energy of an impact within a tolerance.
+        """Return the stiffness k for which a step of sqrt(m / k) keeps the energy of an impact within a tolerance.
 
-        The tolerance is 1 % of the impact's energy plus a quarter of the energy that it loses. `onset` is the contact's
-        stiffness at first touch. Let w be the angular frequency of a spring of this stiffness. If the spring is loaded
-        and unloaded within a step of length dt, the error is up to (w dt)^2 / 4 of the energy. For a law whose
-        stiffness grows from zero, the error is less than a third of that.
+        Here m is `mass`. The tolerance is 1 % of the impact's energy plus a quarter of the energy that the impact
+        loses. `onset` is the contact's stiffness at first touch, and w is the angular frequency of the mass on a spring
+        of this stiffness. If the bodies touch and separate again within one step of length dt, the error is up to (w
+        dt)^2 / 4 of the energy. For a law whose stiffness grows from zero, the error is less than a third of that.
         """
         stiffest = wp.max(onset, scalar(0.3) * k[0])
         if stiffest <= scalar(0.0):
@@ -179,12 +182,15 @@ def floor_function(scalar, pair_law, wall_law):
     ):
         """Return stiffness and damping of the next contact of a body in flight, and the stiffness to be resolved.
 
-        The contact is the stiffest one with a sphere or wall of any material. `turn` is the body's total response to a
-        shear force (translation and rotation) divided by its translation alone; `tip` is this ratio for a normal force.
-        The limit of the step holds a reserve of a factor of two in stiffness, for neighbours that move in opposition. A
-        body with a single contact does not need the reserve, so only half of the shear stiffness counts. Damping counts
-        in full: dashpots act half a step late, so their limit has no reserve. The third result is the stiffness that
-        the step must resolve for the contact to conserve energy.
+        The next contact is assumed to be the stiffest one with a sphere or wall of any material. `turn` is the body's
+        total response to a shear force (translation and rotation), divided by its translation alone; `tip` is this
+        ratio for a normal force.
+
+        The limit of the time step contains a reserve of a factor of two in stiffness, for neighbours that move in
+        opposition. A body with a single contact does not need this reserve, so only half of the shear stiffness counts.
+        Damping counts in full, because its limit contains no reserve: dashpots act half a step late.
+
+        The third result is the stiffness that the time step must resolve so that the contact conserves energy.
         """
         n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
         touch = wall_touch(n, scalar(0.0), -speed * n, scalar(0.0), radius, mass)
@@ -210,8 +216,9 @@ def floor_function(scalar, pair_law, wall_law):
 def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     """Return the kernel that finds the smallest stable step of each scene.
 
-    It runs with one task per body, from the body `begin` on. With half lists it also clears `estimate.sums`, to which
-    both spheres of a pair add.
+    It runs with one task per body, beginning with the body `begin`. With half lists, another kernel adds each pair's
+    stiffness to entries of `estimate.sums` for both of its spheres. This kernel sets these entries to zero after use,
+    for the next estimate.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -329,10 +336,11 @@ def keep_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
-    """Return the kernel that sets the stable step and the next time step of each scene, with one thread per scene.
+    """Return the kernel that computes the stable step and the next time step of each scene, with one thread per scene.
 
-    The stable step also takes driven walls into account. With `by_device`, the kernel lets scenes continue that were
-    halted for the estimate. A scene without a usable step stays halted, so that the host can report it.
+    The stable step is also limited by walls that a force drives. A scene halts while its stable step is estimated. With
+    `by_device`, this kernel lets the scene continue. A scene without a usable step stays halted, so that the host can
+    report it.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -359,9 +367,10 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
         step = least(estimate.smallest, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
-                # A stiff bond with stiffness k has a dashpot with damping c = RELAXATION step k. A round of length
-                # h = step / rounds is stable for a mass m if k h^2 + c h <= m. With c h = RELAXATION rounds k h^2 and
-                # m / k = stable^2 this gives h <= stable / sqrt(1 + RELAXATION rounds).
+                # A sub-cycling round has the length h = step / rounds. It is stable for a mass m on a spring k with a
+                # dashpot c if k h^2 + c h <= m. The dashpot of a stiff bond is c = RELAXATION step k, so c h =
+                # RELAXATION rounds k h^2. With m / k = stable^2, it follows that h <= stable / sqrt(1 + RELAXATION
+                # rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
                 step = wp.min(wp.float64(SUBCYCLED_STEP_FRACTION) * step, stiff)

@@ -17,8 +17,9 @@ from .structs import array_structs
 def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
-    The force acts on the sphere in whose neighbour list or slots the contact is stored, and includes the bond. Shear
-    springs and bonds are as the last step left them; gaps and velocities are the current ones.
+    The force acts on the sphere that stores the contact, in its neighbour list or among its contacts with walls. It
+    includes the force of the bond. Shear springs and bonds are as the last step left them; gaps and velocities are the
+    current ones.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -131,8 +132,8 @@ def stress_probe(scalar) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that sums force times branch vector of contacts for each body.
 
     The branch vector points from the centroid of one body to that of the other. The forces come from
-    :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
-    Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
+    :func:`force_probe`, and compression is positive. Half of the product of a contact is added to each of the two
+    bodies. Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -16,10 +16,10 @@ from .warps import group_functions
 
 @functools.cache
 def estimate_struct(scalar):
-    """Return the struct `Estimate`: the arrays in which the estimate of the stable step adds up its sums.
+    """Return the struct `Estimate`, in whose arrays the sums for the stable step are collected.
 
-    The columns of `sums` are the stiffness K and damping C of translation, then K and C of rotation. Each CPU thread
-    (`part`) has its own row of extremes and wall loads, so the CPU needs no atomic operations.
+    The four columns of `sums` are the stiffness and the damping of translation, then the stiffness and the damping of
+    rotation. Each CPU thread has its own row of extreme values and wall loads, so the CPU needs no atomic operations.
     """
     vec6 = wp.types.vector(6, scalar)
 
@@ -40,11 +40,11 @@ def estimate_struct(scalar):
 
 @functools.cache
 def stiffness_functions(scalar):
-    """Return functions for the matrices of one contact and for the stable step that a matrix allows.
+    """Return functions for the stiffness and damping matrices of one contact, and for the stable step.
 
-    `outer` and `turning` build stiffness or damping matrices; `full`, `row_sum` and `stable` derive the step from them.
-    Matrices are symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. Six components
-    save registers, because each GPU thread holds four such matrices.
+    `outer` and `turning` build matrices. `full`, `row_sum` and `stable` derive the stable step from them. Matrices are
+    symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. Six components save
+    registers, because each GPU thread holds four such matrices.
     """
     t = types(scalar)
     vec6 = wp.types.vector(6, scalar)
@@ -68,10 +68,11 @@ def stiffness_functions(scalar):
 
     @wp.func
     def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
-        """Return the rotational stiffness of a contact at `r` from the body's centroid.
+        """Return the rotational stiffness of a contact, which is at the vector `r` from the body's centroid.
 
-        It adds the contact's springs, which act at the end of the lever `r`, to the bond's own bending and torsion
-        stiffness. The same formula gives the rotational damping of dashpots.
+        The stiffness has two parts. One part is that of the contact's springs, which act at the end of the lever `r`.
+        The other part is the bond's own bending and torsion stiffness. The same formula gives the rotational damping of
+        dashpots.
         """
         c = wp.cross(r, n)
         levers = times_unit(wp.length_sq(r)) - squared(r)
@@ -102,10 +103,10 @@ def stiffness_functions(scalar):
 
 @functools.cache
 def counting_function(scalar, bonds: bool, subcycling: bool):
-    """Return the function `counts`: true if the pair of a list entry is in contact or bonded.
+    """Return the function `counts`, which returns true if the pair of a list entry is in contact or bonded.
 
-    With `subcycling`, `counts` accepts only pairs that sub-cycling rounds step (`stiff` true) or only the others
-    (false).
+    With `subcycling` there are two kinds of pairs: those that sub-cycling rounds step, and all others. The function
+    then counts only pairs of the first kind if its argument `stiff` is true, and only the others if `stiff` is false.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -133,13 +134,15 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """Return the function `add_pairs`, which adds up K and C of all touching or bonded pairs of sphere i.
 
-    K is the stiffness of a pair and C its damping. On a full list (GPU), a group of `lanes` threads shares the list row
-    of a sphere: each thread adds every `lanes`-th pair that touches or is bonded. On a half list (CPU), each pair is
-    added to both of its spheres.
+    K is the stiffness of a pair and C its damping. The lists determine which pairs a thread adds:
 
-    With `subcycling` the sums contain only the pairs that sub-cycling rounds step (`stiff` true) or only the others.
-    Listed pairs that neither touch nor are bonded add nothing, so the time of the last list rebuild cannot change the
-    sums.
+    - Full list (GPU): a group of `lanes` threads shares the list of a sphere. Each thread adds every `lanes`-th pair
+      that touches or is bonded.
+    - Half list (CPU): each pair is added to both of its spheres.
+
+    With `subcycling`, the sums contain only the pairs that the sub-cycling rounds compute (`stiff` true), or only the
+    others. Listed pairs that neither touch nor are bonded add nothing. The sums therefore do not depend on the time of
+    the last list rebuild.
     """
     t, structs = types(scalar), array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -230,7 +233,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         else:
             # The threads of a group first search together for the pairs that count. Then they share these pairs evenly,
             # so that all threads evaluate pairs at the same time.
-            # Number of pairs that this thread still leaves to the other threads before it evaluates a pair itself.
+            # `others` is the number of pairs that this thread still leaves to the other threads before it evaluates a
+            # pair itself.
             others = lane
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)

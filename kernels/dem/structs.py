@@ -1,9 +1,10 @@
 """Structs of the arrays that the discrete-element kernels work on: scenes, bodies, spheres, slots, pairs, walls.
 
-Arrays are flat over all scenes of a batch. Indices stored in state arrays (`bodies.first`, `spheres.body`, entries of
-`pairs.other`, `slots.wall`, `candidates.face`) count from the scene's first row, so a scene holds the same numbers
-alone and in a batch. Indices into the tables of meshes and pipe axes, which are not part of the state, count over the
-whole batch. Arrays of features that no scene uses have zero rows.
+A slot stores a sphere's contact with a wall. Arrays are flat over all scenes of a batch. Indices stored in the arrays
+of the state count from the scene's first row; these are `bodies.first`, `spheres.body`, `slots.wall`, `candidates.face`
+and the entries of `pairs.other`. The state of a scene is therefore the same alone and in a batch. Indices into the
+tables of meshes and pipe axes, which are not part of the state, count over the whole batch. Arrays of features that no
+scene uses have zero rows.
 
 The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its columns.
 """
@@ -29,7 +30,8 @@ CLOCK = 8
 
 # States of a link, in `links.state`.
 APART: int = wp.constant(0)  # the spheres do not touch
-# the spheres touch or are bonded, or a link made for a new list still has contact history from the old list
+# TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
+# from the old list.
 TOUCHING: int = wp.constant(1)
 PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
 STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
@@ -60,8 +62,9 @@ def scene_struct(scalar):
         expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        # The following integers are the scene's first indices in the flat arrays of bodies, spheres, pairs and so on.
-        # The integers named `..._count` are the numbers of entries that belong to the scene.
+        # The following integers are the first indices of the scene in the arrays of bodies, spheres, pairs and so on,
+        # which are joint arrays of all scenes of a batch. The integers named `..._count` are the numbers of entries
+        # that belong to the scene.
         bodies: wp.int32
         body_count: wp.int32
         spheres: wp.int32
@@ -141,8 +144,9 @@ def array_structs(scalar) -> SimpleNamespace:
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
         wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, (spheres, slots)
-        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls): work of sliding [J], energy
-        # loss of impacts [J] and the integral of load over sliding distance [N m].
+        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls). Each entry has three values:
+        # the work of sliding [J], the energy loss of impacts [J], and the integral of the load over the sliding
+        # distance [N m].
         worn: wp.array2d(dtype=wp.vec3d)
         worn_at: wp.array2d(dtype=t.vec3)  # last point of contact with each wall, in its frame [m], (spheres, walls)
 
@@ -155,9 +159,9 @@ def array_structs(scalar) -> SimpleNamespace:
         rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
-        # `load` holds force and moment of each bond, shape (rows,): shear vector and tension [N], bending vector and
-        # torsion [N m]. It is one array because a GPU moves memory in units of 32 bytes. How bonds get
-        # their rows is explained in `warpcrete/dem/engine/bonding.py`.
+        # `load` holds the force and the moment of each bond, shape (rows,). The force consists of shear vector and
+        # tension [N], the moment of bending vector and torsion [N m]. Both are in one array, because a GPU moves memory
+        # in units of 32 bytes. `warpcrete/dem/engine/bonding.py` explains which row a bond uses.
         load: wp.array(dtype=t.vec8)
 
     @wp.struct
@@ -215,10 +219,13 @@ def links_struct(scalar):
         later_touching: wp.array(dtype=wp.int32)
         # for each list entry, the index p of its link in the scene; at twin entries -1 - p
         end: wp.array(dtype=wp.int32)
-        # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
-        # of that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
-        # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost energy
-        # [J] at the lower sphere or 0) and (moment about its centre [N m], 0).
+        # Result of each link (pair of spheres) in this step. Without bonds, rolling resistance and energy sums, a link
+        # has two rows:
+        # - force on the lower sphere [N], arm of the lower sphere [m];
+        # - contact moment divided by the arm [N], arm of the higher sphere [m].
+        # Otherwise a link has four rows, two for each sphere:
+        # - force on the sphere [N], lost energy [J] at the lower sphere or 0 at the higher one;
+        # - moment about the sphere's centre [N m], 0.
         result: wp.array(dtype=t.vec4)
         near: wp.array(dtype=wp.vec4i)  # near links: indices in the batch of both spheres, the list entry and the link
         near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
@@ -279,7 +286,8 @@ def subcycled_struct(scalar):
         force: wp.array(dtype=t.vec3)
         # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)
         torque: wp.array(dtype=t.vec3)
-        # for every body of the batch: 1 + the body's row in this struct, or 0 if it has no stiff bond
+        # Number for each body of the batch: 1 + the row of the body in the arrays of this struct. It is 0 for a body
+        # without stiff bonds.
         member: wp.array(dtype=wp.int32)
 
     return Subcycled

@@ -209,9 +209,10 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) ->
 
 @functools.cache
 def kick_functions(scalar, dissipation: bool):
-    """Return `apply_kick`, which applies forces to a body, and `record_losses`, which records losses and broken bonds.
+    """Return the functions `apply_kick` and `record_losses` for bodies that move in sub-cycling rounds.
 
-    The losses are the energy that the stiff pairs of a body dissipate in the rounds of a step.
+    `apply_kick` applies the forces on a body for a given time. `record_losses` records the energy that the stiff pairs
+    of a body lose in the rounds of a step, and the bonds that break.
     """
     Spheres = array_structs(scalar).Spheres
     Subcycled = subcycled_struct(scalar)

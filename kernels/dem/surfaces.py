@@ -18,11 +18,11 @@ from .warps import warp_functions
 
 @functools.cache
 def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int) -> wp.Kernel:
-    """Return the kernel over spheres that stores the force and moment of all planes and pipes on each sphere.
+    """Return the kernel over spheres that computes the force and moment of all planes and pipes on each sphere.
 
     Each sphere has 2^`lane_bits` threads, and the launch consists of whole warps of `width` threads (1 on a CPU). The
-    mesh kernel adds the forces of meshes to the stored values; the kernel that moves bodies reads and clears these
-    values.
+    kernel stores one force and one moment for each sphere. Another kernel adds the forces of triangle meshes, and the
+    kernel that moves bodies reads and clears the sums.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls

@@ -24,7 +24,7 @@ def ramped(time: wp.float64, ramp: wp.float64):
 
 @wp.func
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
-    """Return the distance of a motion that first makes `stops` strokes and then continues at a constant speed of 1.
+    """Return the distance of a motion that consists of `stops` strokes, followed by motion at a constant speed of 1.
 
     Each stroke goes from rest to rest and is followed by a pause.
     """
@@ -101,8 +101,8 @@ def motion_functions(scalar, strokes: bool):
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-            # The error code of a failed wall is negative. As the minimum, it takes precedence over the codes of bodies
-            # that fail at the same time on a GPU.
+            # The error code of a failed wall is negative, and that of a failed body is positive. The minimum of the
+            # codes is stored, so a wall takes precedence over bodies that fail at the same time on a GPU.
             wp.atomic_min(flags, s, FAILED, -1 - (w - scenes.row[s].walls))
         walls.velocity_exact[w] = speed * direction
         walls.position_exact[w] = walls.position_exact[w] + dt * speed * direction
@@ -113,9 +113,9 @@ def motion_functions(scalar, strokes: bool):
 
 @functools.cache
 def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
-    """Return the kernel, one thread a wall, that collects the wall forces of the step and moves the walls.
+    """Return the kernel over walls that collects the forces on each wall in a step and moves the walls.
 
-    `strokes` must be set if any wall pauses between strokes.
+    Each wall has one thread. `strokes` must be true if any wall moves in strokes with pauses between them.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -157,9 +157,9 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # The present contact forces act from half a step before to half a step after this point in time. The wall's
-        # work on the concrete is therefore added in two parts. Here the work in the second half of the previous step is
-        # added, with the velocity of that step. The work in the first half of the coming step is added below.
+        # The contact forces act from the middle of the previous step to the middle of the coming step. The wall's work
+        # on the concrete is therefore added in two parts. This line adds the work in the second half of the previous
+        # step, with the velocity of that step. The work in the first half of the coming step is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

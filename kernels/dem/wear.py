@@ -19,11 +19,11 @@ def wear_functions(scalar, law) -> SimpleNamespace:
 
     @wp.func
     def contact_wear(p: Parameters, touch: Touch, f: t.vec3, lost: scalar, dt: scalar):
-        """Return a contact's work of sliding [J], impact loss [J] and load times sliding distance [N m] in a step.
+        """Return three values of a contact in a step: sliding work [J], impact loss [J], load times distance [N m].
 
-        `f` is the contact force and `lost` the contact's total energy loss. The split works for any contact law: the
-        law is evaluated once more without sliding. The loss without sliding is due to the impact, and the rest of
-        `lost` is due to sliding.
+        The distance is the sliding distance. `f` is the contact force and `lost` the contact's total energy loss. The
+        split works for any contact law: the law is evaluated once more without sliding. The loss without sliding is due
+        to the impact, and the rest of `lost` is due to sliding.
         """
         n = touch.normal
         along = wp.dot(touch.velocity, n)

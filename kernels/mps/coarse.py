@@ -21,7 +21,7 @@ degree of 6 or 8 saves a third of the conjugate-gradient iterations for tall col
 so a GPU gains nothing."""
 RATIO = 20.0
 """Ratio of the largest to the smallest eigenvalue for which the Chebyshev iteration is designed. The eigenvalues are
-those of the coarse matrix divided by its diagonal, which are at most 2."""
+those of the coarse matrix after each row has been divided by its diagonal element; they are at most 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 """Centre (MIDDLE) and half-width (REACH) of the interval of eigenvalues for which the Chebyshev iteration is designed.
 The interval extends from 2 / RATIO to 2, where RATIO is the ratio of its ends."""
@@ -29,11 +29,11 @@ The interval extends from 2 / RATIO to 2, where RATIO is the ratio of its ends."
 
 @functools.cache
 def slot_function(scalar, dimensions: int):
-    """Build `slot_of`, which returns the position of cube `other` relative to cube `own`, a number from 0 to 3^d - 1.
+    """Build `slot_of`, which numbers the position of the cube `other` relative to the cube `own`.
 
-    The 3^d positions are those of the cube `own`, which has the middle number, and of the cubes around it. The two
-    cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at least as
-    wide as the reach of a particle.
+    The two cubes must be adjacent or equal. The possible positions are `own` itself and the cubes around it. In d
+    dimensions these are 3^d positions, with numbers from 0 to 3^d - 1; `own` has the middle number. The cubes of
+    neighbouring particles are always adjacent or equal, because a cube is at least as wide as the reach of a particle.
     """
     Matrix = array_structs(scalar, dimensions).Matrix
 
@@ -55,8 +55,9 @@ def slot_function(scalar, dimensions: int):
 def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
     """Build the CPU kernel (one task) that forms the rows of the coarse matrix for cubes from `begin` to `end`.
 
-    Each row has 3^d coefficients, one for each cube around the row's cube. The middle coefficient, which belongs to the
-    cube itself, is 1 over the diagonal, or 0 if the cube contains no unknowns.
+    In d dimensions each row has 3^d coefficients: one for each adjacent cube and, in the middle, one for the row's own
+    cube. The kernel stores the reciprocal of the middle coefficient in its place, or 0 if the cube contains no
+    unknowns.
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -226,10 +227,10 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
         first: wp.int32, end: wp.int32, by: wp.int32, lane: wp.int32, abreast: wp.int32, old: wp.int32, before: scalar,
         matrix: Matrix, system: Solve,
     ) -> scalar:  # fmt: skip
-        """Make one step of the Chebyshev iteration, and return the next factor of its recurrence.
+        """Make one step of the Chebyshev iteration, and return the factor that the next step needs.
 
-        `before` is the factor of the previous step. The array `lift` has two halves: the step reads the solution that
-        begins at index `old`, and writes the improved solution to the other half.
+        `before` is the factor that the previous step returned. The array `lift` holds two solutions, one in each half.
+        The step reads the solution that begins at index `old`, and writes the improved solution to the other half.
         """
         count = matrix.coarse.count
         now = scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)

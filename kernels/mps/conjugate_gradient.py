@@ -31,12 +31,15 @@ OUTCOME = 4
 
 @functools.cache
 def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """Build the functions that a solve applies to each row of the equations, for vector or scalar unknowns.
+    """Build the functions that a linear solver applies to each row of the equations, for vector or scalar unknowns.
 
-    `inner` returns the inner product of two values, and `divided` a residual divided by the diagonal (the
-    preconditioner). `share` does the same for a rigid grain. `bounded` adds boundary conditions to a row of the matrix
-    product: for velocities the `drag` along the wall; for scalars the value zero at the free surface. The namespace
-    also holds `value`, the type of an unknown, and `Solve`, the struct of the working arrays.
+    - `inner`: inner product of two values.
+    - `divided`: residual divided by the diagonal coefficient of the row (the preconditioner).
+    - `share`: the same for a rigid grain.
+    - `bounded`: row of the matrix product with boundary conditions. For velocities the condition is the `drag` along
+      the wall, for scalars the value zero at the free surface.
+
+    The namespace also holds `value`, the type of an unknown, and `Solve`, the struct of the solver's working arrays.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -79,22 +82,58 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
+def used_rows_kernel(scalar, dimensions: int):
+    """Build the CPU kernel that lists the rows with unknowns of a sparse system, in one task."""
+    Matrix = array_structs(scalar, dimensions).Matrix
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def list_used_rows(rows: wp.int32, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+        if flags[HALTED] != 0:
+            return
+        count = wp.int32(0)
+        for i in range(rows):
+            if matrix.free[i] == 0:
+                matrix.used[count] = i
+                count += 1
+        matrix.used_count[0] = count
+
+    return list_used_rows
+
+
+@functools.cache
+def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool = False) -> SimpleNamespace:
     """Build the functions that a CPU thread applies to a range of rows, or of rigid grains, in a solve.
 
     `begin` computes the first search direction of each row. `update` changes solution and residual by a step along the
     search direction. `share` computes the preconditioned residual of rigid grains. Each function returns its
     contributions to two inner products: the residual with the preconditioned residual, and the residual with itself.
+    In a `sparse` system a range contains positions in the list of rows with unknowns; otherwise it contains the rows
+    themselves. `row` returns the row at a position, and `total` the number of positions, of all `count` rows.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
 
     @wp.func
+    def row(k: wp.int32, matrix: Matrix) -> wp.int32:
+        if wp.static(sparse):
+            return matrix.used[k]
+        else:
+            return k
+
+    @wp.func
+    def total(count: wp.int32, matrix: Matrix) -> wp.int32:
+        if wp.static(sparse):
+            return matrix.used_count[0]
+        else:
+            return count
+
+    @wp.func
     def begin(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        for i in range(first, end):
+        for k in range(first, end):
+            i = row(k, matrix)
             z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
             system.direction[i] = z
             rz += f.inner(system.residual[i], z)
@@ -107,7 +146,8 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
     ):  # fmt: skip
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        for i in range(first, end):
+        for k in range(first, end):
+            i = row(k, matrix)
             x[i] = x[i] + alpha * system.direction[i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
@@ -130,17 +170,18 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
                 rr += square
         return rz, rr
 
-    return SimpleNamespace(begin=begin, update=update, share=share)
+    return SimpleNamespace(row=row, total=total, begin=begin, update=update, share=share)
 
 
 @functools.cache
-def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
+def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sparse: bool = False):
     """Build the CPU kernel that does a whole solve and adds the solution to `x`; each host thread launches it once.
 
     The rows are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and `workers`
-    threads take part.
+    threads take part. In a `sparse` system most rows may be without an unknown; these rows are left out, and the rows
+    in `Matrix.used` are divided into chunks.
     """
-    f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid)
+    f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid, sparse)
     Solve, value = f.Solve, f.value
     FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -155,8 +196,11 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the number of all chunks, the range of this thread's chunks, the number of threads, and
-        # the barrier at which they wait for each other.
+        # The next arguments are:
+        # - the number of all chunks,
+        # - the first chunk of this thread, and the end of its range of chunks,
+        # - the number of threads,
+        # - the barrier at which the threads wait for each other.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
@@ -174,14 +218,15 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
         # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
         # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
         # products are rz = r.z, rr = r.r and pq = p.q.
+        total = rows.total(flow.count, matrix)
         grain_rows = wp.int32(0)
         bodies = wp.int32(0)
         if wp.static(rigid):
             grain_rows = matrix.grain_rows
             bodies = matrix.grains.mobility.shape[0]
         for part in range(lower, upper):
-            first = wp.max(flow.count * part / parts, grain_rows)
-            own_rz, own_rr = rows.begin(first, flow.count * (part + 1) / parts, matrix, system)
+            first = wp.max(total * part / parts, grain_rows)
+            own_rz, own_rr = rows.begin(first, total * (part + 1) / parts, matrix, system)
             grain_rz, grain_rr = rows.share(
                 bodies * part / parts, bodies * (part + 1) / parts, matrix, system, system.direction
             )
@@ -199,7 +244,8 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
         while rr > goal and count < maximum:
             for part in range(lower, upper):
                 own_pq = wp.float64(0.0)
-                for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
+                for k in range(total * part / parts, total * (part + 1) / parts):
+                    i = rows.row(k, matrix)
                     own = system.direction[i]
                     sum = matrix.diagonal[i] * own - product(
                         matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity,
@@ -217,9 +263,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
                 break
             alpha = scalar(rz / pq)
             for part in range(lower, upper):
-                own_rz, own_rr = rows.update(
-                    flow.count * part / parts, flow.count * (part + 1) / parts, alpha, matrix, system, x
-                )
+                own_rz, own_rr = rows.update(total * part / parts, total * (part + 1) / parts, alpha, matrix, system, x)
                 system.partial[part] = own_rz
                 system.partial[parts + part] = own_rr
             meet(gate, workers)
@@ -238,7 +282,8 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
                 rr += system.partial[parts + k]
             beta = scalar(rz_after / rz)
             rz = rz_after
-            for i in range(flow.count * lower / parts, flow.count * upper / parts):
+            for k in range(total * lower / parts, total * upper / parts):
+                i = rows.row(k, matrix)
                 system.direction[i] = system.product[i] + beta * system.direction[i]
             if lower == 0 and count < system.history.shape[0]:
                 system.history[count] = wp.sqrt(rr)

@@ -1,7 +1,12 @@
-"""Viscous part h(g) of the flow laws tau = tau_0 + h(g), for the bulk at shear rates and for slip layers at velocities.
+"""Viscous part h(g) of the flow laws tau = tau_0 + h(g), with the stress tau and the yield stress tau_0.
 
-Bingham's law has h = k g, the Herschel-Bulkley law h = k g^n, and the modified Bingham law h = k g + c g^2 (Yahia &
-Khayat 2001). Kernels are specialised for the law; k, n and c are run-time arguments.
+In the bulk g is the shear rate, and in a slip layer g is the slip velocity. The constants of the laws are k, n and c:
+
+- Bingham: h = k g.
+- Herschel-Bulkley: h = k g^n.
+- Modified Bingham: h = k g + c g^2 (Yahia & Khayat 2001).
+
+Kernels are specialised for the law; k, n and c are run-time arguments.
 """
 
 import functools
@@ -15,13 +20,23 @@ BINGHAM, HERSCHEL_BULKLEY, MODIFIED_BINGHAM = "bingham", "herschel-bulkley", "mo
 
 @functools.cache
 def law_functions(scalar, law: str) -> SimpleNamespace:
-    """Build the functions of a flow law's viscous stress h; each takes the constants k, n and c of the law's formula.
+    """Build the functions that compute the viscous stress h of a flow law.
 
-    `stress` returns h at a shear rate. `viscosity` returns h over the rate, smoothed at rates below `slow` so that the
-    result stays finite and above 0. `tangent` returns the derivative of this smoothed h with respect to the rate.
-    `rate` returns the rate at a viscous stress `over`. The other functions take `over` and the rate at this stress.
-    `slope` returns the derivative of `rate` with respect to the stress, and `bend` its second derivative over its
-    first. `integral` and `double_integral` return the first and the second integral of `rate` from 0.
+    The viscous stress is the stress minus the yield stress. Each function takes the constants k, n and c of the law's
+    formula. Three functions take a shear rate:
+
+    - `stress` returns h.
+    - `viscosity` returns h divided by the rate. Below the rate `slow`, h is smoothed so that the result stays finite
+      and above 0.
+    - `tangent` returns the derivative of the smoothed h with respect to the rate.
+
+    The other functions take a viscous stress, `over`. All of them except `rate` also take the shear rate at this
+    stress:
+
+    - `rate` returns the shear rate.
+    - `slope` returns the derivative of the rate with respect to the stress.
+    - `bend` returns the second derivative of the rate divided by its first derivative.
+    - `integral` and `double_integral` return the first and the second integral of the rate from 0.
     """
     return {BINGHAM: linear_law, HERSCHEL_BULKLEY: power_law, MODIFIED_BINGHAM: quadratic_law}[law](scalar)
 
@@ -116,10 +131,10 @@ def power_law(scalar) -> SimpleNamespace:
 
 @functools.cache
 def quadratic_law(scalar) -> SimpleNamespace:
-    """Build the functions of the quadratic law h = k g + c g^2, with the shear rate g.
+    """Build the functions of the quadratic law h = k g + c g^2.
 
-    With the stress h as variable of integration, dh = (k + 2 c g) dg. The integrals of g over the stress are therefore
-    polynomials of g.
+    Here h is the viscous stress, g the shear rate, and k and c are constants. With h as variable of integration, dh =
+    (k + 2 c g) dg. The integrals of g over the stress are therefore polynomials of g.
     """
 
     @wp.func

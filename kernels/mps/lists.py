@@ -77,8 +77,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # For the fullest of the particle's lists, this is the number of neighbours over the capacity, in per mille.
-        # After an overflow, the host computes a sufficient capacity from the maximum over all particles.
+        # Number of neighbours over capacity, in per mille, for the fullest of the particle's three lists. If a list is
+        # too short, the host computes a sufficient capacity from the maximum of this number over all particles.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

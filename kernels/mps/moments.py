@@ -16,10 +16,13 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types, row_p
 FREE = wp.constant(0.9)
 """Sum of weights, relative to the sum in a regular lattice, below which a particle may be at the free surface."""
 BENEATH = {2: 0.2, 3: 0.15}
-"""Minimum mean depth of the neighbours below a particle at the free surface, by number of dimensions. The mean depth is
-minus the first moment of the neighbours' weights along the pipe, divided by the spacing and by the sum of weights of a
-full lattice. For a particle in the surface of a lattice it is 0.33 in two and 0.28 in three dimensions. For a particle
-below a hole of one particle inside the fluid, which is no free surface, it is 0.17 and 0.08."""
+"""Minimum mean depth of the neighbours below a particle at the free surface, by number of dimensions.
+
+The mean depth is minus the first moment of the neighbours' weights along the pipe. It is divided by the spacing and by
+the sum of weights of a full lattice. In two and three dimensions, it is 0.33 and 0.28 for a particle in the surface of
+a lattice. It is 0.17 and 0.08 for a particle below a hole inside the fluid that is as large as one particle. Such a
+hole is no free surface.
+"""
 
 
 @functools.cache
@@ -149,8 +152,9 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 m.above = m.above + w * d[last]
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
-                    # Continue the velocity profile behind the wall with its slope at the wall. The viscous force per
-                    # volume due to a wall particle is then proportional to the wall stress times the term added here.
+                    # The velocity profile is continued behind the wall with its slope at the wall. The viscous force
+                    # per volume due to a wall particle is then proportional to the wall stress. The term added here is
+                    # the factor of proportionality.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
@@ -205,8 +209,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # The next arguments are arrays that this kernel writes. The density error becomes the residual of `shifting`,
-        # the solve that moves particles out of crowded regions.
+        # The next arguments are arrays that this kernel writes. The kernel stores the density error as the residual of
+        # `shifting`, the solve that moves particles out of crowded regions.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,
@@ -254,8 +258,9 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
                     m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
             # The compliance is the velocity difference between wall and particle, divided by the wall stress tau. The
-            # stress falls linearly from tau at the wall to 0 at the axis, so it is tau (1 - bend) at the particle. The
-            # particle's shear rate is this stress over the apparent viscosity. The wall's shear rate is higher by
+            # distance between both is `near_wall`, and `bend` is this distance divided by the pipe's radius. The stress
+            # falls linearly from tau at the wall to 0 at the axis, so it is tau (1 - bend) at the particle. The
+            # particle's shear rate is this stress divided by the apparent viscosity. The wall's shear rate is higher by
             # tau bend / tangent, with the tangent viscosity. The velocity difference is the mean of both rates times
             # the distance.
             near_wall = wp.clamp(m.inside, scalar(1.0e-3) * flow.spacing, flow.radius)

@@ -1,9 +1,11 @@
 """Operators of the moving particle method: forces, divergence and pressure gradient of a step, without its solves.
 
-Gradient and divergence are exact for linear fields (weighted least squares over the neighbours). The Laplacian is the
-pairwise sum of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. Its factor is twice the number of
-dimensions over the sum of the gradient's weights. This makes it exact for quadratic fields wherever the neighbours are
-distributed evenly. Each pair uses the mean of both particles' factors, so that momentum is conserved.
+Gradient and divergence are exact for linear fields (weighted least squares over the neighbours).
+
+The Laplacian is the sum over pairs of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. The sum is
+multiplied by a factor: twice the number of dimensions, divided by the sum of the gradient's weights. This makes the
+Laplacian exact for quadratic fields wherever the neighbours are distributed evenly. Each pair uses the mean of both
+particles' factors, so that momentum is conserved.
 """
 
 import functools
@@ -15,11 +17,14 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
-"""Damping of the pressure at walls: for particles closer to a wall than NEARER spacings, the diagonal of the pressure
-equation is multiplied by DAMPED. In the initial lattice the outermost particles are half a spacing from the wall. A
-pressure increment changes the particle's velocity, hence the velocity that is continued behind the wall, and thereby
-the particle's own divergence. Very close to the wall this response exceeds twice the undamped diagonal, and the
-pressure would oscillate from step to step."""
+"""Damping of the pressure at walls. For particles closer to a wall than NEARER spacings, the diagonal of the pressure
+equation is multiplied by DAMPED.
+
+The damping is needed because a pressure increment acts on itself. It changes the particle's velocity, and with it the
+velocity that is continued behind the wall; both change the particle's own divergence. Very close to the wall, this
+response exceeds twice the undamped diagonal, and the pressure would oscillate from step to step. In the initial lattice
+the outermost particles are half a spacing from the wall, so they are not damped.
+"""
 
 
 @functools.cache
@@ -33,11 +38,12 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
 
     @wp.func
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
-        """Return three values: `force` plus the slip layer's force, the layer's resistance, the wall's stress [Pa].
+        """Return `force` plus the force of the slip layer, the layer's resistance, and the wall's stress [Pa].
 
         The slip law is Eq. 8 of Xu, Li & Jiang 2021. Forces are per volume [N/m3]. `area` is the wall's area divided by
-        the particle's volume [1/m], and `compliance` the velocity difference between particle and wall per wall stress.
-        The resistance is the derivative of the layer's braking force with respect to the particle's velocity [kg/m3/s].
+        the particle's volume [1/m]. `compliance` is the velocity difference between particle and wall, divided by the
+        wall's stress. The resistance is the derivative of the layer's braking force with respect to the particle's
+        velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
@@ -199,9 +205,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
 def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """Build the kernel that sets up the equations of the pressure increment.
 
-    The right-hand side is -density / dt times the divergence of the velocities, with the reference density. The matrix
-    is minus the Laplacian; in two-phase flows each pair's coefficient is multiplied by the reference density over the
-    mean density of the pair.
+    The right-hand side is -density / dt times the divergence of the velocities; this density is the reference density.
+    The matrix is minus the Laplacian. In two-phase flows, the coefficient of a pair is multiplied by the reference
+    density over the mean density of the pair.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)

@@ -1,10 +1,11 @@
 """Conjugate gradients on a GPU: a whole solve is one kernel, whose blocks stay resident and meet at barriers.
 
-Rows are divided into chunks with as many rows as a block has threads. Each chunk forms one partial sum, and the chunks
-are distributed among the blocks. Sums therefore have the same bits however many blocks there are: a flow may use many
-blocks while it runs alone, and few while it shares the GPU. Iterations need no launches by the host, so the solves of
-many flows can run at the same time. A small system gets a single wide block, which needs no barrier and no partial
-sums. `conjugate_gradient.py` explains the rows of the matrix.
+The rows of the matrix are divided into chunks with as many rows as a block has threads. Each block processes several
+chunks, and each chunk forms one partial sum. Sums therefore have the same bits however many blocks there are. A flow
+may use many blocks while it runs alone, and few while it shares the GPU.
+
+Iterations need no launches by the host, so the solves of many flows can run at the same time. A small system gets a
+single wide block, which needs no barrier and no partial sums. `conjugate_gradient.py` explains the rows of the matrix.
 """
 
 import functools
@@ -46,10 +47,11 @@ def sum_functions(width: int) -> SimpleNamespace:
     def accumulate(
         thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
     ) -> wp.float64:
-        """Return the contribution `own` if there is a single block; otherwise add it to a partial sum and return 0.
+        """Take a thread's contribution `own` to a sum, and return the amount that the thread itself must add up.
 
-        The calling thread adds up the returned values. If there are several blocks, the contributions of all threads
-        of a block are summed, and the sum is stored in `partial`.
+        If there is only one block, nothing is stored and the result is `own`. Each thread adds up its results, and
+        `total_of` sums them. If there are several blocks, the result is 0. The contributions of the threads of a block
+        are then summed, and their sum is stored in `partial`.
         """
         if wp.static(alone):
             return own
@@ -70,12 +72,13 @@ def sum_functions(width: int) -> SimpleNamespace:
 
 
 @functools.cache
-def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
+def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool = False) -> SimpleNamespace:
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
     Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin`, `update`
     and `share` return the contributions of their row to the inner products of r with z and of r with itself; the row of
-    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p.
+    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p. In a `sparse`
+    system, rows without an unknown are skipped.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -83,10 +86,19 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     product = directed_product(scalar, value)
 
     @wp.func
+    def has_unknown(i: wp.int32, count: wp.int32, matrix: Matrix) -> wp.bool:
+        if i >= count:
+            return False
+        if wp.static(sparse):
+            return matrix.free[i] == 0
+        else:
+            return True
+
+    @wp.func
     def begin(i: wp.int32, count: wp.int32, matrix: Matrix, system: Solve):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        mine = i < count
+        mine = has_unknown(i, count, matrix)
         if wp.static(rigid):
             mine = mine and i >= matrix.grain_rows
         if mine:
@@ -102,10 +114,11 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     ) -> wp.float64:
         """Compute the new search direction of row `i`, and this row of the matrix times the search directions.
 
-        The previous search directions begin at index `old` of the array `direction`. The function computes the new
-        directions of the neighbours itself from their previous ones, so that no barrier is needed before the product.
+        The array `direction` contains the previous search directions, from index `old` on. The function computes the
+        new directions of the neighbours itself from their previous ones. No barrier is therefore needed before the
+        product.
         """
-        if i >= count:
+        if not has_unknown(i, count, matrix):
             return wp.float64(0.0)
         own = system.preconditioned[i] + beta * system.direction[old + i]
         system.direction[count - old + i] = own
@@ -124,7 +137,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     ):  # fmt: skip
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        if i < count:
+        if has_unknown(i, count, matrix):
             x[i] = x[i] + alpha * system.direction[count - old + i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
@@ -148,13 +161,16 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
 
 
 @functools.cache
-def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
-    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
+def resident_solver(
+    scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK, sparse: bool = False
+):
+    """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. In a
+    `sparse` system most rows may be without an unknown, and these rows are skipped.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
-    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
+    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid, sparse)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
 

@@ -159,6 +159,9 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
         free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
+        # Numbers of the rows with unknowns, in increasing order, shape (n,). CPU flows on a grid only; else empty.
+        used: wp.array(dtype=wp.int32)
+        used_count: wp.array(dtype=wp.int32)  # Number of entries of `used`, shape (1,).
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
         grain_rows: wp.int32  # Number of matrix rows of particles in rigid grains; they precede the mortar's rows.
         grains: Grains
@@ -245,10 +248,11 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def slope_of_pair(pair_weight: scalar, d: t.vec, difference: scalar) -> t.vec:
-        """Return the contribution of a neighbour to the corrected gradient.
+        """Return the contribution of a neighbouring particle to the corrected gradient.
 
-        `d` is the vector to the neighbour and `difference` the difference of the field. `pair_weight` is the weight
-        of the Laplacian, which equals the weight of the gradient over the squared distance.
+        `d` is the vector to the neighbour, and `difference` is the neighbour's value of the field minus the particle's
+        own. `pair_weight` is the weight of the pair in the Laplacian. It equals the weight in the gradient divided by
+        the squared distance.
         """
         return (pair_weight * wp.length_sq(d) * difference) * d
 
@@ -256,8 +260,8 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
     def inverse(m: t.mat) -> t.mat:
         """Return the inverse of a moment matrix.
 
-        If too few neighbours make the matrix nearly singular, the result is the inverse of a multiple of the identity
-        matrix that has the same trace.
+        If a particle has too few neighbours, the matrix is nearly singular. The result is then the inverse of a
+        multiple of the identity matrix that has the same trace.
         """
         mean = wp.trace(m) / scalar(dimensions)
         whole = mean
@@ -276,11 +280,11 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 
 def row_place(serial: bool):
-    """Return the function that computes the index of a neighbour list entry in the flat array of all entries.
+    """Return the function that computes where an entry of a neighbour list is stored in the flat array of all entries.
 
-    Its arguments are (row, entry, rows, capacity); each particle has one row. A CPU reads one row after the other, so
-    the entries of a row are contiguous. Neighbouring threads of a GPU read entries with the same number in neighbouring
-    rows, so there these entries are contiguous.
+    Its arguments are (row, entry, rows, capacity), and each particle has one row. On a CPU (`serial`), the entries of a
+    row are contiguous, because a CPU reads one row after the other. On a GPU, neighbouring threads read entries with
+    the same number in neighbouring rows, so these entries are contiguous instead.
     """
     return place_by_row if serial else place_by_entry
 

@@ -1,7 +1,8 @@
 """Conjugate gradients whose preconditioner contains the coarse grid of `coarse.py`; a whole solve is one kernel.
 
-The structure is that of `conjugate_gradient.py` and `resident_solver.py`, which use the diagonal alone: on a CPU every
-thread processes some chunks of rows, and on a GPU the blocks stay resident and meet at barriers.
+The structure is that of `conjugate_gradient.py` and `resident_solver.py`, whose preconditioner is the diagonal of the
+matrix alone. On a CPU every thread processes some chunks of rows. On a GPU the blocks stay resident and meet at
+barriers.
 """
 
 import functools
@@ -58,10 +59,10 @@ def serial_correction(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def serial_two_level(scalar, dimensions: int, vector: bool):
-    """Build the CPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the CPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    Each thread launches the kernel with a single task. The parameters are those of `serial_solver` in
-    `conjugate_gradient.py`.
+    The preconditioner contains the coarse grid. Each thread launches the kernel with a single task. The parameters are
+    those of `serial_solver` in `conjugate_gradient.py`.
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
@@ -74,8 +75,8 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
     def turn(first: wp.int32, end: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
         """Compute the new search direction of each row from the preconditioned residual and the old direction.
 
-        The preconditioned residual is the residual divided by the diagonal, which `product` holds, plus the coarse
-        solution.
+        The preconditioned residual is the sum of two terms: the residual divided by the diagonal, which is stored in
+        `product`, and the coarse solution.
         """
         for i in range(first, end):
             now = system.product[i]
@@ -85,14 +86,17 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # The next arguments are the flow's parameters (only the number of rows is read), the error code that is stored
-        # if the solve fails, the relative tolerance, and the maximum number of iterations.
+        # The next arguments are:
+        # - the flow's parameters, of which only the number of rows is read,
+        # - the error code that is stored if the solve fails,
+        # - the relative tolerance,
+        # - the maximum number of iterations.
         flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the number of all chunks, the range of this thread's chunks, the number of threads, and
-        # the barrier at which they wait for each other.
+        # The rows of the equations are divided into chunks. The next arguments are the number of all chunks, the range
+        # of this thread's chunks, the number of threads, and the barrier at which the threads wait for each other.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
@@ -185,10 +189,11 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
-    """Build `correct`, which solves the coarse equations for the current residual on a GPU, with one warp per cube.
+    """Build `correct`, which solves the coarse equations for the current residual on a GPU.
 
-    It returns the index at which the coarse solution begins in the array `lift`. The caller must place a barrier
-    between the computation of the residual and the call of this function; the function itself ends with a barrier.
+    Each warp computes one cube at a time. `correct` returns the index at which the coarse solution begins in the array
+    `lift`. The caller must place a barrier between the computation of the residual and the call of `correct`, which
+    itself ends with a barrier.
     """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -217,9 +222,10 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
 
 @functools.cache
 def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
-    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
+    The caller launches `parties` blocks of `width` threads, which wait for each other at barriers. If `width` is WIDE,
+    `parties` must be 1.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     total = block_sums(width).total

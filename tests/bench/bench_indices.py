@@ -1,4 +1,4 @@
-"""Measures what notebooks/indices.md shows: wear of pipe units, and blockage over the width of an orifice.
+"""Measures what notebooks/validation/wear.md shows: wear of pipe units, and blockage over the width of an orifice.
 
 PYTHONPATH=tests python tests/bench/bench_indices.py wear [--device cuda] | blockage [--seeds 6] | cost
 """

@@ -3,7 +3,7 @@
     python tests/bench/bench_pipe_units.py --device cuda --out units      # clumps on a GPU, about half a minute
     python tests/bench/bench_pipe_units.py --device cpu --shapes spheres  # about a minute and a half a unit
 
-Prints device, sizes, repeats (seeds), the Markdown table of notebooks/pumping.md, and what each run took.
+Prints device, sizes, repeats (seeds), the Markdown table of notebooks/validation/pumping.md, and what each run took.
 """
 
 import argparse

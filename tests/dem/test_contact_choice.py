@@ -239,7 +239,7 @@ def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
 
 def guide_law(folder):
     """Save the law that the guide shows as it says."""
-    text = (Path(__file__).parents[2] / "notebooks" / "guide.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "notebooks" / "how-to" / "own-contact-law.md").read_text(encoding="utf-8")
     (block,) = [each for each in re.findall(r"```python\n(.*?)```", text, re.S) if "class Sticky" in each]
     (folder / "sticky.py").write_text(block)
 

@@ -89,28 +89,30 @@ def restarted() -> list[float]:
 
 SEGREGATIONS = (-0.6, -0.2, 0.2)
 QUICK = {
-    "the paper's case": Told("guide.md", rf"at 1500 cm3/s: {N} kPa in the pipe, {N} between planes, {N} as the paper",
+    "the paper's case": Told("how-to/closed-form.md",
+        rf"at 1500 cm3/s: {N} kPa in the pipe, {N} between planes, {N} as the paper",
         lambda: printed("theory --concrete no1 --flow 1500e-6", rf"pipe [\d.]+ {N}", rf"plane [\d.]+ {N}",
                         rf"paper [\d.]+ {N}", factor=1e-3)),
-    "the paper's case of a mix": Told("mix.md", rf"Xu's case from `xu-no1`, the paper's form \| 9\.40 kPa \| {N} kPa",
+    "the paper's case of a mix": Told("validation/mix.md",
+        rf"Xu's case from `xu-no1`, the paper's form \| 9\.40 kPa \| {N} kPa",
         lambda: printed("theory --concrete xu-no1 --flow 1500e-6", rf"paper [\d.]+ {N}", factor=1e-3)),
-    "its mortar": Told("mix.md", rf"its mortar \| 2190 kg/m3 \| {N} kg/m3",
+    "its mortar": Told("validation/mix.md", rf"its mortar \| 2190 kg/m3 \| {N} kg/m3",
         lambda: printed("mix xu-no1", rf"mortar's density {N}")),
-    "a soft mix": Told("mix.md", rf"650 mm are {N} Pa, {N} to {N}\.",
+    "a soft mix": Told("validation/mix.md", rf"650 mm are {N} Pa, {N} to {N}\.",
         lambda: printed("mix example-scc", rf"yield stress {N} Pa {N} to {N}")),
-    "its viscosity": Told("mix.md", rf"instead of {N} for the file of the notebook \({N} Pa s\)",
+    "its viscosity": Told("explanation/mix-properties.md", rf"instead of {N} for the file of the notebook \({N} Pa s\)",
         lambda: printed("mix example-scc", r"viscosity [\d.]+ Pa s [\d.]+ to ([\d.]+)", rf"viscosity {N}")),
-    "Burj Khalifa": Told("line_methods.md",
+    "Burj Khalifa": Told("validation/lines-by-flow.md",
         rf"Burj Khalifa, 576 m up, 83 m along \| 17\.1 MPa \| {N} \| {N} to {N} ",
         lambda: record("burj-khalifa")),
-    "Shanghai Tower": Told("line_methods.md",
+    "Shanghai Tower": Told("validation/lines-by-flow.md",
         rf"Shanghai Tower, 582 m up, 150 m along \| 23\.4 MPa \| {N} \| {N} to {N} ",
         lambda: record("shanghai-tower")),
-    "their weight": Told("line_methods.md", rf"{N} and {N} MPa of them are weight",
+    "their weight": Told("validation/lines-by-flow.md", rf"{N} and {N} MPa of them are weight",
         lambda: [weight(name) for name in ("burj-khalifa", "shanghai-tower")]),
-    "a restart": Told("strokes.md", rf"1 kPa, no rest \| \| \| \| {N} \|.*?whole structure \| \| \| \| {N} \|",
+    "a restart": Told("how-to/strokes.md", rf"1 kPa, no rest \| \| \| \| {N} \|.*?whole structure \| \| \| \| {N} \|",
         restarted),
-    **{f"segregation of {label}": Told("indices.md", rf"\| {label} \| {N} \| {N} \| 1 \| {N} \|",
+    **{f"segregation of {label}": Told("validation/wear.md", rf"\| {label} \| {N} \| {N} \| 1 \| {N} \|",
         lambda more=more, share=share: [unmixed(s, more, share) for s in SEGREGATIONS])
        for label, more, share in (
            ("no1 with its slip layer", "--concrete no1", "0.36"), ("no3 with its slip layer", "--concrete no3", "0.36"),
@@ -126,10 +128,10 @@ def test_figures_of_closed_forms(what):
 
 def test_the_line_that_the_page_shows(tmp_path):
     """The file is taken from the page; its band was computed by flows, whose bends lie a little above theory."""
-    text = (ROOT / "notebooks" / "line_methods.md").read_text()
+    text = (ROOT / "notebooks" / "theory" / "lines.md").read_text()
     (tmp_path / "site.yaml").write_text(text.partition("```yaml\n")[2].partition("```")[0])
     simulated, theory, low, high = map(
-        float, figures("line_methods.md", rf"two CPU cores: {N} bar, {N} by theory; {N} to {N} with a slip layer")
+        float, figures("theory/lines.md", rf"two CPU cores: {N} bar, {N} by theory; {N} to {N} with a slip layer")
     )
     found = printed(f"line {tmp_path / 'site.yaml'} ", rf"pump {N} bar .*?; {N} to {N} bar",
                     rf"straight pipe, {N} bar")  # fmt: skip
@@ -161,7 +163,7 @@ def test_errors_of_flows(device, row):
     """To the digit that the page has, and within what the README promises of cells of 5 mm."""
     given = dict(FLOWS[row])
     result = Simulation(getattr(scenes, given.pop("name"))(concrete="no1", **given), device=device).run().result
-    told = figures("fluid_pipes.md", rf"\| {re.escape(row)} \| [\d,]+ \| {N} % \| \+?{N} % \| {N} % \|")
+    told = figures("validation/flow-pipes.md", rf"\| {re.escape(row)} \| [\d,]+ \| {N} % \| \+?{N} % \| {N} % \|")
     agree(told, errors(result), SIMULATED)
     (promised,) = figures("README.md", rf"Pressure and slip of a flow within {N} % at 5 mm")
     assert row.endswith("10 mm") or max(map(abs, errors(result)[:2])) < float(promised)
@@ -179,5 +181,5 @@ def test_what_bends_and_reducers_cost(row):
     """Compare the page with the first concrete's losses over straight pipe, on a CPU as the page's are."""
     line = line_of({"diameter": 0.15, "parts": [{"straight": 1}, PARTS[row], {"straight": 1}]})
     found = run_line(line, concrete_of("no1"), 30 / 3600, cells=12, simulate=True, device="cpu")
-    told = figures("line_methods.md", rf"\| {row} \| {N} \| 1\.1\d\d \| 1\.1\d\d \| \d+ \|")
+    told = figures("validation/lines-by-flow.md", rf"\| {row} \| {N} \| 1\.1\d\d \| 1\.1\d\d \| \d+ \|")
     agree(told, [found.losses[1].friction / found.losses[1].theory], SIMULATED)

@@ -1,5 +1,7 @@
 """Flows of concrete that obeys the Herschel-Bulkley or the modified Bingham law, in bulk or slip layer, and theory."""
 
+import functools
+
 import numpy as np
 import pytest
 import warp as wp
@@ -95,11 +97,24 @@ def test_a_flow_of_another_law_goes_on_from_a_checkpoint_with_the_same_bits(devi
 # Columns of particles.
 
 
+@functools.cache
+def column(kind, device, **law):
+    spacing = 5e-3 if kind == "channel" else 10e-3
+    return Simulation(getattr(scenes, kind)(ends="piston", spacing=spacing, **law), device=device).run()
+
+
+def sheared(run):
+    """Return the part of the mean velocity that is not slip, measured and by theory; the law of the bulk decides it."""
+    return np.array([U - run.result[name]["value"] for name in ("slip_velocity", "slip_velocity_theory")])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [*BULKS[:4], {"quadratic_viscosity": 300.0}], ids=names)
 def test_particles_of_another_law(device, kind, law):
-    spacing = 5e-3 if kind == "channel" else 10e-3
-    run = Simulation(getattr(scenes, kind)(ends="piston", spacing=spacing, **law), device=device).run()
+    run = column(kind, device, **law)
+    measured, theory = sheared(run) - sheared(column(kind, device))
+    # The shift from Bingham's law: measured 0.90 to 1.08 of the theory's at 5 mm, 0.66 to 1.38 at 10 mm.
+    assert abs(measured / theory - 1) < (0.12 if kind == "channel" else 0.45)
     assert run.result["steady"] and abs(run.result["pressure_error"]) < 2e-3  # measured 1.3e-3
     assert abs(run.result["wall_stress_error"]) < 4e-3  # measured 2.2e-3
     assert abs(run.result["slip_velocity_error"]) < 8e-3 and run.result["profile_error"] < 6e-3
@@ -119,10 +134,14 @@ def test_particles_on_a_layer_of_another_law(device, kind, law):
 
 def test_two_phases_of_another_law(device):
     """Aggregate in a mortar that thickens makes the concrete that it was derived from."""
-    scene = scenes.channel(aggregates=True, flow_index=1.3, duration=0.02, spacing=5e-3)
-    assert scene.aggregates.mortar.flow_index == 1.3 and scene.aggregates.mortar.viscosity < 397.0
+    scene, plain = (
+        scenes.channel(aggregates=True, duration=0.02, spacing=5e-3, **law) for law in ({"flow_index": 1.3}, {})
+    )
+    mortar = scene.aggregates.mortar
+    assert mortar.flow_index == 1.3 and mortar.viscosity < 0.9 * plain.aggregates.mortar.viscosity
     run = Simulation(scene, device=device).run()
-    assert run.finished and abs(run.result["pressure_error"]) < 0.03
+    # Measured 1.6e-3 and 7.1e-3. The bulk carries 3 % of the flow, so its law moves the pressure by 1e-3 only.
+    assert run.finished and abs(run.result["pressure_error"]) < 3e-3 and abs(run.result["wall_stress_error"]) < 0.012
 
 
 # Bingham's law itself.

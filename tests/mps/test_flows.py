@@ -294,7 +294,7 @@ def test_steadiness_is_judged_over_time_not_rows(device):
 
 
 def test_printed_scheme_halves_the_pressure(monkeypatch):
-    """Check the claims of notebooks/fluid_theory.md: a factor of 2 in the gradient, and volume that is lost."""
+    """Check the claims of notebooks/theory/particles.md: a factor of 2 in the gradient, and volume that is lost."""
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "notebooks")
     run = importlib.import_module("paper_scheme").run_printed(spacing=10e-3, duration=0.2)
     assert -0.55 < run.result["pressure_error"] < -0.4

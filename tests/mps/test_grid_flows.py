@@ -160,7 +160,7 @@ def test_start_up_follows_the_solution_in_one_dimension(device, kind):
 
 def grid_of(device, kind="channel", precision="float64", **given):
     scene = dataclasses.replace(periodic(kind, spacing=10e-3, length=0.1, **STICKING | given), precision=precision)
-    return GridFlow(GridState(scene, pipe_layout(scene), find_device(device), precision))
+    return GridFlow(GridState(scene, pipe_layout(scene), find_device(device), precision), threads=1)
 
 
 def stages_through(flow, name):

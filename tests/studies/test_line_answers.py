@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from warpcrete import SceneError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
-from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences
+from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS, MODEL_ERRORS, VALVE_PRESSURE, library_factor
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.result import Stop, lines_of
@@ -22,6 +22,7 @@ from warpcrete.theory.pipe import Concrete
 PLUG = Concrete(density=2400.0, viscosity=1e6, yield_stress=1e9, slip_viscosity=1000.0, slip_yield=50.0)
 """A plug that slides along the wall: friction per metre is 4 (50 + 1000 v) / d."""
 FLOW = 0.005
+SOFT = Concrete(density=2400.0, viscosity=30.0, yield_stress=60.0, slip_viscosity=1000.0, slip_yield=20.0)
 BEND = 0.25 * math.pi * (1 + 0.023 + 0.1 / 0.15 * 0.019)
 """Metres of straight pipe for a bend of radius 0.5 m, by the table of simulated bends."""
 METRE = 4 * (50 + 1000 * FLOW / (math.pi * 0.125**2 / 4)) / 0.125
@@ -187,6 +188,51 @@ def test_a_pump_is_compared_with_its_data_sheet():
 def test_pumps_that_cannot_be_are_refused(pump, says):
     with pytest.raises(SceneError, match=says):
         line({"straight": 1}, pump=pump)
+
+
+def test_a_pressure_that_no_pump_delivers_is_remarked():
+    assert not any("no concrete pump" in x for x in pumped({"straight": 100}).remarks())
+    far = pumped({"straight": 40e5 / METRE * 11})
+    assert far.pressure > 400e5 and any("deliver more than 400 bar" in x for x in far.remarks())
+    assert pressure_text(6894757.0) == "68.95 bar (6.89 MPa, 1000 psi)"
+
+
+SHARP = """\
+diameter: 125 mm
+flow: 20 m3/h
+concrete: no1
+parts:
+  - straight: 10 m
+  - bend: {to: left, radius: 0.5 m}
+  - reducer: {to: 100 mm, length: 0.1 m}
+"""
+
+
+def test_parts_that_no_table_covers_are_simulated(tmp_path, monkeypatch):
+    """The command simulates them without being asked, but not with --theory, and not if the table covers all parts."""
+    path, calls = tmp_path / "sharp.yaml", []
+    path.write_text(SHARP, encoding="utf-8")
+    monkeypatch.setattr("warpcrete.cli.line_simulated.run", lambda *given: calls.append(given[-1]))
+    done = CliRunner().invoke(cli, ["line", str(path), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0 and calls == [True], done.output
+    assert "note: part 3, 125 to 100 mm, is sharper than all parts in the table" in done.output
+    CliRunner().invoke(cli, ["line", str(path), "--simulate", "--out", str(tmp_path / "all")])
+    assert calls == [True, False]
+    answer = CliRunner().invoke(cli, ["line", str(path), "--theory"])
+    assert "sharper than all parts of the library" in answer.output
+    path.write_text(SHARP.replace("0.1 m", "1 m"), encoding="utf-8")
+    assert "pressure at the pump" in CliRunner().invoke(cli, ["line", str(path)]).output and len(calls) == 2
+
+
+@pytest.mark.thorough
+def test_other_parts_keep_the_answer_of_the_table(device):
+    """Only the sharp reducer is simulated; the pipe and the bend have the friction of the answer by theory."""
+    made = line({"straight": 10}, {"bend": "left"}, {"reducer": {"to": 0.1, "length": 0.1}})
+    plain = run_line(made, SOFT, FLOW)
+    found = run_line(made, SOFT, FLOW, simulate=True, unless_known=True, cells=8, device=device)
+    assert [x.friction for x in found.losses[:2]] == [x.friction for x in plain.losses[:2]] and len(found.took) == 1
+    assert found.losses[2].friction == pytest.approx(plain.losses[2].friction, rel=0.3)
+    assert found.losses[2].friction > found.losses[2].theory
 
 
 def test_a_restart_has_a_band():

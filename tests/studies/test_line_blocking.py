@@ -45,6 +45,17 @@ def test_the_narrowest_part_is_simulated_with_dry_stones_of_true_size():
     assert scene.pipe.travel == pytest.approx(0.32)  # at least two windows
 
 
+def test_the_largest_stone_of_a_line_is_simulated():
+    """Of a concrete without a sieve curve; the sizes keep their ratios, also when they are enlarged."""
+    for coarse, largest in ((1.0, 0.016), (1.5, 0.024)):
+        line = line_of(LINE | {"largest_stone": "16 mm"})
+        own = _parameters(line.parts[1], line, "zhan", 1e-3, Elements(coarse=coarse), 7)
+        usual = _parameters(line.parts[1], line_of(LINE), "zhan", 1e-3, Elements(coarse=coarse), 7)
+        assert scenes.part_dem(**own).fill.sizes.largest == pytest.approx(largest)
+        assert own["size_min"] / usual["size_min"] == pytest.approx(0.016 / 0.020)
+        assert own["plug_ball"] / usual["plug_ball"] == pytest.approx(0.016 / 0.020)
+
+
 def test_blocked_failed_and_short_runs_are_counted():
     own = _parameters(line_of(LINE).parts[1], line_of(LINE), "zhan", 1e-3, Elements(coarse=1.0), 0)
     results = {

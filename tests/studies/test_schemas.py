@@ -64,7 +64,12 @@ def test_what_is_shipped_and_shown_is_valid():
 
 @pytest.mark.parametrize(
     ("page", "kinds"),
-    [("mix.md", ["mix"]), ("lines.md", ["line", "mix"]), ("line_methods.md", ["line"]), ("concretes.md", ["concrete"])],
+    [
+        ("how-to/mix.md", ["mix"]),
+        ("how-to/pump-pressure.md", ["line", "mix"]),
+        ("theory/lines.md", ["line"]),
+        ("how-to/concrete-file.md", ["concrete"]),
+    ],
 )
 def test_files_in_the_pages_are_valid(page, kinds):
     text = (ROOT / "notebooks" / page).read_text(encoding="utf-8")

@@ -97,7 +97,7 @@ def test_a_third_of_the_groups_is_held_out_and_no_fitted_one():
 
 
 def test_shipped_predictions_of_pipes_hold():
-    """Figures of notebooks/validation.md: held-out pipes and self-compacting over ordinary concrete."""
+    """Figures of notebooks/validation/measurements.md: held-out pipes and self-compacting over ordinary concrete."""
     found = validate(kinds=["pipe", "ratio", "line", "layer"], quick=True)
     assert not found.refused
     pipes = {each.chosen: each for each in found.summaries() if each.kind == "pipe"}

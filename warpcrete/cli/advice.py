@@ -16,10 +16,12 @@ from ..studies.tradeoffs.advice import advise, nearest_shipped
 def chosen(
     name: str, module: Any, parameters: dict[str, Any], accuracy: str | None, trade: Path | None, device: str | None
 ) -> dict[str, Any]:
-    """Return the parameters to change for the requested accuracy, from a trade-off in a folder or a shipped one.
+    """Return the parameters to change so that the run reaches the requested accuracy in the shortest time.
 
-    The function prints to stderr what was chosen, the expected error, and where this error has not been measured.
-    Raises :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.
+    They come from a trade-off between speed and accuracy that was measured before: from the folder `trade`, or from one
+    that is shipped with the package. The function prints to stderr which settings it chose, their expected error, and
+    under which conditions this error was not measured. Raises :class:`click.UsageError` if no trade-off is available or
+    the accuracy is not a percentage.
     """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': has no effect without --accuracy; add, for example, --accuracy 5%")

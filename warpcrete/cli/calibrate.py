@@ -22,11 +22,11 @@ ONE = {
     "precision": str, "processes": int, **ON_WORKERS,
 }  # fmt: skip
 CHANGEABLE_SETTINGS = ("trials", "processes", *ON_WORKERS)
-"""Names of settings that may differ when a calibration is continued."""
+"""Names of the command's settings that may be changed when an interrupted calibration continues."""
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a calibration, and print its results."""
+    """Start a new calibration or continue an interrupted one, and print its results."""
     targets, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)
@@ -67,7 +67,7 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
 
 
 def report(found: Calibration) -> None:
-    """Print the tables of results, notes on their limits, and the path of the folder."""
+    """Print the tables of results, notes on what the data leave open, and the path of the folder."""
     click.echo()
     if found.posterior is not None:
         click.echo("\n".join([*parameter_table(found), "", *target_table(found), ""]))

@@ -1,4 +1,4 @@
-"""Preparation of the output streams of the command line."""
+"""Preparation of the command line's output streams for terminals that cannot show all characters."""
 
 from __future__ import annotations
 

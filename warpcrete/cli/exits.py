@@ -1,4 +1,4 @@
-"""Exit codes of the command."""
+"""Exit codes of the `warpcrete` command for failed checks and for interrupted runs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Command `warpcrete line`: the pressure that a pipeline needs at its start.
 
-The answer by theory must not import the simulations; `line_simulated` does.
+This module does not import the simulations, because they take longer to load than an answer by theory takes. The module
+`line_simulated` imports them, and is loaded only when a simulation is requested.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.mix import Mix
 from ..studies.lines.fit import fit_line, fit_lines, read_taps
+from ..studies.lines.fittings import is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.result import Stop, lines_of
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
@@ -44,8 +46,14 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         if given.guessed:
             raise click.UsageError("blocking: needs the file of a concrete; write a mix, and give it as --concrete")
         out = out or next_folder("line")
-    if simulate or method != "flow":
-        if _simulated(given, method, out, stop, settings):
+    requested = simulate or method != "flow"
+    at_once = theory or given.guessed or settings["fit"] is not None
+    unknown = [] if requested or at_once else [part for part in given.line.parts if not is_in_library(part)]
+    for part in unknown[:1]:
+        click.echo(f"note: part {part.number}, {part.label}, is sharper than all parts in the table of simulated "
+                   "parts, so it is simulated now; --theory answers without", err=True)  # fmt: skip
+    if requested or unknown:
+        if _simulated(given, method, out, stop, settings, unless_known=not requested):
             raise SystemExit(CHECK_FAILED)
         return
     pipes, concrete, layer, fit = given.line, given.concrete, _layer(given.mix, settings), None
@@ -75,7 +83,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 
 
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
-    """Refuse options that contradict each other or have no effect."""
+    """Refuse command-line options that contradict each other, or that have no effect together with the others."""
     if theory and method != "flow":
         raise click.UsageError(
             "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"
@@ -107,7 +115,12 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 
 
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the uncertainty of the concrete: the bands of its mix, or the factor of its slip layer."""
+    """Return the uncertainty of the concrete as keyword arguments for computing a line.
+
+    If the concrete has a mix and no option states a factor, the uncertainty consists of pairs of concretes. The two
+    concretes of a pair have a property at the lower and at the upper end of its band. In all other cases, the
+    uncertainty is a factor, which states how wrong the resistance of the slip layer may be.
+    """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:
         return {"variants": mix.variants}
@@ -115,16 +128,20 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _simulated(
-    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any]
+    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any],
+    unless_known: bool,
 ) -> bool:  # fmt: skip
-    """Simulate the parts of a line, print its pressure, and return whether a check of a part failed."""
+    """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed.
+
+    With `unless_known`, only parts that the table of simulated parts does not cover are simulated.
+    """
     if given.guessed:
         raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")
     job = importlib.import_module(f"{__package__}.line_simulated")
     folder = out or next_folder("line")
     with _interruptible(folder):
         return job.run(given, method, folder, _layer(given.mix, settings), stop, settings,
-                       lambda: _judge_blocking(given.line, given, folder, settings))  # fmt: skip
+                       lambda: _judge_blocking(given.line, given, folder, settings), unless_known)  # fmt: skip
 
 
 @contextmanager
@@ -147,7 +164,10 @@ def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, sett
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
-    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
+    """Print the verdicts of the rules of practice on blocking of the line.
+
+    The verdicts are also written to blocking.json in the folder of the line, if there is one.
+    """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)
     where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"

@@ -15,7 +15,10 @@ from ..studies.lines.elements import Elements
 
 
 def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> None:
-    """Simulate the narrowest part with many seeds and print the probability; `settings` are the command's options."""
+    """Simulate the line's narrowest part with many seeds, and print the probability that concrete blocks there.
+
+    `settings` are the command's options.
+    """
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "stiffer")})
     with progress_bar(settings["quiet"]) as tell:
         found = run_blocking(

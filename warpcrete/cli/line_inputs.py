@@ -21,32 +21,32 @@ from ..studies.lines.losses import read_line, with_stone
 from ..theory.pipe import Concrete
 
 DENSITY = 2350.0
-"""Density of a concrete of which only the slump or the spread is known [kg/m3]."""
+"""Density [kg/m3] that is assumed for a concrete of which the user states only the slump or the spread."""
 FINEST = 4e-3
-"""Smallest coarse aggregate of a concrete of which only the largest stone is known [m]."""
+"""Diameter of the smallest coarse aggregate [m] that is assumed if the user states only the largest stone."""
 SHAPE = ("diameter", "length", "rise")
-"""Options that describe a straight line without a file."""
+"""Options that describe a straight line, so that no file of a line is necessary."""
 EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
 
 
 @dataclass(frozen=True)
 class LineInputs:
-    """Inputs of the command: a line, a concrete and a flow."""
+    """Inputs of the command `warpcrete line`: a line, a concrete and a flow."""
 
     line: PipeLine
     name: str
-    """Name or file of the concrete, or its slump or spread in words."""
+    """Name or file of the concrete; if only slump or spread are known, a text that states them."""
     mix: Mix | None
     """Mix of the concrete; None for a concrete without a mix."""
     flow: float | None
     """Volume flow [m3/s]; None if neither the line nor an option states it."""
 
     guessed: bool = False
-    """True if the concrete is known by its slump or spread alone."""
+    """True if the user stated only the slump or spread of the concrete."""
 
     @property
     def concrete(self) -> Concrete:
-        """Concrete as a flow."""
+        """The concrete's flow properties: a yield stress fluid with a slip layer."""
         return self.mix.concrete if self.guessed and self.mix is not None else concrete_of(self.name)
 
 
@@ -82,7 +82,7 @@ def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = ""
 
 
 def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
-    """Return the line of a file; options of a line without a file are refused."""
+    """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise`, which replace a file."""
     for name in SHAPE:
         if settings[name] is not None:
             raise click.UsageError(f"{name}: cannot be given together with the file of a line; leave out one of them")
@@ -90,7 +90,7 @@ def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _straight(settings: Mapping[str, Any]) -> PipeLine:
-    """Return a straight line from options."""
+    """Return a line that consists of one straight pipe, from the options `diameter`, `length` and `rise`."""
     if all(settings[name] is None for name in SHAPE):
         raise click.UsageError(f"line: is missing; give its file, or a straight line as {EXAMPLE}")
     diameter, length = _amount("diameter", settings, "m"), _amount("length", settings, "m")
@@ -108,7 +108,7 @@ def _straight(settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
-    """Return the mix of a concrete of which only slump or spread are known, or None if neither is given."""
+    """Return a mix made from the slump, spread and largest stone on the command line; None if none was given."""
     cones = {name: settings[name] for name in ("slump", "spread") if settings[name] is not None}
     if not cones:
         return None
@@ -123,7 +123,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 
 
 def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
-    """Return the flow [m3/s] that an option states, or else that of the line."""
+    """Return the flow [m3/s] from the command's option; without the option, that from the file of the line."""
     rate = _amount("flow", settings, "m3/s")
     if rate is None:
         if line.flow is None and settings["fit"] is None:
@@ -135,7 +135,10 @@ def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
 
 
 def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
-    """Return the line with the pump that options state, which replace entries of the line's own pump."""
+    """Return the line with a pump whose limits come from the command's options.
+
+    If no option states a limit, the limit of the line's own pump holds.
+    """
     stated = {key: value for key, value in limits.items() if value is not None}
     if not stated:
         return line

@@ -1,4 +1,4 @@
-"""Simulated answers of `warpcrete line`: by flows, by discrete elements, or by both."""
+"""Run the simulations of `warpcrete line` by flows, by discrete elements, or by both, and print their results."""
 
 from __future__ import annotations
 
@@ -25,18 +25,21 @@ from .line_inputs import LineInputs
 
 def run(
     given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
-    settings: Mapping[str, Any], finish: Callable[[], None],
+    settings: Mapping[str, Any], finish: Callable[[], None], unless_known: bool = False,
 ) -> bool:  # fmt: skip
-    """Simulate a line, print its pressure, and return whether a check of a part failed.
+    """Simulate a line, print its pressure, and return True if a simulated part failed a check.
 
-    `layer` holds the uncertainty of the concrete as arguments of `run_line`, and `settings` the options of the command.
-    `finish` is called when the result has been printed, while the folder is locked.
+    `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
+    the command. With `unless_known`, only parts that no table covers are simulated. The function calls `finish` after it
+    has printed the result, while the folder is still locked.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
     asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
              "cells": settings["cells"], "elements": fingerprint(elements)}  # fmt: skip
+    if unless_known:
+        asked["simulated"] = "parts that no table covers"
     if settings["blocking"] is not None:
         asked["blocking"] = settings["blocking"]
     where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
@@ -44,8 +47,8 @@ def run(
     with progress_bar(settings["quiet"]) as tell, line_folder(folder, asked):
         if method != "dem":
             found = run_line(
-                line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop, progress=tell,
-                **layer, **where,
+                line, concrete_of(name), rate, simulate=True, unless_known=unless_known, cells=settings["cells"],
+                stop=stop, progress=tell, **layer, **where,
             )  # fmt: skip
         if method != "flow":
             packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)

@@ -19,7 +19,8 @@ from .scene_commands import LazyGroup, by_method, load, scenes
 from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
 
 EXIT_TIMEOUT = 3.0
-"""Time after which a command that has met a full disk is ended by force [s]."""
+"""Time that a command has to end by itself after the disk became full [s]. After this time, the process is killed,
+because libraries may wait for disk space without end."""
 
 
 @click.group()
@@ -71,7 +72,7 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
 
 
 class TheoryCommand(click.Command):
-    """Command with one option for each parameter of the scene functions that simulate flows."""
+    """Command that has one option for each parameter of flow scenes that the closed form uses."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*load("options").parameter_options(load("theory").fields().values()), *super().get_params(ctx)]
@@ -320,7 +321,7 @@ _add_command("calibrate", CALIBRATE_HELP, list)
 
 
 def _fail(text: str, code: int) -> NoReturn:
-    """Print an error as one line and exit."""
+    """Print an error message as one line to stderr, and end the program with the exit code `code`."""
     click.echo(f"error: {one_line(text)}", err=True)
     raise SystemExit(code) from None
 

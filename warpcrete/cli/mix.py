@@ -50,7 +50,7 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
 
 
 def plain(name: str, mix: Mix) -> dict[str, object]:
-    """Return the contents of a concrete's file with the sections `elements` and `flow` that follow from a mix."""
+    """Return the contents of a concrete's file, with the sections `elements` and `flow` calculated from a mix."""
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     elements = PipeParameters.implied({"concrete": name})
     return {"name": mix.name, "source": source, "elements": dict(elements), "flow": mix.flow}

@@ -1,4 +1,4 @@
-"""Values of options that are amounts with units, read without importing the simulations."""
+"""Functions that read option values with units, such as '10 min', without importing the simulations."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..core.inputs.limits import check_limit
 THIXOTROPY = 0.5
 """Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
 THIXOTROPY_BAND = (0.1, 1.0)
-"""Range of the growth rate of a concrete that was not measured [Pa/s]: from hardly any stiffening to a strong one
-(Roussel 2006)."""
+"""Usual range of the yield stress's growth rate at rest [Pa/s], for a concrete whose growth rate was not measured. The
+lower end stands for hardly any stiffening, and the upper end for strong stiffening (Roussel 2006)."""
 
 
 def option_amount(field: str, given: str | None, unit: str) -> float | None:
@@ -30,7 +30,10 @@ def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return the stated or usual rate A_thix [Pa/s]; refuse a stated rate if no time of rest is given."""
+    """Return the rate A_thix [Pa/s] at which the yield stress grows at rest: the stated rate, or the default.
+
+    Raises :class:`SceneError` if a rate is stated without a time of rest.
+    """
     if thixotropy is not None and rest is None:
         refuse("thixotropy", thixotropy, "needs the duration of the rest", "add, for example, --rest 600 for 600 s")
     return THIXOTROPY if thixotropy is None else thixotropy

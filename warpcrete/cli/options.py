@@ -17,13 +17,13 @@ from ..record.recorders import RECORDERS
 
 
 class ParameterOption(click.Option):
-    """Option of a declared parameter. Help pages list the option under the parameter's group."""
+    """Command-line option of a scene's parameter, with the group under which help pages list the option."""
 
     group = ""
 
 
 class GroupedCommand(click.Command):
-    """Command whose help page has a section for each group of parameters."""
+    """Command whose help page has one section for each group of its options."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {}

@@ -28,7 +28,7 @@ from .exits import CHECK_FAILED, INTERRUPTED
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
         "pipeline_other", "checkpoint_every", "threads")  # fmt: skip
-"""Settings stored in scene.json for a resumed run."""
+"""Names of the command's settings that are stored in scene.json, so that a resumed run uses them again."""
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
@@ -64,10 +64,11 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
 def run(
     name: str, module: Any, parameters: dict[str, Any], settings: dict[str, Any], *, going_on: bool = False
 ) -> None:
-    """Run a scene into a new folder, or continue the same run in its folder.
+    """Run a scene into a new folder, or continue the run in an existing folder.
 
-    An interrupted run continues from its checkpoint, or starts again if there is none. `settings` are the values of
-    :func:`warpcrete.cli.options.run_options` by name. `going_on` states that the folder already holds the run.
+    An interrupted run continues from its checkpoint. Without a checkpoint it starts again. `settings` holds the values
+    of the options that :func:`warpcrete.cli.options.run_options` defines, by name. `going_on` states that the folder
+    already holds the run.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
     there = going_on or (folder / "scene.json").is_file()
@@ -143,9 +144,9 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Check the options that describe a pipeline, and return the result of the run in the folder `pipeline_other`.
+    """Check the options on a pipeline's pressure, and return the result in the run folder `pipeline_other`.
 
-    The result is the contents of result.json, or None if the option is not used.
+    The result is the contents of that folder's result.json, or None if the option is not used.
     """
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():
@@ -181,7 +182,7 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the estimated pressure of the whole pipeline, as labels and texts for the printed report."""
+    """Return the printed line with the pipeline's estimated pressure, as label and text; none without the option."""
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:
@@ -194,7 +195,7 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
 def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
     """Print the main results of a run.
 
-    `more` holds labels and texts that are printed after the report of the simulation method.
+    `more` holds pairs of label and text. They are printed below the results of the simulation method.
     """
     result = run.result
 

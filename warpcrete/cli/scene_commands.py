@@ -106,7 +106,10 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
 
 def help_text(docstring: str) -> str:
-    """Return a docstring as help of a command, without the markup of Sphinx and the errors that Python raises."""
+    """Return a docstring as the help text of a command.
+
+    Sphinx markup and sentences on Python exceptions are left out.
+    """
     kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
     text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
     return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)

@@ -20,7 +20,7 @@ from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
 
 CASE_FAILED = 1
-"""Exit code of a study in which a case ended with an error."""
+"""Exit code of a parameter study in which a case ended with an error."""
 RECORDER_NAMES = tuple(kind.name for kind in RECORDERS)
 FLAGS = ("one-at-a-time", *RECORDER_NAMES, "quiet")
 ON_WORKERS = {"scheduler": str, "workers": int}
@@ -38,7 +38,8 @@ SETTINGS = {
 
 
 EXECUTION_SETTINGS = ("processes", *ON_WORKERS)
-"""Settings that determine on which devices or machines cases run; they may change when a study is continued."""
+"""Names of the settings that decide on which devices or machines the cases of a study run. These settings may change
+when a study is continued."""
 
 
 def _execution_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -74,7 +75,7 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a study, and print its table."""
+    """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
     with progress_bar(settings["quiet"]) as tell:
@@ -99,7 +100,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def report(study: Study) -> None:
-    """Print the table and the failed cases."""
+    """Print the table of results, the failed cases with their reasons, and the folder of the study."""
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
         click.echo(study.markdown())
@@ -123,7 +124,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
 
 
 def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
-    """Remove the options of the study itself from `options`, and return their values by name.
+    """Remove the settings of the parameter study from `options`, and return the values of these settings by name.
 
     The options that remain in `options` are parameters of the scene.
     """
@@ -157,7 +158,7 @@ def _resumed(
 
 
 def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
-    """Return the module of the scene that the record of a study names; `kind` is `study` or `trade`.
+    """Return the module of the scene to which the record of a study belongs; `kind` is `study` or `trade`.
 
     Raises :class:`RunFolderError` if the folder holds no such record, or if the scene does not exist in this version.
     """

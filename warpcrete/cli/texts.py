@@ -1,4 +1,4 @@
-"""Help texts of the command line."""
+"""Help text of the command `warpcrete mix`, which is too long for the module of the commands."""
 
 MIX_HELP = """Derive the properties of a concrete from its mix: `warpcrete mix MIX.yaml`.
 
@@ -108,10 +108,11 @@ Without a file, a straight line and a slump suffice: `warpcrete line --slump 180
 --length 190m --rise 20m --flow 30m3/h`.
 
 The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
-simulations. With --simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its
-pressure scaled with its length. --method dem simulates the parts with discrete elements, --method both with both
-methods, in one table. A folder (--out) holds line.md, line.json, line.png (pressure along the line) and the runs, which
-another line can reuse with --known. Two lines are shipped: burj-khalifa and shanghai-tower.
+simulations. Parts that are sharper than all earlier simulated ones are simulated now, unless --theory is given. With
+--simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its pressure scaled
+with its length. --method dem simulates the parts with discrete elements, --method both with both methods, in one
+table. A folder (--out) holds line.md, line.json, line.png (pressure along the line) and the runs, which another line
+can reuse with --known. Two lines are shipped: burj-khalifa and shanghai-tower.
 
 \b
   diameter: 125 mm

@@ -24,8 +24,8 @@ from ..theory.segregated import segregation_table
 from .option_amounts import growth_of
 
 LINE = ("length", "rise", "gravity")
-"""Properties of a pipeline that the command takes as parameters of the same names. The pipeline's radius is half the
-parameter `diameter`."""
+"""Properties of a pipeline that are also options of the command `theory`. The radius is missing here, because the
+command has the option `diameter` instead."""
 
 
 def fields() -> dict[str, Field]:

@@ -75,7 +75,7 @@ def _resumed(
 
 
 def report(trade: Trade) -> None:
-    """Print the tables and the path of the folder."""
+    """Print the tables of a speed-accuracy trade-off, the path of its folder, and the command that continues it."""
     click.echo()
     if trade.points and trade.given.results:
         click.echo(table(trade))

@@ -15,7 +15,7 @@ from ..verification import flow_extremes
 from ..verification.figure import draw
 
 FAILED = 1
-"""Exit code if one of the results is wrong."""
+"""Exit code if at least one result lies outside its tolerance."""
 
 
 def run(device: str | None, precision: str, only: str, quick: bool, extremes: bool, out: Path | None) -> None:

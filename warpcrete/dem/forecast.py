@@ -37,13 +37,14 @@ from .simulation import SETTLING_PARTS, ElementSimulation
 # would leave less.
 LEAST = 0.1
 TIMING_TIME = 0.7  # wall time for which steps are timed [s]
-# Maximum number of spheres of the timed copy of a scene, on a GPU (True) or a CPU (False). With more spheres the time
-# per sphere is constant.
+# The forecast times a copy of the scene with at most this number of spheres, on a GPU (True) or a CPU (False). With
+# more spheres the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. It is
 # shorter in a bend, where neighbours move relative to each other; in a straight pipe, concrete moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
-# ratio of the number of bonds in a settled packing to that in an unsettled packing; in test runs it was 1.2 to 1.3
+# Number of bonds in a settled packing divided by the number in an unsettled packing. In test runs this ratio was 1.2 to
+# 1.3.
 BONDS_AFTER_SETTLING = 1.2
 SETTLING_BUILDS = 1 / 40  # neighbour list rebuilds per step while a packing settles
 # A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
@@ -329,7 +330,7 @@ class _ShortenedCopy:
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
-    """Return a table that repeats the bodies of the first `period` [m] of a pipe along its `axis`.
+    """Return bodies for a long pipe: copies of the bodies in the first `period` [m] along its `axis`.
 
     The copies fill the pipe up to the arc length `length` [m].
     """

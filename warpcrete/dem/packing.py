@@ -33,12 +33,13 @@ START_FRACTION = 0.10  # solid fraction at which small aggregates are placed bef
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure of a packing
-# Pressure that freshly placed aggregates may cause by their initial overlaps until they have moved apart, divided by
-# the contact modulus. Growth ends only at a higher pressure.
+# Pressure that freshly placed aggregates may cause because they overlap at first, divided by the contact modulus. The
+# overlaps vanish while the aggregates push each other apart. Growth may therefore end only at a pressure above this
+# value.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
-# Number of consecutive evaluations in which the pressure was always too high, or always too low, after which sizes are
-# changed faster.
+# The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
+# consecutive evaluations in which it was always too high, or always too low, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
@@ -106,9 +107,10 @@ def draw(
 
 @dataclass(frozen=True)
 class Request:
-    """Request for one packing by :func:`pack_many`.
+    """Input of one packing by :func:`pack_many`.
 
-    It has the container with the aggregates that fill it, the contact law whose stiffness is used, and the seed.
+    It consists of the container with the aggregates that fill it, the contact law, and the seed. The packing uses the
+    stiffness of the contact law.
     """
 
     fill: Fill
@@ -151,7 +153,7 @@ def pack_many(
 ) -> list[Any]:
     """Pack many containers side by side, on a GPU as one batch.
 
-    Returns for each request (bodies, report) as :func:`pack` does, or the error that its packing raised.
+    Returns one result for each request: (bodies, report) as from :func:`pack`, or the error that the packing raised.
     """
     device = find_device(device) if device is None or isinstance(device, str) else device
     tell = progress or (lambda done: None)
@@ -295,9 +297,10 @@ class _Growth:
                     if looks_off_target > LOOKS_BEFORE_GAIN and looks_off_target % 3 == 0:
                         gain = min(MOST_GAIN, 1.5 * gain)
                 was_too_low = bool(error > 0)
-                # The contact modulus is about dp/d(ln size) of a packing, so the error over the modulus is the change
-                # of ln size that corrects the pressure. In a barely jammed packing dp/d(ln size) is far smaller,
-                # because growing aggregates move into free space. The factor `gain` makes up for this.
+                # In a jammed packing, a change of ln(size) changes the pressure by about the contact modulus times this
+                # change. Dividing the pressure error by the modulus therefore gives the change of ln(size) that
+                # corrects the pressure. In a barely jammed packing the pressure reacts far less, because growing
+                # aggregates move into free space. The factor `gain` makes up for this.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
                     # Grow by at least `least`, because the pressure of a packing that is not yet jammed does not show

@@ -195,8 +195,8 @@ class ElementSimulation(Simulation):
     def reaching(self, time: float) -> Coroutine:
         """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
 
-        If the scene has a rest of the concrete at or before `time` that was not yet applied, the simulation first
-        advances to the moment of the rest and applies it there.
+        The scene may contain a rest of the concrete, at or before `time`. If this rest has not been applied yet, the
+        simulation first advances to the moment of the rest and applies it there.
         """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
@@ -282,8 +282,8 @@ class ElementSimulation(Simulation):
     def ended_early(self) -> bool:
         """Return whether the run may end before its planned duration.
 
-        This is so if a test in a vessel is over. It is also so if the pipe is blocked and the scene's settings stop a
-        blocked run.
+        This is the case if a test in a vessel is over. It is also the case if the pipe is blocked and the settings of
+        the scene end blocked runs.
         """
         vessel, blockage = self.scene.vessel, self.scene.blockage
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:

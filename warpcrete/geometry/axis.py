@@ -204,8 +204,8 @@ class Axis:
         found, begin = np.empty((len(s), 3)), 0.0
         for segment in self.segments():
             piece = segment["piece"]
-            # Write the results of each piece to all arc lengths beyond the start of the piece. The next piece then
-            # overwrites those beyond its own start.
+            # Each piece of the axis writes results for all arc lengths from its start on, even for those that belong to
+            # later pieces. The later pieces then overwrite these results.
             beyond = s >= begin if begin > 0 else np.ones(len(s), bool)
             turn = np.zeros(np.count_nonzero(beyond))
             hinge = np.zeros(3)

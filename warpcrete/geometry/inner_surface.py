@@ -20,15 +20,18 @@ wall."""
 MAX_SHORTFALL = 0.02
 """Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
 LID_COSINE, LID_DISTANCE = 0.9, 0.1
-"""Limits that identify a facet of a lid. The cosine of the angle between the facet's normal and the axis must exceed
-the first number. The facet must lie beyond an end of the pipe, or nearer to the end than the second number in radii."""
+"""Limits by which a triangle counts as part of a lid on an end of the pipe.
+
+The cosine of the angle between the triangle's normal and the pipe's axis must exceed the first number. The triangle
+must also lie beyond the end of the pipe, or at most the second number times the radius before it.
+"""
 VISIBILITY_TOLERANCE = 1e-3
 """Distance in radii in front of a facet within which another surface does not hide the facet."""
 OFFSET = 1e-4
 """Distance in radii from a facet, on both of its sides, of the points from which the facet's visibility is tested."""
 CORNER_WEIGHT = 0.8
-"""Weight of the corner in the weighted mean of a triangle's corner and its centre. The visibility of a triangle is
-tested at these means for its three corners, and at its centre."""
+"""Weight of a corner in the weighted mean of this corner and the triangle's centre. The visibility of a triangle is
+tested at its centre, and at the weighted means for its three corners."""
 
 
 class InnerSurface:

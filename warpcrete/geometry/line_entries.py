@@ -71,7 +71,8 @@ BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
 """Default radius of a bend: the larger of a length [m] and a number of diameters. JSCE's rule for pumping lines counts
 bends with radii of 0.5 and 1 m."""
 HOSE_FACTOR = 2.0
-"""Friction of a hose that is given by its length, relative to straight pipe. AIJ counts a hose as twice its length."""
+"""Friction of a hose that is given by its length, relative to straight pipe. The Architectural Institute of Japan (AIJ)
+counts a hose as twice its length."""
 VALVE_DIAMETERS = 4.0
 """Default length of a valve [diameters]."""
 FACTORS = (0.1, 100.0)

@@ -117,7 +117,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     """Return the pipeline with the diameter of its concrete's largest stone replaced by `stone` [m].
 
-    The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not pass through a part.
+    The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not fit through a part
+    of the pipeline.
     """
     for part in line.parts:
         if stone is not None and stone >= part.narrow:
@@ -160,8 +161,9 @@ def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the cou
     spans = []
     for part in parts:
         wide = max(part.diameter, part.outlet)
-        # If a gap is required, divide long parts into short pieces. Otherwise the check would skip the two parallel
-        # legs of a U-turn, because pieces that follow each other closely along the axis count as neighbours.
+        # If a gap is required, divide long parts into short pieces. The check ignores two pieces that are close to each
+        # other along the axis, because such pieces are always close in space. If each leg of a U-turn were a single
+        # long piece, the check would therefore ignore the gap between the legs.
         spans.append((part.length, wide, CROSSING_SAMPLES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
     found = first_crossing(line.axis, spans, gap)
     if found is None:

@@ -21,8 +21,9 @@ MIN_END_STEP = 1 / 256
 MIN_ADVANCE = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections, in radii, in the search along a bore."""
 MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
-"""Number of iterations that turn a new cross-section towards the local direction of the bore, and the fraction of the
-remaining angle by which each iteration turns the cross-section."""
+"""Two constants of the iteration that turns a new cross-section towards the local direction of the bore. The first is
+the number of repetitions. The second is the fraction of the remaining angle by which each repetition turns the
+cross-section."""
 MAX_TURN_PER_STEP = 0.6
 """Largest angle between the directions of neighbouring cross-sections [rad]."""
 END_CHECK_DISTANCES = (0.1, 0.3)
@@ -242,11 +243,12 @@ def _follow_bore(
 def _next_section(
     queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
-    """Return centre, radius and direction of the cross-section one `step` [m] further, or None if there is none.
+    """Return centre, radius and direction of the next cross-section of a bore, one `step` [m] further, or None.
 
-    The cross-section is turned perpendicular to the parabola through its own centre and two earlier centres. In a cone,
-    the centre of a tilted cross-section is displaced from the axis by up to the radius times the slope. The iteration
-    therefore converges only if each repetition turns the cross-section by a fraction of the remaining angle.
+    The result is None if there is no such cross-section. The cross-section is turned until it is perpendicular to the
+    parabola through its own centre and two earlier centres. In a conical bore, the centre of a tilted cross-section is
+    displaced from the axis by up to the radius times the slope of the wall. The iteration therefore converges only if
+    each repetition turns the cross-section by a fraction of the remaining angle.
     """
     way, found = tangent, None
     place = points[-1] + step * tangent
@@ -358,8 +360,8 @@ def _longest(
         stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            # Search for the last point that the curve can reach. The number of points to advance doubles after each
-            # success; after a failure it is halved, to find the limit in between.
+            # Search for the last point that the curve can reach. After each success, twice as many points are tried in
+            # the next attempt. After a failure, half as many points are tried, to find the limit in between.
             step = step // 2 if best is not None else 0
         else:
             best, step = curve, 2 * (stop - reached) if stop - reached == step else step
@@ -371,7 +373,7 @@ def _straight(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return the line from `position` along `tangent` to the point with index `stop`.
+    """Return the straight line from `position` along `tangent` to the point with index `stop`.
 
     The result is None if the line passes too far from the points up to `stop`, or if the tangents at these points
     deviate too much from the line.
@@ -392,9 +394,10 @@ def _biarc(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return two arcs from `position` to the point with index `stop`.
+    """Return two arcs that lead from `position` to the point with index `stop`, or None if they do not fit.
 
-    The result is None if the arcs pass too far from the points between.
+    Two arcs do not fit if one turns by more than a quarter circle, if they run backwards, or if they pass too far from
+    the points in between.
     """
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None

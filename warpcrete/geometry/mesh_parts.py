@@ -20,8 +20,9 @@ from .mesh_bores import MeshBore
 from .meshes import load
 
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
-"""Largest relative differences, at its two ends, between a mesh and the round pipe that the pipeline has there. The
-first number limits the diameter of equal area, the second the radius in any direction."""
+"""Largest relative differences between a mesh and the round pipe that the pipeline has at the two ends of the mesh. The
+first number limits the difference of the diameter of equal area. The second number limits that of the radius in any
+direction."""
 STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01
@@ -71,8 +72,8 @@ def bore_of(
     """
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    # The measurement begins with a comparison of the mesh's extent with the part's length, because the bore cannot be
-    # followed if the file's unit of length is wrong.
+    # The measurement begins with a comparison of the mesh's extent with the length of the pipeline part. If the file's
+    # unit of length is wrong, the bore cannot be followed.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)
     name = str(file)
@@ -172,9 +173,9 @@ def directions_at(axis: Axis, s: float) -> np.ndarray:
 
 
 def rotated_pieces(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
-    """Return the pieces of an axis after a rotation from mesh to world coordinates.
+    """Return the pieces of an axis (lines and arcs) after a rotation from mesh to world coordinates.
 
-    The rows of `directions`, shape (3, 3), are the directions of the mesh's x, y and z axes in world coordinates.
+    The three rows of `directions` are the directions of the mesh's x, y and z axes in world coordinates.
     """
     return tuple(
         replace(piece, towards=tuple((np.array(piece.towards) @ directions).tolist()))

@@ -170,8 +170,9 @@ def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
 
 
 def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 12, begin: float = 0.0) -> np.ndarray:
-    """Return distances [m] from an axis to a mesh at places between two arc lengths, -1 where a ray meets no wall.
+    """Return distances [m] from a pipe's axis to a mesh, along rays perpendicular to the axis.
 
+    The rays start at places between the arc lengths `begin` and `end`. The distance is -1 where a ray meets no wall.
     `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3), and `radius` is the expected radius [m]. The result
     has one row for each place along the axis and one column for each of the `around` directions.
     """
@@ -215,10 +216,10 @@ def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -
 
 
 def fan(normal: np.ndarray, side: np.ndarray, count: int, turned: float = FAN_ROTATION) -> np.ndarray:
-    """Return `count` unit vectors at equal angles in planes, shape (n, count, 3).
+    """Return `count` unit vectors at equal angles in each of n planes, shape (n, count, 3).
 
-    The unit vectors `normal` and `side`, shape (n, 3) each, span the planes. `turned` rotates all vectors, as a
-    fraction of the angle between two of them.
+    The unit vectors `normal` and `side`, shape (n, 3) each, span the planes. All vectors are rotated by `turned` times
+    the angle between two adjacent vectors.
     """
     angle = 2 * np.pi * (np.arange(count) + turned) / count
     return np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]

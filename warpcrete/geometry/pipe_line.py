@@ -97,7 +97,7 @@ class PipeLine:
     parts: tuple[Part, ...]
     axis: Axis
     flow: float | None = None
-    """Volume flow [m3/s]."""
+    """Volume flow in the line at which the pressure was measured [m3/s]."""
     concrete: str | None = None
     largest_stone: float | None = None
     """Diameter of the largest stone in the concrete [m]."""

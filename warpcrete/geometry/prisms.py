@@ -32,9 +32,10 @@ class Solid:
         return np.concatenate([self.sides, self.ends])
 
     def without(self, *edges: int) -> np.ndarray:
-        """Return all faces except those of the given sides, shape (4 n - 2 len(edges), 3).
+        """Return all faces of the solid except those on the given sides, shape (4 n - 2 len(edges), 3).
 
-        `edges` holds the indices of ring edges whose sides are left out; edge 0 begins at corner 0.
+        The solid has n sides, each on one edge of the ring of corners. `edges` holds the indices of the edges whose
+        sides are left out; edge 0 begins at corner 0.
         """
         left = np.delete(self.sides.reshape(-1, 2, 3), list(edges), axis=0).reshape(-1, 3)
         return np.concatenate([left, self.ends])
@@ -53,8 +54,8 @@ def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -
     cone, so that the mesh has the volume of the exact cone.
     """
     angle = 2 * np.pi * np.arange(sides) / sides
-    # A regular polygon whose corners have the distance r from its centre has the area sides r^2 sin(2 pi / sides) / 2.
-    # The radius is scaled so that the polygon has the area of the circle.
+    # A regular polygon with n sides, whose corners have the distance r from its centre, has the area n r^2 sin(2 pi /
+    # n) / 2. Scale the radius so that the polygon has the area of the circle.
     wider = np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
     ring = wider * np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], 1)
     return _between(base * ring, top * ring + [0, 0, height], np.array([[0, 0, 0], [0, 0, height]]))

@@ -8,8 +8,9 @@ from itertools import combinations, pairwise
 import numpy as np
 
 GAUSS = np.polynomial.legendre.leggauss(2)
-"""Nodes and weights of the two-point Gauss rule on [-1, 1]. The rule is exact for cubic polynomials. The width of a
-section between two heights without a corner or crossing, weighted with x or not, is at most quadratic in the height."""
+"""Points and weights of Gauss integration with two points on [-1, 1], which is exact for polynomials up to the third
+degree. The integrands are the width of a section and the width weighted with x. Between two successive heights of
+corners or crossings, they are at most quadratic functions of the height."""
 
 
 def section_area(

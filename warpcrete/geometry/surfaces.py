@@ -32,7 +32,8 @@ class Surfaces:
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
         edges, edge, uses = np.unique(ends @ [len(vertices), 1], return_inverse=True, return_counts=True)
-        # Indices 3 * face + side of the sides of all faces, sorted so that the sides of one edge are neighbours.
+        # The side k of a face f has the number 3 * f + k. Sort these numbers so that sides on the same edge of the mesh
+        # follow one another.
         order = np.argsort(edge, kind="stable")
         begin = np.concatenate([[0], np.cumsum(uses)[:-1]])
         across = np.full((len(faces), 6), int(BORDER), dtype=np.int64)
@@ -82,15 +83,19 @@ class Surfaces:
     def ring(self) -> np.ndarray:
         """Return an array of the adjacency lists of all corners, then of all edges shared by three or more faces.
 
-        Each list begins with the lowest index, within the mesh, of the faces next to the corner or edge. In the list of
-        a corner, the other ends of its edges follow. In the list of an edge, the opposite corners of its faces follow.
+        - The list of a corner: the lowest index of the faces at the corner, then the other ends of the edges at the
+          corner.
+        - The list of an edge: the lowest index of the faces at the edge, then the corners of these faces opposite the
+          edge.
+
+        The indices of faces are indices within the mesh.
         """
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 
     def ring_start(self) -> np.ndarray:
-        """Return the index in `ring` at which each adjacency list begins, followed by the length of `ring`.
+        """Return the index in `ring` at which each adjacency list begins, shape (lists + 1,).
 
-        The shape of the result is (lists + 1,).
+        `ring` contains all lists end to end. The last number of the result is the length of `ring`.
         """
         return np.concatenate([[0], np.cumsum([len(row) for row in self._rows()])]).astype(np.int32)
 

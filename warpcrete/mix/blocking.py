@@ -20,34 +20,40 @@ from .ingredients import powder_mass, water_mass
 VERDICTS = ("fine", "unknown", "risky", "blocks")
 """Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
-"""Largest ratio of stone to bore that can be pumped, for crushed and for rounded stones (ACI 304.2R)."""
+"""Largest ratio of stone diameter to bore that can be pumped: first for crushed, then for rounded stones (ACI
+304.2R)."""
 SAFE = 0.25
-"""Ratio of stone to bore up to which practice expects no arching."""
+"""Ratio of largest stone to bore up to which, by experience, stones do not form an arch."""
 SELF_COMPACTING = 0.55
 """Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
 POWDER_MIN, POWDER_SAFE = 250.0, 300.0
-"""Mass of powder [kg/m3] below which concrete blocked (Tuutti 1976), and above which rules are satisfied."""
+"""Two masses of powder in a cubic metre of concrete [kg/m3]. Below the first, concrete blocked in tests (Tuutti 1976).
+From the second on, the rule calls the mix safe."""
 VOIDS = (0.20, 0.27)
-"""Usual range of the voids of sand and stones together when they are compacted [m3/m3]. It is an assumption; it is used
-if the mix states no voids."""
+"""Usual range of the voids between the grains of compacted sand and stones [m3/m3]. The range is an assumption, and
+replaces the voids of a mix that states none."""
 VOIDS_ERROR = 0.02
-"""Uncertainty of measured voids [m3/m3]."""
+"""Uncertainty of a measured volume of voids between sand and stones, above and below the value [m3/m3]."""
 SAND_SHARES = (0.38, 0.45)
-"""Share of sand in the aggregate that JGJ/T 10 requires."""
+"""Lowest and highest share of sand in the aggregate that the rule JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
-"""Smallest and largest share of sand in 403 flows that were pumped (Shen)."""
+"""Smallest and largest fraction of sand in the aggregate in 403 measured flows of concrete through coils of pipe (W.
+Shen). All of these concretes could be pumped."""
 FINE_SAND = (0.15, 0.30)
-"""Share of the sand below 0.3 mm: with less the concrete unmixes, with more it becomes sticky."""
+"""Lower and upper limit for the fraction of the sand's mass that is finer than 0.3 mm. With less fine sand the concrete
+segregates, with more it becomes sticky."""
 WATER_BINDER = 0.60
-"""Largest mass of water over that of powder (JGJ/T 10)."""
+"""Largest ratio of the mass of water to that of powder that the rule JGJ/T 10 allows."""
 FINES_PER_WATER = 1.75
-"""Smallest mass of powder and fine sand over that of water."""
+"""Smallest ratio of the mass of powder and fine sand to the mass of water. With less, water may bleed out under
+pressure."""
 SLUMPS = (0.05, 0.10, 0.16)
-"""Slumps [m]: the least that can be pumped, the least that is usual, and the largest without a plasticizer."""
+"""Three slumps [m]: the smallest with which concrete can be pumped, the smallest usual one, and the largest that is
+expected without a plasticizer."""
 LARGEST_SPREAD = 0.795
-"""Largest spread of the 403 flows that were pumped (Shen) [m]."""
+"""Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
 TAPER_RUN = 5.0
-"""Length of straight pipe behind a reducer [m] (JGJ/T 10)."""
+"""Least length of straight pipe that must follow a reducer [m], so that stones and mortar mix again (JGJ/T 10)."""
 
 ACI = "ACI 304.2R"
 SOCIETY = "Concrete Society: 3.5 to 4 times the stone"
@@ -58,26 +64,27 @@ BLEEDING = "Browne & Bamforth 1977; Kaplan, de Larrard & Sedran 2005"
 
 @dataclass(frozen=True)
 class RuleVerdict:
-    """Verdict of one rule against blocking."""
+    """Verdict of one rule of practice on whether concrete will block a pump line."""
 
     rule: str
-    """Name of the rule."""
+    """Name of the rule of practice that gives the verdict."""
     verdict: str
-    """One of :data:`VERDICTS`."""
+    """Verdict on the mix or the line: 'fine', 'unknown', 'risky' or 'blocks'."""
     found: str
-    """The numbers on which the verdict is based."""
+    """Numbers on which the verdict is based, in a sentence."""
     change: str
-    """Advice on the mix or the line, or the entry that would answer the question; empty if the verdict is 'fine'."""
+    """Advice on how to change the mix or the line. If the verdict is 'unknown', the advice names the missing entry of
+    the mix; it is empty if the verdict is 'fine'."""
     source: str
 
     @property
     def text(self) -> str:
-        """The verdict as one or two lines of text."""
+        """The verdict, its numbers and the advice as one or two lines of text."""
         line = f"{self.verdict:8s} {self.rule}: {self.found} ({self.source})"
         return f"{line}\n{'':8s} -> {self.change}" if self.change else line
 
     def record(self) -> dict[str, str]:
-        """Return the entries of the verdict for a JSON file."""
+        """Return the verdict as a mapping that can be written to a JSON file."""
         return {"rule": self.rule, "verdict": self.verdict, "found": self.found, "change": self.change,
                 "source": self.source}  # fmt: skip
 
@@ -88,10 +95,10 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
 
 
 def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix, and on its stones in a `bore` [m].
+    """Return the verdicts of all rules of practice on blocking, for a mix in a pipe of the given `bore` [m].
 
-    `stone` is the size of the largest stone [m]; it replaces that of the mix. Without a mix, only the rule on the bore
-    has an answer.
+    `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
+    the result contains only the rule that compares the stone with the bore.
     """
     found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix)]
     if mix is not None:
@@ -100,13 +107,17 @@ def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: flo
 
 
 def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix in a line: on its narrowest bore, and on what follows its reducers."""
+    """Return the verdicts of all rules on a mix in a line: at its narrowest bore, and behind its reducers."""
     found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone)
     return [*found, *behind_reducers(line)]
 
 
 def narrowest(line: PipeLine) -> Part:
-    """Return the narrowest part of a line; of several equally narrow ones a reducer, a bend, or else the first."""
+    """Return the narrowest part of a pump line, where stones are most likely to form an arch.
+
+    Among equally narrow parts, a reducer comes first, then a part whose bore is a mesh, then a bend, then any other
+    part. A valve comes last.
+    """
     order = {"reducer": 0, "bore": 1, "bend": 2, "valve": 9}
     return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))
 
@@ -137,7 +148,7 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
 
 
 def powder(mix: MixEntries) -> RuleVerdict:
-    """Compare the mass of powder with the least that could be pumped."""
+    """Compare the mass of powder with the smallest masses with which concretes could be pumped."""
     name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
     mass = powder_mass(mix.parts)
     if mass == 0:
@@ -150,7 +161,10 @@ def powder(mix: MixEntries) -> RuleVerdict:
 
 
 def paste(mix: MixEntries) -> RuleVerdict:
-    """Compare the paste with the voids between sand and stones: the paste must fill them, or it cannot carry them."""
+    """Compare the volume of the paste with that of the voids between sand and stones.
+
+    Paste that does not fill the voids cannot carry the sand and stones through a pipe.
+    """
     name, source = "paste and voids", "void meter of Browne & Bamforth 1977"
     if mix.paste_share is None or mix.sand_and_stone is None:
         return RuleVerdict(name, "unknown", "the volume of the paste is not known", "add parts to the mix", source)
@@ -168,7 +182,10 @@ def paste(mix: MixEntries) -> RuleVerdict:
 
 
 def sand_share(mix: MixEntries) -> RuleVerdict:
-    """Compare the share of sand with what is pumped: Tuutti (1976) met an upper limit of stones suddenly."""
+    """Compare the share of sand in the aggregate with the required range and with the range in pumped concretes.
+
+    In the tests of Tuutti (1976), pumping failed suddenly above a certain share of stones.
+    """
     name, source = "sand", f"{JGJ}; {SHEN}; Tuutti 1976"
     share = mix.sand_share
     if share is None:
@@ -221,7 +238,10 @@ def bleeding(mix: MixEntries) -> RuleVerdict:
 
 
 def slump(mix: MixEntries) -> RuleVerdict:
-    """Compare slump or spread with what is pumped: stiff concrete does not fill the pump, wet concrete unmixes."""
+    """Judge whether the slump or the spread of the concrete lies in the range that is usual for pumping.
+
+    Stiffer concrete does not fill the cylinder of the pump, and wetter concrete segregates.
+    """
     name, source = "consistency", f"{JGJ}; B. Palmer, jlconline.com; {SHEN}"
     least, usual, largest = SLUMPS
     if mix.spread is not None:
@@ -244,7 +264,10 @@ def slump(mix: MixEntries) -> RuleVerdict:
 
 
 def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
-    """Yield a verdict for each reducer that narrows: stones unmix in it, and straight pipe behind it mixes them."""
+    """Yield a verdict on the straight pipe behind each reducer that narrows.
+
+    Stones separate from the mortar in a reducer, and a long enough straight pipe behind it mixes them again.
+    """
     for here, part in enumerate(line.parts):
         if part.kind != "reducer" or part.outlet >= part.diameter:
             continue
@@ -261,7 +284,7 @@ def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
 
 
 def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
-    """Return a headline and the verdicts as lines of text."""
+    """Return a headline and the verdicts of the rules, the worst first, as lines of text."""
     counts = [f"{sum(each.verdict == name for each in verdicts)} {name}" for name in reversed(VERDICTS)
               if any(each.verdict == name for each in verdicts)]  # fmt: skip
     order = sorted(verdicts, key=lambda each: -VERDICTS.index(each.verdict))
@@ -270,5 +293,5 @@ def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
 
 
 def rule_records(verdicts: Sequence[RuleVerdict]) -> dict[str, Any]:
-    """Return the worst verdict and all verdicts for a JSON file."""
+    """Return the worst verdict and all verdicts as a mapping that can be written to a JSON file."""
     return {"worst": worst(verdicts), "rules": [each.record() for each in verdicts]}

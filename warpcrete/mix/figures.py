@@ -9,12 +9,13 @@ from ..theory.fits import student_t
 
 INSTRUMENTS = 2.0
 """Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
-factor is a choice: comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP 2023),
-but no figure was taken from them."""
+factor is an assumption. Comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023), but the factor was not taken from them."""
 
 CONES = 3.0
-"""Factor by which the bands from spread and slump of one cone may differ before they count as contradictory. In 80
-pairs of Yeh (2007) they differ by up to 1.6."""
+"""Largest factor by which the yield stresses from spread and slump of one cone may lie apart. The factor is the ratio
+of the nearest ends of their uncertainty bands. If it is larger, the two measurements count as contradictory. In 80
+pairs of measurements by Yeh (2007), it reaches 1.6."""
 
 
 @dataclass(frozen=True)
@@ -30,36 +31,42 @@ class Figure:
     way: str
     """Entry of the mix from which the value is calculated."""
     source: str
-    """Author of the relation, and how reliable the value is."""
+    """Publication of the relation from which the value follows, and a remark on how reliable the value is."""
     instrument: str = "rheometer"
-    """Instrument from which the value comes: a rheometer or a cone."""
+    """Kind of instrument whose errors the value has: 'cone' for slump, spread and T500, otherwise 'rheometer'."""
 
     def __post_init__(self) -> None:
         assert self.low <= self.value <= self.high, self
 
     @property
     def span(self) -> str:
-        """Value, band and unit as text."""
+        """The property's value, its uncertainty band and its unit as text, such as '30 (20 to 45) Pa s'."""
         band = "" if self.low == self.high else f" ({short(self.low)} to {short(self.high)})"
         return f"{short(self.value)}{band} {self.unit}"
 
 
 def short(value: float) -> str:
-    """Format a number with three significant digits, and without an exponent if readers expect none."""
+    """Return a number as text with three significant digits, without an exponent from 0.0001 to 999999."""
     return f"{float(f'{value:.3g}'):g}"
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property with the relative uncertainty `off` above and below its value."""
+    """Return a property whose band reaches from value * (1 - `off`) to value * (1 + `off`)."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix. Bands may differ by a factor of :data:`INSTRUMENTS` between a
-    rheometer and a cone, and of :data:`CONES` between spread and slump of one cone, where the slump widens the band.
-    Raises :class:`SceneError` if the bands of two candidates differ by more.
+    The values come from different entries of the mix, and each has an uncertainty band. The gap between the first band
+    and another band has a limit:
+
+    - Two bands of rheometers must overlap or touch.
+    - Between a rheometer and a cone, the gap may be a factor of :data:`INSTRUMENTS`.
+    - Between spread and slump of a cone, the gap may be a factor of :data:`CONES`. In this case, the band of the result
+      is widened up to the other band.
+
+    Raises :class:`SceneError` if a gap is too large.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:
@@ -78,10 +85,10 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
 
 
 def line_uncertainty(error: float, count: int, value: float, default: float) -> float:
-    """Return the uncertainty of a value from a straight line through `count` points.
+    """Return the absolute uncertainty of a slope or intercept of a straight line through `count` measured points.
 
-    With three or more points, this is the half width of the 95 % confidence interval, from the standard `error`. With
-    two points, it is the share `default` of the value.
+    With three or more points, the result is the half width of the 95 % confidence interval, which follows from the
+    standard `error`. Two points give no standard error, so that the result is the fraction `default` of the `value`.
     """
     if count < 3:
         return default * abs(value)
@@ -89,9 +96,10 @@ def line_uncertainty(error: float, count: int, value: float, default: float) -> 
 
 
 def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
-    """Return a property from a straight line through `count` points, with the uncertainty `off` in `unit`.
+    """Return a property of concrete that was measured as the slope or the intercept of a straight line.
 
-    Raises :class:`SceneError` if the value is impossible.
+    The line goes through `count` points. `off` is the uncertainty of the value, in `unit`. Raises :class:`SceneError`
+    if the value is impossible.
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):

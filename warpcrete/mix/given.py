@@ -1,4 +1,4 @@
-"""Reading the description of a mix from a file: conversion to SI units and checks of all entries."""
+"""Functions that read the description of a mix from a file, convert its entries to SI units and check them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ NUMBERS = {
     "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1,
                        "write per cent with the sign, as in '18 %'"),
 }  # fmt: skip
-"""Numeric entries of a mix."""
+"""Entries of a mix that are single numbers, by name, each with its meaning, unit and possible range."""
 OTHERS = {
     "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
     "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
@@ -77,7 +77,7 @@ OTHERS = {
     "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
-"""Entries of a mix that are not single numbers, with their meaning."""
+"""Names of those entries of a mix that are not single numbers, each with the entry's meaning."""
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
@@ -90,15 +90,17 @@ BINDER = 3000.0
 """Density of the powder [kg/m3] assumed if the mix states only the ratio of water to binder: cement has 3100, slag 2900
 and fly ash 2250 kg/m3."""
 USUAL_AIR = 0.02
-"""Air content assumed if the mix states none, share of the volume."""
+"""Air content assumed if the mix states none, as a share of the concrete's volume."""
 DENSEST_PASTE = 0.75
-"""Largest share of powder in the volume of the paste. A water-binder ratio of 0.12, the least that is ever used, has
-0.74."""
+"""Largest possible share of powder in the volume of the paste. The paste with the lowest water-binder ratio in use,
+0.12, has a share of 0.74."""
 PASTE_TOLERANCE = 0.08
-"""Largest difference between two shares of powder in the paste, from the ratio of water to binder and from the parts;
-the powder's density accounts for up to 0.07."""
+"""Limit for the difference between two values of the volume fraction of powder in the paste. One value follows from the
+ratio of water to binder, the other one from the masses of the ingredients. A larger difference is a contradiction. The
+ratio does not state the density of the powder, which accounts for up to 0.07 of the difference."""
 DENSITY_TOLERANCE = 0.03
-"""Relative difference allowed between two densities that should be equal."""
+"""Largest relative difference between two values of the same density, such as a stated one and a sum of ingredients. If
+they differ by more, the mix is refused."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
@@ -110,19 +112,20 @@ class MixEntries:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """True if the density was calculated as the sum of the ingredients."""
+    """True if the entry `density` is missing, so that the density is the sum of the masses of the ingredients."""
     share: float | None
-    """Coarse aggregate as a share of the concrete's volume."""
+    """Volume of coarse aggregate per volume of concrete; None if the mix does not state it."""
     aggregate_density: float
     sieve: tuple[tuple[float, float], ...] | None
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """Shape of the stones, as the discrete element method names it."""
+    """Setting for the shape of the stones in scenes of discrete elements, such as 'spheres'; None if the mix states
+    none."""
     concrete: Measured
     mortar: Measured
     viscometer_points: tuple[list[float], list[float]] | None
-    """Shear rates [1/s] and stresses [Pa] measured with a viscometer."""
+    """Points measured with a viscometer: shear rates [1/s] and stresses [Pa]; None if the mix states none."""
     slump: float | None
     spread: float | None
     t500: float | None
@@ -134,15 +137,16 @@ class MixEntries:
     thickener: bool = False
     """True if the concrete contains a viscosity-modifying admixture."""
     parts: Mapping[str, float] = field(default_factory=dict)
-    """Ingredients of a cubic metre [kg/m3] by their names."""
+    """Mass of each ingredient in a cubic metre of concrete [kg/m3], by the ingredient's name."""
     paste_share: float | None = None
     """Share of powder, water and admixtures in the volume of the concrete."""
     water_binder: float | None = None
-    """Mass of water over mass of all powder."""
+    """Mass of water divided by the mass of all powder, stated or calculated from the ingredients; None if it is
+    unknown."""
     voids: float | None = None
     """Voids of sand and stones together when compacted, as a share of their bulk volume."""
     fine_sand: float | None = None
-    """Share of the sand's mass below 0.3 mm."""
+    """Share of the sand's mass that consists of grains below 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -153,7 +157,7 @@ class MixEntries:
 
     @property
     def sand_mass(self) -> float:
-        """Mass of sand in a cubic metre [kg]; 0 if it is not known."""
+        """Mass of sand in a cubic metre of concrete [kg]; 0 if the ingredients do not determine it."""
         sand, _ = sand_and_stone_masses(self.parts)
         if sand == 0 and self.share is not None and self.sand_and_stone is not None:
             return max(self.sand_and_stone - self.share, 0.0) * GRAVEL
@@ -161,7 +165,7 @@ class MixEntries:
 
     @property
     def sand_share(self) -> float | None:
-        """Share of sand in the aggregate, by mass or else by volume; None if it is not known."""
+        """Share of sand in the aggregate, by mass if the ingredients state it, otherwise by volume; None if unknown."""
         sand, stone = sand_and_stone_masses(self.parts)
         if sand > 0 and stone > 0:
             return sand / (sand + stone)
@@ -176,9 +180,10 @@ class MixEntries:
 
 
 def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
-    """Read a mix from its section in a file in `folder`.
+    """Read the section `mix` of a concrete's file, and return its entries in SI units.
 
-    Raises :class:`SceneError` if an entry is invalid or entries contradict each other.
+    Paths in the section are relative to `folder`. Raises :class:`SceneError` if an entry is invalid, or if entries
+    contradict each other.
     """
     if not given:
         refuse(
@@ -273,7 +278,7 @@ def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 
 
 def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of sand and stones in the volume of the concrete; None if the ingredients do not tell it."""
+    """Return the share of sand and stones in the concrete's volume; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     air = _number(given, "air")
     rest = 1 - powder - liquid - (USUAL_AIR if air is None else air)
@@ -281,7 +286,7 @@ def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> fl
 
 
 def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of powder and liquid in the volume of the concrete; None if the ingredients do not tell it."""
+    """Return the volume of powder and liquid per volume of concrete; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     return powder + liquid if powder > 0 and liquid > 0 else None
 
@@ -293,7 +298,11 @@ def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 
 
 def _thickener(given: Mapping[str, Any]) -> bool:
-    """Return whether the mix says or shows that it contains a viscosity-modifying admixture."""
+    """Return whether the mix contains a viscosity-modifying admixture.
+
+    The entry `thickener` states this, or the name of an ingredient shows it. Raises :class:`SceneError` if both
+    contradict each other.
+    """
     parts = given.get("parts")
     named = parts is not None and any(is_thickener(str(name)) for name in parts)
     if "thickener" not in given:
@@ -309,7 +318,7 @@ def _thickener(given: Mapping[str, Any]) -> bool:
 
 
 def _number(given: Mapping[str, Any], name: str) -> float | None:
-    """Return one of the numeric entries :data:`NUMBERS` in SI units, or None if it is missing."""
+    """Return the numeric entry `name` of a mix in its SI unit, or None if the mix does not state it."""
     if given.get(name) is None:
         return None
     entry = NUMBERS[name]
@@ -320,9 +329,10 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], whether it is the sum of its ingredients, and these [kg/m3] by name.
+    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients [kg/m3].
 
-    `heavy` is the density of the coarse aggregate [kg/m3].
+    The ingredients are a mapping from names to masses in a cubic metre; it is empty if the mix lists none. `heavy` is
+    the density of the coarse aggregate [kg/m3].
     """
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
@@ -381,9 +391,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
 
 
 def _share(given: Any, heavy: float) -> float:
-    """Return the coarse aggregate's share of the concrete's volume.
+    """Return the volume of coarse aggregate per volume of concrete, from the entry `aggregate` of a mix.
 
-    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3].
+    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. Raises :class:`SceneError` if the stones
+    cannot fit into the volume.
     """
     if is_amount(given, "kg/m3"):
         found = amount("mix aggregate", given, "kg/m3") / heavy

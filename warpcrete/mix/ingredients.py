@@ -25,39 +25,43 @@ DENSITIES = {
     **dict.fromkeys(("barite", "baryte"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
 }  # fmt: skip
-"""Usual densities of ingredients [kg/m3]; the key is a word of the ingredient's name."""
+"""Usual densities of ingredients [kg/m3]. A key is a word that may occur in the name of an ingredient."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
-"""Words for coarse aggregate; a mix may state the density of these ingredients."""
+"""Words for coarse aggregate. Ingredients with such names have the density of coarse aggregate that the mix states, if
+it states one."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
-"""Words for ingredients whose density varies too much for a calculation of their volume."""
+"""Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
 MIN_AMOUNT = 0.01
-"""Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
+"""Smallest amount of an ingredient [kg/m3] that is accepted. Even admixtures usually amount to 0.1 kg/m3 or more, so
+that a smaller amount is probably a mistake."""
 POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone",
            "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip
-"""Words for ingredients whose grains are finer than sand and belong to the paste."""
+"""Words in the names of ingredients that are powder: their grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent")  # fmt: skip
-"""Words for the liquids of the paste: water and dissolved admixtures."""
+"""Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
 ROCKS = ("limestone", "marble", "quartz")
-"""Words that mean powder alone, and aggregate if it is crushed or has a grain size."""
+"""Words for rocks. An ingredient with such a name is powder, unless its name says that the rock is crushed or states a
+grain size; then it is aggregate."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
-"""Words for admixtures that make a concrete flow."""
+"""Words in the names of admixtures that make concrete flow more easily."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
-"""Words for viscosity-modifying admixtures."""
+"""Words in the names of ingredients that are viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
-"""Mass [kg/m3] above which an unknown ingredient may be powder, so that the paste is unknown; admixtures have less."""
+"""Mass in a cubic metre [kg/m3] above which an ingredient with an unknown name may be powder, so that the volume of the
+paste cannot be calculated. Lighter unknown ingredients are taken for admixtures and ignored."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
-"""Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
-vary."""
+"""Smallest and largest possible volume of all ingredients together, without air, in a cubic metre of concrete [m3/m3].
+The upper limit exceeds 1, because the true densities of the ingredients differ from the assumed ones."""
 USUAL_AIR = (-0.02, 0.06)
-"""Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
-the content negative."""
+"""Lowest and highest air content of the concrete, calculated from the ingredients [m3/m3], that causes no warning.
+Usual contents are 1 to 3 %; the calculated content may be negative because densities are uncertain."""
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
-"""Deviations from a cubic metre [m3/m3] of all ingredients and the stated air, above which the mix causes a warning or
-is refused."""
+"""Largest deviations [m3/m3] of the volume of all ingredients and the stated air from one cubic metre. A deviation
+above the first value causes a warning, and the mix is refused above the second."""
 
 
 def _words(name: str) -> list[str]:
@@ -66,7 +70,10 @@ def _words(name: str) -> list[str]:
 
 
 def is_thickener(name: str) -> bool:
-    """Return whether an ingredient is a viscosity-modifying admixture; a hydration stabilizer is a retarder."""
+    """Return whether the name of an ingredient means a viscosity-modifying admixture.
+
+    A "stabilizer" is such an admixture, but a "hydration stabilizer" is not, because it is a retarder.
+    """
     words = _words(name)
     return "hydration" not in words and any(word in THICKENERS or word.startswith("viscosity") for word in words)
 
@@ -120,8 +127,8 @@ def _noun(name: str) -> str:
 def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     """Return the volumes of powder and of liquid in a cubic metre of concrete [m3], without air.
 
-    `parts` are the ingredients [kg/m3]. Both volumes are 0 if there is no water, or if so much is unknown that it may
-    be powder.
+    `parts` are the ingredients [kg/m3]. Both volumes are 0 if the mix has no water. They are also 0 if the mix has a
+    large amount of an ingredient that the program does not know, because that ingredient may be powder.
     """
     powder, liquid, water = 0.0, 0.0, False
     for name, mass in parts.items():
@@ -162,7 +169,7 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
 def density_of(name: str) -> float | None:
     """Return the usual density of an ingredient [kg/m3], or None if it varies or is unknown.
 
-    Raises :class:`SceneError` for a name that is probably misspelt.
+    An unknown ingredient causes a warning. Raises :class:`SceneError` for a name that is probably misspelt.
     """
     if any(word in VARIABLE for word in _words(name)):
         return None

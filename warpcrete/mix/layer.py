@@ -1,8 +1,9 @@
 """Slip layer of a mix: measured, or estimated from the composition, the viscosity or the slump of the concrete.
 
-Pumped concrete slips on a thin layer of paste and fine mortar, whose wall stress is yield stress + viscosity * slip
-velocity; this viscosity is divided by the layer's thickness [Pa s/m]. The estimates hold for pipes of 100 to 150 mm.
-Each has a band that includes the error of the estimate itself.
+Pumped concrete slips on a thin layer of paste and fine mortar at the wall. The wall stress is the layer's yield stress
+plus its viscosity times the slip velocity. This viscosity is that of the material divided by the thickness of the
+layer, in Pa s/m. The estimates hold for pipes of 100 to 150 mm. The uncertainty band of an estimate includes the error
+of the relation from which it follows.
 """
 
 from __future__ import annotations
@@ -16,46 +17,56 @@ from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
-404 pipe flows of 22 concretes (Tavangar 2022)."""
+"""Range of the ratio between two values of the slip layer's constants. The first value follows from pipe pressures, and
+is divided by the second value, which was measured with a tribometer. The range covers 404 pipe flows of 22 concretes
+(Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
-"""Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
-differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
+"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
+et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.
+(2024) found -38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
-"""Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
-families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were
-held out."""
+"""Constants of the relation in :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the densest
+packing of the powder. Both were fitted to the pressures of eight families of concretes in level lines of 325 to 1,044
+m, with water-binder ratios of 0.17 to 0.44. Four other families were not used for the fit, so that they can test it."""
 PASTE_ERROR_FACTOR = 1.7
-"""Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
-the fitted families differ by less."""
+"""Factor by which the layer of a mix may be weaker or stronger than :func:`paste_layer` predicts. For 90 % of the
+concretes in the fitted families, the difference is smaller."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
-"""Yield stress of a layer that is estimated from the paste, with its lower and upper limit [Pa]."""
+"""Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
+of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
-"""Factor by which a viscosity-modifying admixture raises the layer's resistance, and the factor by which it may differ.
-The three concretes of Xu, Li & Jiang (2021), which contain such an admixture, have 2.9 to 3.1 times the wall stress of
-:func:`paste_layer` at 0.5 m/s."""
+"""Factors for a viscosity-modifying admixture: on the resistance of the slip layer, and on the ends of its band.
+
+The uncertainty band becomes wider in both directions by the second factor. The first factor comes from the three
+concretes of Xu, Li & Jiang (2021), which contain such an admixture. Their wall stress at 0.5 m/s is 2.9 to 3.1 times
+that of :func:`paste_layer`.
+"""
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
-Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu's layers imply 6 mm."""
+Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024). The layers of Xu, Li & Jiang (2021) correspond
+to 6 mm."""
 FILM_ERROR_FACTOR = 3.0
-"""Factor, in both directions, by which a layer may differ from :func:`film_layer`."""
+"""Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
-"""Factor, in both directions, by which a layer may differ from :func:`slump_layer`."""
+"""Factor by which the viscosity of the true slip layer may be higher or lower than the one that :func:`slump_layer`
+returns."""
 ASSUMED = (850.0, 10.0)
 """Layer assumed if the mix determines none: viscosity [Pa s/m] and yield stress [Pa] of a self-compacting concrete with
 500 kg of powder in a cubic metre, by :func:`paste_layer`."""
 ASSUMED_ERROR_FACTOR = 3.0
-"""Factor, in both directions, by which an assumed slip layer may differ from the true one."""
+"""Factor by which the viscosity of the true slip layer may be higher or lower than that of :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
-"""Beginnings of the origin of a property that was not measured: it does not follow from the mix, or from its paste
-only."""
+"""First words of the text that states the origin of a property without a measurement. The first text is for a property
+that is assumed, because the mix contains no information on it. The second text is for a property that was estimated
+from the paste alone."""
 Pair = tuple[Figure, Figure]
 
 
 def paste_layer(solids: float) -> float:
-    """Return the layer's viscosity [Pa s/m] from the share of powder in the volume of the paste.
+    """Return the viscosity [Pa s/m] of a slip layer that consists of paste with a volume fraction `solids` of powder.
 
-    The relation is that of Krieger & Dougherty (1959) for spheres, 128 (1 - solids / 0.85)^(-2.5 0.85).
+    The relation has the form of Krieger & Dougherty (1959) for spheres: 128 times (1 - solids / 0.85) to the power
+    -2.125, which is -2.5 times 0.85.
     """
     return PASTE_CONSTANT * (1 - solids / PASTE_DENSEST) ** (-2.5 * PASTE_DENSEST)
 
@@ -75,20 +86,21 @@ def aggregate_factor(aggregate: float) -> float:
 
 
 def slump_layer(slump: float) -> tuple[float, float]:
-    """Return viscosity [Pa s/m] and yield stress [Pa] of the layer from the slump [m].
+    """Return the viscosity [Pa s/m] and the yield stress [Pa] of the slip layer from the `slump` [m].
 
-    The Chinese rule JGJ/T 10 gives the pressure loss 2 / r (K1 + 1.3 K2 v) 0.9 with K1 = 300 - slump [Pa] and K2 =
-    400 - slump [Pa s/m], for slumps in millimetres. It goes back to Morinaga (1973).
+    They follow from the Chinese rule JGJ/T 10, which goes back to Morinaga (1973). For a pipe of radius r and the
+    velocity v, the pressure loss by this rule is 2 / r (K1 + 1.3 K2 v) 0.9. Here K1 = 300 - slump [Pa] and K2 = 400 -
+    slump [Pa s/m], with the slump in millimetres.
     """
     return 0.9 * 1.3 * (400 - 1e3 * slump), 0.9 * max(300 - 1e3 * slump, 0.0)
 
 
 def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator[Pair]:
-    """Generate viscosity and yield stress of the slip layer, the most reliable first.
+    """Generate pairs of viscosity and yield stress of the slip layer, the most reliable pair first.
 
-    Each pair follows from one entry of the mix: from measurements, from the paste, from the film between aggregates,
-    from the slump, and last from an assumption. `concrete` supplies density, yield stress and viscosity of the bulk,
-    and `viscosity` is the bulk's viscosity with its band and origin.
+    The pairs come from measurements of the layer, the paste, the film between aggregates, the slump, and finally from
+    an assumption. Sources about which the mix contains nothing are skipped. `concrete` supplies density, yield stress
+    and viscosity of the bulk, and `viscosity` is the bulk's viscosity with its band and origin.
     """
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
@@ -123,7 +135,10 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
 
 
 def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
-    """Generate the measured layer, if there is one, from constants, from pressures of a pipe or from a tribometer."""
+    """Generate the slip layers that the mix states as measured.
+
+    They come from constants of the layer, from pressures of a pipe, and from points of a tribometer.
+    """
     own = given.layer
     if own.constants is not None:
         eta, tau = (own.constants.values[key] for key in ("viscosity", "yield_stress"))
@@ -140,11 +155,12 @@ def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
 
 
 _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
-"""Origin of the band of a measured layer without a stated uncertainty: fitted to pipe pressures, or by a tribometer."""
+"""Explanations of the uncertainty band of a measured slip layer, used if the measurement states no uncertainty. The
+first text is for a layer fitted to pipe pressures, and the second for one measured with a tribometer."""
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
-    """Return the factors from a measured constant to the ends of its band."""
+    """Return the factors by which a measured constant is multiplied to get the lower and the upper end of its band."""
     if uncertainty is not None:
         return 1 - uncertainty, 1 + uncertainty
     return (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY) if pipe else TRIBOMETER_RATIO
@@ -163,9 +179,10 @@ def _pair(
     way: str,
     source: str,
 ) -> Pair:
-    """Return an estimated layer.
+    """Return an estimated slip layer, whose yield stress is limited to that of the concrete.
 
-    A layer is concrete without its stones, so that its yield stress cannot exceed the concrete's.
+    The limit holds because the layer is concrete without its stones. `value` is the viscosity and `ends` its band [Pa
+    s/m]. `stress` holds the yield stress with the lower and the upper end of its band [Pa].
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
     return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),
@@ -173,7 +190,7 @@ def _pair(
 
 
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
-    """Return a layer fitted to measured points, with the error of the fit and that of the instrument."""
+    """Return a layer fitted to measured points; its band covers the error of the fit and that of the instrument."""
     found = []
     for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
                                      ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip

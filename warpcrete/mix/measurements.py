@@ -1,4 +1,4 @@
-"""Measurements that a mix states: constants of concrete, mortar and slip layer, and points of instruments."""
+"""Measurements that a mix may state: constants of concrete, mortar and slip layer, and points from instruments."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from .points import PUMPED, read_points
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
 LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
-"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
-Bingham's."""
+"""Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to other laws
+than Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
-"""Names of a slip layer's constants in the table of limits."""
+"""Constants of a slip layer by their names in a mix, each mapped to the name under which the table of possible values
+(`core.inputs.limits`) has its limits."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
 
@@ -35,7 +36,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Layer:
-    """Measurements of the slip layer: constants, points from a pipe, or points from a tribometer."""
+    """Measurements of the slip layer that a mix states: constants, points from a pipe, or points from a tribometer."""
 
     constants: Measured | None = None
     pipe_points: tuple[list[float], list[float]] | None = None
@@ -45,9 +46,10 @@ class Layer:
     rise: float = 0.0
     """Height of the pipe's end above its start [m]."""
     tribometer_points: tuple[list[float], list[float]] | None = None
-    """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
+    """Points measured with a tribometer: speeds [m/s] and stresses [Pa]; None if the mix states none."""
     pipe: bool = False
-    """True if `constants` were fitted to pressures of a pipe, False if a tribometer measured them."""
+    """True if the constants of the slip layer were fitted to pressures of a pipe, False if a tribometer measured
+    them."""
 
 
 def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
@@ -137,7 +139,12 @@ def read_layer(given: Any, folder: Path) -> Layer:
 
 
 def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
-    """Return two columns of points, from a CSV file in the mix's folder or from pairs in SI units or with units."""
+    """Return the two columns of measured points, each as a list of numbers in SI units.
+
+    `given` is the path of a CSV file relative to `folder`, or a list of pairs. The numbers of a pair are in SI units or
+    have a unit. Raises :class:`SceneError` for an impossible value, or if the first column has fewer than two different
+    values.
+    """
     if isinstance(given, str):
         one, other = read_points(folder / given, columns, f"mix {name}")
     else:

@@ -23,12 +23,15 @@ FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield s
 """Names of the constants of a flow; each is mapped to the name of the same property of a mix."""
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
-"""Names of the constants of other laws than Bingham's, which a mix has only if they are stated."""
+"""Names of the constants that only flow laws other than Bingham's have; each is mapped to the name of the same property
+of a mix. A mix has such a constant only if its description states the value."""
 FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
-"""Factors of a section `flow` by which age or temperature change the concrete, with their defaults."""
+"""Factors on yield stresses and viscosities, with their defaults. The section `flow` of a concrete's file states them
+to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
-"""Causes of uncertainty, each with the constants of a flow that change together."""
+"""Causes of uncertainty and the constants that belong to each cause. If a cause is at an end of its band, its constants
+are all at the same end of their bands."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -45,9 +48,10 @@ class Mix:
     figures: tuple[Figure, ...]
     """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
-    """Warnings for the reader of the results."""
+    """Warnings about the mix that are printed with the results."""
     factors: tuple[float, float] = (1.0, 1.0)
-    """Factors on yield stresses and viscosities for another age or temperature, as the section `flow` states them."""
+    """Factors on yield stresses and on viscosities that account for another age or temperature of the concrete, from
+    the section `flow` of the concrete's file."""
 
     def __repr__(self) -> str:
         return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
@@ -67,26 +71,33 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer, at the age and temperature of `factors`."""
+        """Concrete that the mix gives: a yield stress fluid with a slip layer, after multiplication by `factors`.
+
+        The factors describe the concrete at another age or temperature.
+        """
         return scaled(self._plain, *self.factors)
 
     @property
     def _plain(self) -> Concrete:
-        """The mix without its `factors`."""
+        """Concrete as the mix describes it, before the `factors` for another age or temperature are applied."""
         return Concrete(name=self.name, **self.flow)
 
     @property
     def _constants(self) -> dict[str, str]:
-        """Constants of the flow, each with the name of its property; those of laws only if they are stated."""
+        """Names of the constants of the flow, each mapped to the name of the property from which it follows.
+
+        Constants of other laws than Bingham's are included only if the mix states them.
+        """
         known = {figure.name for figure in self.figures}
         return FLOW | {key: name for key, name in LAWS.items() if name in known}
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """Pairs of concretes by the cause of their uncertainty.
+        """Pairs of concretes for each cause of uncertainty, by the name of the cause.
 
-        In each pair the properties of one cause, such as the slip layer, are at the lower and at the upper end of their
-        bands. A cause without a band is left out.
+        A cause, such as the slip layer, comprises several properties of the concrete. The first concrete of a pair has
+        these properties at the lower ends of their bands, and the second concrete has them at the upper ends. All other
+        properties have their best values. A cause without a band is left out.
         """
         found = {}
         for cause, keys in CAUSES.items():
@@ -98,7 +109,7 @@ class Mix:
 
     @property
     def flow(self) -> dict[str, float]:
-        """Constants for the section `flow` of a concrete's file, without `factors`."""
+        """Entries for the section `flow` of a concrete's file, such as yield stress; the key `factors` is left out."""
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property
@@ -167,7 +178,11 @@ def read_mix(name: Path | str) -> Mix:
 
 
 def mix_named(name: str) -> Mix | None:
-    """Return the mix of a concrete given by its name or path, or None if the concrete has no mix, like `own`."""
+    """Return the mix of a concrete that is given by its name or the path of its file.
+
+    The result is None if the concrete's file has no section `mix`, and for the name `own`, under which users state all
+    constants themselves.
+    """
     return None if name == "own" else mix_in(concrete(name))
 
 
@@ -211,7 +226,9 @@ def mix_of(
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
-            # Slump flow and straight lines through a viscometer's points give the viscosity of a Bingham fluid.
+            # Slump flow and the straight line through a viscometer's points only give the viscosity of a Bingham fluid.
+            # They do not apply to a law whose flow curve is not straight. The mix must therefore state the viscosity
+            # for such a law.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
                 refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",
@@ -252,7 +269,7 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
 
 
 def _named(key: str, value: Any) -> Figure:
-    """Return a constant that a section `flow` states as a property without uncertainty."""
+    """Return the property that a section `flow` of a concrete's file states; its band has no width."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])

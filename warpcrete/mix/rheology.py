@@ -1,7 +1,8 @@
 """Yield stress and viscosity of a mix's concrete and mortar: measured, or from published relations.
 
-Different models of rheometers give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
-2023), so a relation that was derived with one rheometer is at best as accurate as that.
+Rheometers of different models give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023). A relation that was derived with one rheometer is therefore at best as accurate as the agreement between
+rheometers.
 """
 
 from __future__ import annotations
@@ -25,25 +26,32 @@ from .given import PACKING, Measured, MixEntries
 from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
 
 RHEOMETER = 0.2
-"""Relative uncertainty of measured constants of a concrete or mortar that are stated without one."""
+"""Relative uncertainty of measured constants of a concrete or mortar, for a mix that states no uncertainty."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
 HEAP_CENTRE, HEAP_CENTRE_MEDIAN, FLATTEST = 0.10, 0.03, 0.295
-"""Height by which aggregate that piles up in the centre may raise a cone's top above that of a homogeneous heap, its
-median, and largest slump of a cone [m]. For the cones of Yeh (2007), of which both slump and spread were measured, the
-centre is 0 to 100 mm higher than the spread implies (5th and 95th percentile of 82 cones), in the median 30 mm."""
+"""Three heights of slump cones [m].
+
+Aggregate piles up in the centre of a real heap. Its top is therefore higher than that of a homogeneous heap with the
+same spread. The first value is an upper limit of this excess height, and the second value is its median. They come from
+82 cones of Yeh (2007) with measured slump and spread: the excess height is 0 to 100 mm (5th to 95th percentile), and 30
+mm in the median. The third value is the largest slump of a cone.
+"""
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
-"""Intrinsic viscosity and densest packing for the lower and the upper end of the band of factors by which aggregate
-thickens mortar. The upper end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a
-choice (ascribed to Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal spheres (Mahaut
-et al. 2008). The lower end stands for spheres of mixed sizes.
+"""Pairs of two properties of aggregate: intrinsic viscosity, and volume fraction of the densest packing.
+
+The two pairs give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair
+stands for rough grains. Its packing is that of equal spheres in random loose packing (Mahaut et al. 2008). Its
+intrinsic viscosity, 30 % above that of spheres, is a choice. This value is ascribed to Barnes, Hutton & Walters (1989),
+who are said to give it for ground gypsum; the book was not checked. The second pair stands for spheres of mixed sizes.
 """
 T500_ERROR_FACTOR = 1.3
-"""Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
-in simulations."""
+"""Factor by which the relation for T500 may be wrong. Simulations show the error, which is due to inertia and to the
+time of 1 to 3 s that lifting the cone takes."""
 USUAL_AGGREGATE = 0.66
-"""Share of sand and stones in the volume of a concrete whose parts are not known; 0.57 to 0.70 are usual."""
+"""Share of sand and stones in the concrete's volume, assumed if the mix states no ingredients. Usual shares are 0.57 to
+0.70."""
 ASSUMED_VISCOSITY = (70.0, 20.0, 400.0)
 """Plastic viscosity assumed if the mix contains no information about it, with its lower and upper limit [Pa s]. The
 band covers the three concretes of Xu, Li & Jiang (2021) and thinner ones."""
@@ -93,10 +101,11 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
 
 
 def unknown_viscosity(given: MixEntries) -> Figure:
-    """Return the plastic viscosity of a mix without any measurement of it, from its paste or as an assumption.
+    """Return an estimate of the plastic viscosity of a mix for which no viscosity was measured.
 
-    The paste's viscosity is that of the slip layer (:func:`.layer.paste_layer` times the layer's thickness), and sand
-    and stones thicken it (:func:`.layer.aggregate_factor`).
+    If the composition of the paste is known, its viscosity is that of the slip layer (:func:`.layer.paste_layer`) times
+    the thickness of the layer, and sand and stones raise it (:func:`.layer.aggregate_factor`). Otherwise, the result is
+    an assumption.
     """
     if given.paste_solids is None or given.paste_solids >= PASTE_DENSEST:
         return Figure("viscosity", *ASSUMED_VISCOSITY, "Pa s", "assumption",
@@ -110,7 +119,10 @@ def unknown_viscosity(given: MixEntries) -> Figure:
 
 
 def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
-    """Return density, viscosity and yield stress of the mortar; empty if the coarse aggregate's share is unknown."""
+    """Return density, viscosity and yield stress of the mortar.
+
+    The result is empty if the volume fraction of the coarse aggregate is unknown.
+    """
     found = []
     if given.share is None:
         return found
@@ -143,12 +155,15 @@ def _mortar(given: MixEntries, key: str, unit: str) -> Figure | None:
 
 
 def _factors(share: float) -> tuple[tuple[float, float], ...]:
-    """Return the most likely, lowest and highest factor by which aggregate raises viscosity and yield stress."""
+    """Return pairs of factors by which aggregate raises viscosity and yield stress: most likely, lowest and highest."""
     return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], THICKENING_LOWER, THICKENING_UPPER))
 
 
 def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Figure:
-    """Return the concrete's viscosity or yield stress, calculated from the same constant of its mortar."""
+    """Return the viscosity or the yield stress of a concrete, calculated from that of its mortar.
+
+    `own` is the measured property of the mortar. `place` is 0 for the viscosity and 1 for the yield stress.
+    """
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))
     return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,

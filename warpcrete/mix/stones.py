@@ -1,4 +1,4 @@
-"""Sizes and shapes of the coarse aggregate, as a mix states them."""
+"""Read the sieve curve, the sizes and the shape of the coarse aggregate from the entries of a mix."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from ..core.inputs.amounts import amount, bare_number
 
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
-"""Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
-a row of spheres."""
+"""Words that a mix uses for the shape of stones, each mapped to the shape of the discrete elements. Instead of a word,
+a mix may state the ratio of longest to shortest width, which becomes an elongated clump of spheres."""
 FINEST, COARSEST = 1e-3, 0.3
-"""Smallest and largest size of stones that count as coarse aggregate [m]."""
+"""Smallest and largest diameter of stones that a mix may state as coarse aggregate [m]. Finer grains belong to the
+mortar."""
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
@@ -48,6 +49,7 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
 
 
 def read_sizes(given: Any) -> tuple[float, float]:
+    """Return the smallest and the largest size of a mix's stones [m]; raises :class:`warpcrete.SceneError`."""
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
@@ -64,6 +66,7 @@ def read_sizes(given: Any) -> tuple[float, float]:
 
 
 def read_shape(given: Any) -> str:
+    """Return the shape of a mix's stones as a word of the scenes; raises :class:`warpcrete.SceneError`."""
     if isinstance(given, int | float) and not isinstance(given, bool):
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"

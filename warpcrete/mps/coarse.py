@@ -1,7 +1,8 @@
-"""Coarse grid of cubes that gathers particles for the preconditioner in `kernels/mps/coarse.py`.
+"""Coarse grid of cubes for the preconditioner in `kernels/mps/coarse.py`.
 
-Coarse unknowns are constant over each cube (Nicolaides 1987). They carry the smooth part of a solution across the
-column, so the iterations of a solve hardly grow with the number of particles.
+Each cube contains several particles. The unknowns of the coarse grid are constant in each cube (Nicolaides 1987). They
+transmit the smooth part of a solution along the whole column of concrete, so the number of iterations hardly grows with
+the number of particles.
 """
 
 from __future__ import annotations
@@ -15,11 +16,9 @@ import warp as wp
 from ..core.device.device import parallel
 
 WIDTH = 4.0
-"""Width of a cube of the coarse grid, in particle spacings.
-
-With a width of 3 the solves take a tenth fewer iterations but need twice as many cubes. With a width of 6 they take a
-quarter more iterations.
-"""
+"""Width of a cube of the coarse grid, in particle spacings. The coarse grid lets the linear solves converge in fewer
+iterations. A width of 3 would save a tenth of the iterations, but need twice as many cubes. A width of 6 would cost a
+quarter more iterations."""
 LEAST = 12.0
 """Minimum height of a column, in cubes, for a coarse grid; lower columns are solved as fast without one."""
 ABOVE = 1.1

@@ -263,7 +263,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     if scene.gained and not scene.rebuild_rate:
         peak, least = number(result["restart_pressure"]), scene.theory().pressure
         most = plug_restart_state(scene).pressure
-        # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.
+        # During the rest, the slip layer gained yield stress, which slip wears off. If all concrete slips along the
+        # wall as a plug, most of the gain still exists when the first sample is taken.
         plug = (
             plug_restart_state(scene).wall_stress
             <= after_rest(scene.concrete, scene.rest, scene.thixotropy).yield_stress

@@ -27,6 +27,7 @@ class Grains:
 
     @property
     def count(self) -> int:
+        """Number of grains."""
         return len(self.size)
 
 
@@ -103,7 +104,8 @@ def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
 
     def radius(direction: np.ndarray) -> np.ndarray:
         c = direction @ axis.T
-        # The three terms deform the circle or ball into an oval, into an egg shape and into a shape with three corners.
+        # The first term deforms the circle or ball into an oval, the second into an egg, and the third into a shape
+        # with three corners.
         return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
             4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
 

@@ -70,9 +70,9 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return what is left of the yield stress gained at rest [Pa], as means over slip layer and concrete at the wall.
+    """Return how much yield stress gained at rest is left in the slip layer and in the concrete at the wall [Pa].
 
-    The result is empty for concrete without thixotropy.
+    Each value is a mean along the wall. The result is empty for concrete without thixotropy.
     """
     if not flow.state.layout.kind.thixotropic:
         return {}
@@ -81,9 +81,9 @@ def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
 
 
 def _mass_in_window(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
-    """Return the mass of concrete, weighted with a factor that falls smoothly from the middle to the wall.
+    """Return the mass of concrete, weighted with a factor that falls smoothly from the pipe's middle to its wall.
 
-    The result keeps its initial value unless particles accumulate in the wrong places.
+    The result keeps its initial value as long as the particles remain evenly distributed across the pipe.
     """
     part = (np.abs(places[:, 0]) / scene.radius) ** (2 if layout.axial else 1)
     return window(part, layout.mass)

@@ -158,7 +158,8 @@ class MovingParticles(Stepping):
     def _reserve(self) -> None:
         """Allocate neighbour lists with room for 1.6 times as many neighbours as in the initial lattice.
 
-        Crowded regions need the additional room. If a list overflows nevertheless, this factor is increased.
+        The additional room is for crowded regions. If a list overflows nevertheless, the lists are allocated again with
+        a larger factor.
         """
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi
@@ -262,8 +263,8 @@ class MovingParticles(Stepping):
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on.
 
-        Among the arrays are the positions at which the neighbour lists were built: neighbour lists rebuilt from these
-        positions have the same order, so that all sums have the same bits.
+        Among the arrays are the positions at which the neighbour lists were built. Neighbour lists that are rebuilt
+        from these positions have the same order, so that all sums have the same bits.
         """
         lists = {"built": self.fields.position_at_build.numpy(), "late": self.fields.event_flags.numpy()}
         return self.state.state_dict() | lists

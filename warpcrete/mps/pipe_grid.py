@@ -17,9 +17,10 @@ PARTICLES_PER_AXIS = 2
 
 
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
-    """Return the numbers of cells across and along a pipe.
+    """Return the number of cells across a pipe and the number of cells along the pipe.
 
-    The cells have the width nearest to the wanted spacing that divides a channel's width or a tube's radius.
+    A whole number of cells must fit into the width of a channel or the radius of a tube. Among the widths for which
+    they fit, the cells have the one nearest to the wanted spacing.
     """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))
@@ -66,9 +67,10 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
 
 
 def _resistance(scene: FluidScene) -> float:
-    """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s].
+    """Return the derivative of the wall's force per volume with respect to the mean velocity [kg/m3/s].
 
-    The driving force of a periodic pipe uses this slope to anticipate how the wall's force changes with the velocity.
+    The derivative is that of the steady state. With it, the driving force of a periodic pipe anticipates how the wall's
+    force changes with the velocity.
     """
     little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))

@@ -17,10 +17,8 @@ STRAIGHT = (0.2, 0.8)
 LOWEST = 0.1
 """Height of the zone above the piston whose pressures are extrapolated to it, relative to the column's height."""
 WINDOW = (0.65, 0.85)
-"""Range in which a particle's weight in the measurement of volume falls from one to zero.
-
-The range is stated in heights above the piston, relative to the height of the column.
-"""
+"""Two heights above the piston, divided by the height of the column. Between them, a particle's weight in the
+measurement of the volume falls from one to zero."""
 UNITS = {
     "time": "s",
     "travel": "m",
@@ -135,10 +133,11 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 
 
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
-    """Return the sum over all particles of `weight` times a factor that falls smoothly from 1 to 0 with height.
+    """Return the sum of `weight` over all particles, each times a factor between 0 and 1.
 
-    `part` is each particle's height relative to the column's height, and WINDOW the range in which the factor falls.
-    The sum keeps its initial value if the concrete neither loses nor gains volume.
+    `part` is the relative position of each particle, such as its height divided by the column's height. The factor is 1
+    for small values of `part`, and falls smoothly to 0 within the range WINDOW. The sum keeps its initial value if the
+    concrete neither loses nor gains volume.
     """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))

@@ -107,7 +107,9 @@ class FluidSimulation(FlowRun):
         """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""
         if self._periodic:
             check_memory(pipe_cells(self.scene), self.device, self.precision)
-            return GridFlow(GridState(self.scene, pipe_layout(self.scene), self.device, self.precision))
+            return GridFlow(
+                GridState(self.scene, pipe_layout(self.scene), self.device, self.precision), threads=self.threads
+            )
         return MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
 
     def measured(self) -> dict[str, float]:
@@ -125,8 +127,8 @@ class FluidSimulation(FlowRun):
             return False  # The structure may break so slowly that all other quantities already look steady.
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
-            # The first row is left out, because the slip layer is not computed yet at the start. Two earlier rows must
-            # agree with the last one, because a single row may agree by chance.
+            # The first row of the time series is left out, because the slip layer is not computed yet at the start. Two
+            # earlier rows must agree with the last one, because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

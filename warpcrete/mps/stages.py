@@ -10,7 +10,7 @@ A step is a pressure-correction scheme whose predictor uses the pressure of the 
    without changing any velocity.
 
 The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails,
-notebooks/fluid_theory.md says what is done instead and why.
+notebooks/theory/particles.md says what is done instead and why.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def step_parts(particles: Any) -> list[StepPart]:
 
 
 class StepPart:
-    """Part of a time step that one thread does.
+    """Share of a time step that one thread does.
 
     The thread processes the ranges of particles with the numbers `parts`. The first thread also does the work that is
     not divided among threads.
@@ -107,6 +107,7 @@ class StepPart:
     # The following methods return the stages of a step, in the order of the step.
 
     def geometry(self) -> list[Any]:
+        """Return the stages that compute the moments of each particle's neighbours and its apparent viscosity."""
         kernel = geometry_kernel(*self.kind, self.two_phase, self.scene.concrete.bulk_law.name)
         return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 
@@ -125,6 +126,7 @@ class StepPart:
         ]
 
     def momentum(self) -> list[Any]:
+        """Return the stages that assemble the equations for the velocities."""
         return self.over_rows(momentum_kernel(*self.kind, self.two_phase, self.scene.concrete.layer_law.name))
 
     def bodies(self) -> list[Any]:
@@ -134,6 +136,7 @@ class StepPart:
         return self.by_first_thread(bodies_kernel(self.p.scalar, self.dimensions), self.p.state.grains.count)
 
     def viscosity(self) -> list[Any]:
+        """Return the stages that solve for the velocities."""
         absolute = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
         return [
             *self.coarse_matrix(True),
@@ -141,6 +144,7 @@ class StepPart:
         ]
 
     def pressure(self) -> list[Any]:
+        """Return the stages that solve for the increment of the pressure."""
         scene, tolerance = self.scene, self.scene.tolerance
         absolute = ABSOLUTE_PRESSURE_FACTOR * tolerance * self.rate * scene.velocity / scene.radius * self.size
         solve = self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, absolute)
@@ -165,14 +169,16 @@ class StepPart:
         return [*before, *advance, *after]
 
     def finish(self) -> list[Any]:
+        """Return the stage that counts the step and marks neighbour lists that are out of date."""
         return self.by_first_thread(finish, event_flags=self.p.fields.event_flags)
 
     # The following methods return the linear solves.
 
     def coarse_matrix(self, vector: bool) -> list[Any]:
-        """Return stages that form the preconditioner's coarse matrix for velocities (`vector`) or for the pressure.
+        """Return the launches that compute the coarse matrix of the preconditioner.
 
-        The coarse matrix of the pressure is used in the density solve, too.
+        `vector` is True for the solve for velocities, and False for the solve for the pressure. The density solve also
+        uses the coarse matrix of the pressure.
         """
         coarse = self.p.coarse
         if coarse is None:

@@ -126,8 +126,8 @@ GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     """Return the struct of constants of a flow for the kernels.
 
-    `skin` is the skin of the neighbour lists in particle spacings, `correction` the fraction of the density error that
-    a step removes.
+    `skin` is the skin of the neighbour lists, divided by the particle spacing. `correction` is the fraction of the
+    density error that a step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()
@@ -175,7 +175,8 @@ def _density_weight(q: np.ndarray) -> np.ndarray:
 def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
     """Return the sum of the weights of a particle's neighbours within `reach` spacings, at the start.
 
-    The sum is averaged over the fluid particles of a layer at mid-height.
+    The result is the mean of this sum over the fluid particles of one layer at mid-height. The function `weight` takes
+    the distances of neighbours, divided by the reach.
     """
     everything = np.concatenate([layout.fluid, layout.wall])
     middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]

@@ -18,8 +18,8 @@ SLIM = 0.25
 column.
 """
 CHAINS, CUT = "scene/network", "scene/cut"
-"""Paths, in the recording, of the force chains and of the walls that are cut open. The view of the whole scene hides
-these entities."""
+"""Paths, in the recording, of the lines that show contact forces and of the walls that are cut open. The view of the
+whole scene hides what is recorded under these paths."""
 PAINT_LEGEND = "legend_of_walls"
 
 

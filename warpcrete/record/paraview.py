@@ -142,9 +142,9 @@ class Poly:
         self._pending_frames: list[tuple[float, np.ndarray, np.ndarray, dict[str, np.ndarray]]] = []
 
     def add(self, time: float, points: np.ndarray, cells: np.ndarray, fields: dict[str, np.ndarray]) -> None:
-        """Add a step: points (n, 3) [m], cells as numbers of their points (m, k), and the fields of the points.
+        """Add one frame: points (n, 3) [m], cells as indices of points (m, k), and fields of the points.
 
-        The step is kept in memory until :meth:`write` is called.
+        The frame is kept in memory until :meth:`write` is called.
         """
         self._pending_frames.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
 

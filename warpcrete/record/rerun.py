@@ -214,9 +214,9 @@ class RerunRecorder(Recorder):
             self._log_scale(paint, painted)
 
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
-        """Record the texture of all colours and the legend, for all frames.
+        """Record the texture that holds all colours of painted walls, and the legend, as static data for all frames.
 
-        The viewer uses the last version of static data, so that a new scale applies to earlier frames too.
+        The viewer uses the last version of static data, so that a new scale also applies to earlier frames.
         """
         rr = self._rr
         from rerun.components import ImageFormat
@@ -402,8 +402,8 @@ class RerunRecorder(Recorder):
                 trouble = error
                 # If Rerun's writer has crashed, `flush` fails at once, so pause before the next attempt.
                 time.sleep(0.05)
-            # If the disk was full at some time, the writer may never answer. If the writer is only slow, the file still
-            # grows.
+            # If the disk was full at some time, the thread that writes the recording may never answer, so stop waiting
+            # for it. If the writer is only slow, the file still grows, so go on waiting.
             if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
                 if size != before:

@@ -22,8 +22,8 @@ from .loading import is_finished
 def scene_record(simulation: RecordedSimulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
-    If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
-    question are stored under `modified`; such a run cannot be repeated from scene.json.
+    A scene may differ from what its function builds, because it was modified afterwards or built by hand. The fields
+    that differ are then stored under `modified`, and the run cannot be repeated from scene.json.
     """
     scene = simulation.scene
     made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()

@@ -85,10 +85,10 @@ def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
 
 
 def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
-    """Return the material, the linear colour and the opacity with which a wall is drawn.
+    """Return the USD material, the linear RGB colour and the opacity with which a wall is drawn.
 
-    Transparent walls look like glass and moving walls like metal. A `painted` wall takes its colours from
-    `displayColor`.
+    Transparent walls look like glass, and opaque moving walls look like metal. If the wall is `painted`, its material
+    takes the colours from the attribute `displayColor` of the wall's mesh.
     """
     from pxr import Gf, Sdf
 
@@ -137,7 +137,8 @@ class Colours:
         known = primvar.Get()  # If an existing USD file is continued, start with the table of colours in that file.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
-        # Index of each colour used so far in the table of colours. The keys are the packed RGB bytes of the colours.
+        # Index of each colour in the table of colours, for all colours used so far. The keys are the colours as packed
+        # RGB bytes.
         self._known: dict[int, int] = {}
 
     def set(self, colours: np.ndarray, code: Any) -> None:

@@ -9,10 +9,8 @@ from ..theory.vessels import funnel_time
 from .standard_test import ClosedForm, Outcome, Outflow, Sizes, Specimen, StandardTest
 
 LIGHT = 0.5
-"""Fraction of the outlet that is covered by concrete, seen from above, below which the test ends.
-
-The funnel then counts as empty, because light can be seen through it.
-"""
+"""Fraction of the outlet, seen from above, that concrete must still cover while the test goes on. Below this fraction
+the V-funnel counts as empty, because light can be seen through it."""
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:

@@ -24,10 +24,10 @@ def _measure_ring(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _slump(k: Outcome) -> float:
-    """Return the fall of the top since the start [m].
+    """Return how far the top of the concrete has fallen since the start [m].
 
-    The height of settled concrete is measured in the same way at the start and at the end. The roughness of its surface
-    and its settlement in the mould therefore do not count as slump.
+    The height of the settled concrete is measured in the same way at the start and at the end. Two effects therefore do
+    not count as slump: the roughness of the surface, and the settlement in the mould.
     """
     return (k.size["mould_height"] if k.fill_height is None else k.fill_height) - k.last("top")
 
@@ -44,9 +44,10 @@ def _spread_of_long_heap(k: Outcome) -> float | None:
 
 
 def _heap(k: Outcome) -> tuple[float, float] | None:
-    """Return radius and central depth [m] of a wide heap that resists stretching, according to theory.
+    """Return the radius and the central depth [m] at which a wide heap comes to rest, according to theory.
 
-    The result is None without yield stress, or if the radius would not exceed the depth.
+    The theory includes the heap's resistance to stretching. The result is None without yield stress, or if the radius
+    would not exceed the depth.
     """
     if k.concrete.yield_stress == 0:
         return None

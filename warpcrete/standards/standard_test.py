@@ -220,10 +220,11 @@ def _by_name(name: str, module: str) -> StandardTest:
 def quantities_of_tests(
     of: Callable[[StandardTest], Iterable[Quantity]], outcome: Callable[[Any], Outcome | None]
 ) -> list[Quantity]:
-    """Return the results of all standard tests as quantities; a quantity is None in runs of tests that lack it.
+    """Return the results of all standard tests as quantities.
 
     `of` yields the quantities of one test. `outcome` takes a method's data about a run and returns what the run's test
-    needs, or None if the run is no test.
+    needs, or None if the run is no test. The value of a quantity is None in a run whose test does not have this
+    quantity.
     """
     found: dict[str, dict[StandardTest, Quantity]] = {}
     for test in TESTS.values():

@@ -74,7 +74,7 @@ def cases_of(
 
 
 def short_name(words: str) -> str:
-    """Return the name of a folder that is not too long: a long one is cut and ends in a hash of all words."""
+    """Return the name of a folder for `words`; a name that is too long is cut and ends in a hash of all words."""
     if len(words) <= MAX_NAME_LENGTH:
         return words
     return f"{words[: MAX_NAME_LENGTH - 11]}-{hashlib.sha256(words.encode()).hexdigest()[:10]}"

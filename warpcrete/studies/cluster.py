@@ -147,9 +147,10 @@ class Cluster:
     ) -> None:
         """Run `function(record, module, folder, job, asked)` on workers for every job.
 
-        `where` holds the first three arguments. `jobs` yields (tag, job) pairs, and `store_outcome` gets the tag and
-        the job's result or exception. With `lazily`, `jobs` is read only when a worker is free for the next job. After
-        a Ctrl-C in `gap`, the callback `asked` returns True in running jobs, and waiting jobs are cancelled.
+        `where` holds the arguments `record`, `module` and `folder`. `jobs` yields pairs of a tag and a job. When a job
+        has ended, `store_outcome` gets its tag and its result or exception. With `lazily`, the next job is read from
+        `jobs` only when a worker is free for it. After a Ctrl-C in `gap`, the callback `asked` returns True in running
+        jobs, and waiting jobs are cancelled.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet

@@ -156,10 +156,11 @@ def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, 
 def run_cases(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
-    """Run cases with the method's `run_many`, each CPU run with as many threads as `record` says (default 1).
+    """Run cases of a study; each run on a CPU has as many threads as `record` states (default 1).
 
-    The runs end early when the callback `asked` returns True. Returns for each case the contents of its result.json,
-    the exception that ended it, or None if it was stopped before it ran.
+    The cases run together, by the function `run_many` of the simulation method. The runs end early when the callback
+    `asked` returns True. The result has one element for each case: the contents of its result.json, the exception that
+    ended it, or None if it was stopped before it ran.
     """
     simulations: list[Simulation] = []
     report_progress = stop_callback(asked, simulations)

@@ -22,7 +22,7 @@ SPREADS = (0.500, 0.527, 0.562, 0.611, 0.694, 0.808, 1.132)
 T500_FACTORS = (3.53e-4, 5.58e-4, 7.57e-4, 9.39e-4, 11.34e-4, 12.11e-4, 12.56e-4)
 """Ratio of the viscosity to rho g T500 [m], for each diameter of the spread at rest in `SPREADS` [m].
 
-T500 is the time until the spread reaches 500 mm. The spreads at rest are those of
+Here rho is the density, g gravity, and T500 the time until the spread reaches 500 mm. The spreads at rest are those of
 :func:`warpcrete.theory.vessels.heap_at_rest`. The factors were measured with this program's own flow: `warpcrete run
 slump` with 300 Pa s, 2300 kg/m3, yield stresses of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of 10 mm, and a mould lifted
 in 1 s. For comparison, the factor of a viscous heap without yield stress is 14.8e-4 m (Huppert 1982, about an axis:
@@ -32,9 +32,10 @@ factor is 8.7e-4 m for a lift in 1 s and 5.9e-4 m in 3 s.
 
 
 def yield_of_long_heap(spread: float, density: float) -> float:
-    """Return the yield stress [Pa] of a long heap of diameter `spread` [m] (Roussel & Coussot 2005).
+    """Return the yield stress [Pa] of a heap that is much wider than high, from its diameter `spread` [m].
 
-    The formula is 225 rho g V^2 / (128 pi^2 R^5), with the radius R and the volume V of the cone.
+    The formula of Roussel & Coussot (2005) is 225 rho g V^2 / (128 pi^2 R^5), with the density rho, gravity g, the
+    volume V of the cone of the slump test, and the radius R of the heap.
     """
     return 225 * density * GRAVITY * VOLUME**2 / (128 * math.pi**2 * (spread / 2) ** 5)
 
@@ -59,8 +60,9 @@ def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) ->
 def yield_of_slump_measured(slump: float, density: float) -> float:
     """Return the yield stress [Pa] for a `slump` [m], by the empirical relation of Ferraris & de Larrard (1998).
 
-    The relation, rho (30 cm - slump) / 34.7 + 212, describes measurements with the rheometer BTRHEOM on some 80 mixes,
-    with a mean deviation of 162 Pa. Hu's relation, from finite elements, is rho (30 cm - slump) / 27.
+    With the density rho [kg/m3], the yield stress is rho (30 cm - slump) / 34.7 + 212. The relation describes
+    measurements with the rheometer BTRHEOM on some 80 mixes, with a mean deviation of 162 Pa. Hu's relation, from
+    finite elements, is rho (30 cm - slump) / 27.
     """
     return density * (30 - 100 * slump) / 34.7 + 212
 

@@ -1,15 +1,16 @@
 """Flow laws of concrete and of its slip layer: stress as a function of shear rate, its inverse, and integrals.
 
-There are three laws, each for the bulk (shear rate g [1/s]) and for the slip layer (slip velocity instead of g):
+Each law serves for the bulk, where g is the shear rate [1/s], and for the slip layer, where g is the slip velocity
+instead. The stress is tau, the yield stress is tau_0, and mu, k, n and c are the other constants of the laws:
 
 - Bingham: tau = tau_0 + mu g.
 - Herschel-Bulkley: tau = tau_0 + k g^n. It thickens with the rate for n > 1 and thins for n < 1.
 - Modified Bingham: tau = tau_0 + mu g + c g^2 (Yahia & Khayat 2001). It thickens, and its viscosity at low rates is mu.
 
 The stress in a pipe or a channel grows linearly from the middle to the wall. Velocities and flows are therefore
-integrals over the stress. These integrals have closed forms if they are written as functions of the shear rate g at the
-wall. With the viscous stress h(g) = tau - tau_0, they are sums of the integrals J_j of g h^j h'(g) dg from 0 to g, with
-j = 0, 1, 2.
+integrals over the stress. They have closed forms if they are written as functions of the shear rate g at the wall. Let
+h(g) = tau - tau_0 be the viscous stress. Velocities and flows are then sums of three integrals J_0, J_1 and J_2, where
+J_j is the integral of g h^j h'(g) dg from 0 to g.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ def law_name(index: float, quadratic: float) -> str:
 
 @dataclass(frozen=True)
 class FlowLaw:
-    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, in which n is 1 or c is 0.
+    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, with the shear stress tau and the shear rate g.
 
-    All methods take numbers or arrays and return arrays.
+    Either n is 1 or c is 0. All methods take numbers or arrays and return arrays.
     """
 
     yield_stress: float
@@ -42,7 +43,7 @@ class FlowLaw:
     viscosity: float
     """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
 
-    In the law of a slip layer, this value is divided by the layer's thickness^n.
+    For a slip layer, this attribute holds that value divided by the n-th power of the layer's thickness.
     """
     index: float = 1.0
     """Flow index n."""
@@ -77,10 +78,11 @@ class FlowLaw:
         return excess / self.viscosity
 
     def integrals(self, stress: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the integrals J_0, J_1 and J_2, where J_j is the integral of g h^j dh [Pa^(j + 1) / s] up to `stress`.
+        """Return the integrals J_0, J_1 and J_2 up to a `stress`.
 
-        Here g is the shear rate at the stress tau_0 + h. J_0 is therefore also the integral of the rate over the
-        stress.
+        The integral J_j is that of g h^j dh [Pa^(j + 1) / s]. Here h is the viscous stress, which is the stress minus
+        the yield stress, and g is the shear rate at this stress. J_0 is therefore also the integral of the rate over
+        the stress.
         """
         h = np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0)
         g = self._rate_of_excess(h)
@@ -88,8 +90,8 @@ class FlowLaw:
             n = self.index
             with np.errstate(over="ignore"):
                 return g * h * n / (n + 1), g * h**2 * n / (2 * n + 1), g * h**3 * n / (3 * n + 1)
-        # With a = mu g and b = c g^2 the integrals below are polynomials of g with positive terms only, so no digits
-        # cancel.
+        # Let g be the shear rate, a the viscosity times g, and b the quadratic coefficient times g^2. The integrals
+        # below are then polynomials of g with positive terms only, so no digits cancel.
         a, b = self.viscosity * g, self.quadratic * g * g
         return (
             g * (a / 2 + 2 * b / 3),
@@ -100,9 +102,10 @@ class FlowLaw:
     def mean_velocity(self, stress: Any, radius: float, form: str) -> np.ndarray:
         """Return the velocity [m/s] that shear adds to the slip velocity, averaged over the section.
 
-        `stress` is the shear stress tau at the wall [Pa]. The mean is R / tau^3 times the integral of g s^2 ds over
-        the stresses s from 0 to tau in a pipe of `radius` R, and H / tau^2 times the integral of g s ds in a channel
-        of half-width H (`form` "plane"). With s = tau_0 + h both are sums of the integrals J_j.
+        `stress` is the shear stress tau at the wall [Pa], and g is the shear rate at a stress s. In a pipe of `radius`
+        R, the mean is R / tau^3 times the integral of g s^2 ds over s from 0 to tau. In a channel of half-width R
+        (`form` "plane"), it is R / tau^2 times the integral of g s ds. With the yield stress tau_0 and s = tau_0 + h,
+        both are sums of the integrals that :meth:`integrals` returns.
         """
         tau = np.asarray(stress, float)
         zero, one, two = self.integrals(tau)
@@ -114,9 +117,10 @@ class FlowLaw:
             return radius / safe**3 * (yields**2 * zero + 2 * yields * one + two)
 
     def stream(self, outer: Any, inner: Any) -> np.ndarray:
-        """Return the integral of g s^2 ds from the stress s = `inner` to `outer` [Pa3/s], with the shear rate g.
+        """Return the integral of g s^2 ds from s = `inner` to s = `outer` [Pa3/s].
 
-        The flow that shear within an annulus of a pipe adds is pi times this integral over the stress gradient cubed.
+        Here s is the shear stress [Pa] and g the shear rate at this stress [1/s]. The flow through an annulus of a pipe
+        that is due to shear is pi times this integral, divided by the cube of the stress gradient.
         """
         high, low = self.integrals(outer), self.integrals(inner)
         zero, one, two = (a - b for a, b in zip(high, low, strict=True))

@@ -1,6 +1,8 @@
 """Steady flow of a yield stress fluid with a slip layer through a pipe: pressure, flow rate and velocity profile.
 
-The theory comes in three forms. Each form combines a flow law with a balance of forces:
+P is the pressure difference over a length L, R the radius of the pipe, tau_w the shear stress at the wall, rho the
+density and g the gravity along the pipe. The theory comes in three forms. Each form combines a flow law with a balance
+of forces:
 
 - `pipe`: round pipe. The flow law is Buckingham-Reiner with slip (Xu, Li & Jiang 2021, Eq. 12), and the pressure is P =
   rho g L + 2 tau_w L / R.
@@ -10,8 +12,9 @@ The theory comes in three forms. Each form combines a flow law with a balance of
   with the force balance of the channel. This form agrees with neither of the others and only serves comparison with the
   paper's figures.
 
-The bulk is a Bingham fluid by default, and the slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). Both may follow one
-of the other laws of :mod:`.laws` instead. The bulk concrete fills the radius less the layer's thickness.
+The bulk is a Bingham fluid by default. In the slip layer, the shear stress is tau = tau_L0 + eta_L V_L (Eq. 8), with
+the layer's yield stress tau_L0, its viscosity eta_L and the slip velocity V_L. Both may follow one of the other laws of
+:mod:`.laws` instead. The bulk fills the radius of the pipe less the thickness of the layer.
 """
 
 from __future__ import annotations
@@ -98,9 +101,9 @@ SLIP_VISCOSITY_BY_THICKNESS = {
     "no2": {2e-3: 839.0, 4e-3: 834.0, 6e-3: 831.0},
     "no3": {2e-3: 914.0, 4e-3: 908.0, 6e-3: 902.0},
 }
-"""Slip viscosity eta_L [Pa s/m] by layer thickness [m] (Xu et al. 2021, Table 3).
+"""Slip viscosity eta_L [Pa s/m] by name of the concrete and thickness of the layer [m] (Xu et al. 2021, Table 3).
 
-The slip yield stress tau_L0 does not depend on the thickness.
+The yield stress of the slip layer does not depend on the thickness.
 """
 
 MIXES = {
@@ -153,9 +156,13 @@ class Steady:
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
     """Return the mean velocity that shear of the bulk adds to the slip velocity [m/s], averaged over the section.
 
-    `stress` is the shear stress tau at the wall [Pa], a number or an array. With x = yield stress / tau the velocity of
-    a Bingham fluid is R tau / (4 mu_b) (1 - 4 x / 3 + x^4 / 3) in a pipe and R tau / (3 mu_b) (1 - 3 x / 2 + x^3 / 2)
-    in a channel. :meth:`~.laws.FlowLaw.mean_velocity` serves the other laws.
+    `stress` is the shear stress at the wall [Pa], a number or an array. Let tau be this stress, x the yield stress
+    divided by tau, and mu the plastic viscosity. If the slip layer has no thickness, the velocity of a Bingham fluid is
+
+    - R tau / (4 mu) (1 - 4 x / 3 + x^4 / 3) in a pipe of radius R,
+    - R tau / (3 mu) (1 - 3 x / 2 + x^3 / 2) in a channel of half width R.
+
+    The method :meth:`~.laws.FlowLaw.mean_velocity` serves the other laws.
     """
     inner = line.radius - line.slip_thickness
     own = np.asarray(stress, float) * inner / line.radius
@@ -163,8 +170,8 @@ def _bulk(concrete: Concrete, line: Line, stress, form: str):
         return (inner / line.radius) ** (1 if form == "plane" else 2) * law.mean_velocity(own, inner, form)
     with np.errstate(divide="ignore"):
         x = np.where(own > concrete.yield_stress, concrete.yield_stress / np.where(own > 0, own, 1.0), 1.0)
-    # If the yield stress nearly equals the wall stress (x = 1), the expanded polynomials of x subtract nearly equal
-    # numbers. The factored forms avoid this cancellation.
+    # If the yield stress nearly equals the wall stress, x is nearly 1, and the expanded polynomials of x subtract
+    # nearly equal numbers. The factored forms avoid this cancellation.
     rest = (1 - x) ** 2
     if form == "plane":
         return inner / line.radius * inner * own / (3 * concrete.viscosity) * rest * (1 + 0.5 * x)
@@ -192,10 +199,9 @@ def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = 
 
 @functools.lru_cache(maxsize=1024)
 def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> Steady:
-    """Return the steady state of a volume `flow` [m3/s]; its pressure is the one that a pump must deliver.
+    """Return the steady state at the volume flow `flow` [m3/s]; its pressure is the one that a pump must deliver.
 
-    At rest the wall stress may have any value up to `least_stress`. The result for zero flow has exactly this wall
-    stress.
+    Concrete at rest can bear any wall stress up to `least_stress`. The result for zero flow has this largest stress.
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     low = least_stress(concrete, line)
@@ -269,9 +275,10 @@ def scaled(concrete: Concrete, yield_factor: float, viscosity_factor: float) -> 
 def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
     """Return the concrete after `rest` [s], when the yield stresses of bulk and slip layer have grown by A_thix t.
 
-    The linear growth was proposed by Roussel (2006) and holds for some tens of minutes at most. In Roussel's classes,
-    the `thixotropy` A_thix [Pa/s] is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens
-    strongly. The constant was measured on bulk concrete; the same growth of the slip layer is an assumption.
+    Here A_thix is the `thixotropy` [Pa/s] and t the duration of the rest. The linear growth was proposed by Roussel
+    (2006) and holds for some tens of minutes at most. In Roussel's classes, A_thix is below 0.1 for a concrete that
+    hardly stiffens and above 0.5 for one that stiffens strongly. The constant was measured on bulk concrete. The same
+    growth of the slip layer is an assumption.
     """
     between("rest", rest, 0, np.inf, "s")
     between("thixotropy", thixotropy, 0, np.inf, "Pa/s")
@@ -284,10 +291,13 @@ def restart(
 ) -> Steady:
     """Return the :class:`Steady` state in which concrete starts to move after a rest, with unbroken structure.
 
-    With zero `flow` the state has the smallest pressure at which concrete moves. For a plug of length L in a round pipe
-    of diameter d this pressure is rho g H + 4 (tau_L0 + A_thix t) L / d, if the slip layer yields before the bulk. A
-    piston that starts at once with a `flow` [m3/s] must overcome the viscous stress as well. In both cases the pressure
-    falls to the steady value as shear breaks the structure.
+    `rest` is the duration of the rest [s], and `thixotropy` is the growth rate of the yield stresses [Pa/s]. With zero
+    `flow` the state has the smallest pressure at which concrete moves. In a round pipe this pressure is rho g H + 4
+    (tau_L0 + A_thix t) L / d, if the slip layer yields before the bulk. Here rho is the density, g gravity, and H the
+    rise of the pipe, L its length and d its diameter; tau_L0 is the yield stress of the layer, A_thix the thixotropy
+    and t the duration of the rest. With a `flow` [m3/s], the state is that of a piston that starts at once, so that the
+    pressure includes the viscous stress. In both cases the pressure falls to its steady value as shear breaks the
+    structure.
     """
     return steady(after_rest(concrete, rest, thixotropy), line, flow, form)
 
@@ -323,8 +333,9 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # The velocity relative to the bulk's edge is the integral of the shear rate over the radius. The stress is
-        # proportional to the radius, so this is the integral over the stress, divided by the stress gradient.
+        # The velocity relative to the edge of the bulk is the integral of the shear rate over the radius. The stress is
+        # proportional to the radius. The integral over the radius is therefore the integral over the stress, divided by
+        # the stress gradient.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)

@@ -35,9 +35,9 @@ def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float
 def power_thickening(factor: float, fraction: float, index: float) -> float:
     """Return the factor by which a volume `fraction` of aggregate raises the consistency k in the stress k g^n.
 
-    `factor` is the viscosity factor f of :func:`thickening`, `index` is n, and g is the shear rate. The mortar between
-    the aggregates is sheared sqrt(f / (1 - fraction)) times as fast as the whole. The result is therefore
-    sqrt(f^(n + 1) (1 - fraction)^(1 - n)) (Chateau, Ovarlez & Trung 2008), which is f for n = 1.
+    Here g is the shear rate and n the flow `index`. `factor` is the viscosity factor f of :func:`thickening`. The
+    mortar between the aggregates is sheared sqrt(f / (1 - fraction)) times as fast as the whole. The result is
+    therefore sqrt(f^(n + 1) (1 - fraction)^(1 - n)) (Chateau, Ovarlez & Trung 2008), which is f for n = 1.
     """
     if index == 1.0:
         return factor

@@ -24,11 +24,9 @@ LAYERS = 4000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
-"""Numbers of slices and of tried speeds.
-
-SLICES is the number of slices of a box along its length, and SLICES_FUNNEL that of a funnel along its height. SPEEDS is
-the number of outlet speeds tried for each level of the concrete.
-"""
+"""Numbers of slices and of tried speeds. SLICES is the number of slices of a box along its length, and SLICES_FUNNEL
+that of a funnel along its height. SPEEDS is the number of outlet speeds that are tried for each height of the concrete
+in the funnel."""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
@@ -39,19 +37,22 @@ def cone_volume(top: float, base: float, height: float) -> float:
 def long_heap_spread(volume: float, yield_stress: float, density: float, gravity: float = 9.81) -> float:
     """Return the diameter [m] of a heap at rest that is much wider than high (Roussel & Coussot 2005).
 
-    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau.
+    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau, the density rho, gravity
+    g, and the volume V of the heap.
     """
     return 2 * (225 * density * gravity * volume**2 / (128 * math.pi**2 * yield_stress)) ** 0.2
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""Resistance of a heap to stretching, in units of yield stress times depth, for the forms "plane" and "axial".
+"""Resistance of a heap to stretching, divided by yield stress tau and depth h, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
-the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
-sqrt(tau^2 - shear^2), whose mean over the depth is (pi / 4) tau. In a plane the normal stresses are s and -s, which
-doubles this mean. About an axis, a heap that keeps its shape has the stress s along the radius and around it, and -2 s
-upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
+the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The stretch takes the rest, sqrt(tau^2 -
+shear^2). The mean of the rest over the depth is (pi / 4) tau.
+
+In a plane the normal stresses are s and -s, which doubles this mean. About an axis, a heap that keeps its shape has the
+stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. This multiplies the mean by
+sqrt(3).
 """
 
 
@@ -60,10 +61,10 @@ def heap_depth(
 ) -> np.ndarray:
     """Return the depth [m] of a heap at rest at the distances `inward` [m] behind the heap's front.
 
-    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
-    over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
-    HEAPS tau h. The formula for a long heap (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or
-    "axial".
+    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h), with the density rho, the gravity g and the yield
+    stress tau. The left side is the outward pressure of the weight over the depth. The plate resists it with tau along
+    the distance `inward`, and the stretched section resists it with HEAPS tau h. The formula for a long heap
+    (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears
@@ -99,8 +100,9 @@ def heap_volume(reach: float, yield_stress: float, density: float, gravity: floa
 def viscous_front(volume: float, viscosity: float, density: float, time: float, gravity: float = 9.81) -> float:
     """Return how far a viscous fluid without yield stress has spread on a plate to one side [m] (Huppert 1982).
 
-    The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5) t^(1/5), with the `volume` V released to this
-    side per metre of depth [m2] and the `time` t since then [s]. There is no slip between fluid and plate.
+    There is no slip between fluid and plate. The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5)
+    t^(1/5). Here g is gravity, nu the kinematic viscosity, and t the `time` since the release [s]. V is the `volume`
+    released to this side per metre of depth [m2].
     """
     return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 
@@ -127,17 +129,17 @@ def box_at_rest(
 ) -> tuple[float, float, float]:
     """Return the depths of resting concrete at the near and far end of a box and the length that it covers [m].
 
-    The concrete enters at one end without inertia and sticks to floor and sides. The concrete comes to rest when
-    the stresses on floor and sides balance the slope h' of its depth: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel
-    & Coussot 2006). The equation is integrated from the far end, or from the front if the concrete does not reach the
-    far end.
+    The concrete enters at one end without inertia and sticks to floor and sides. It comes to rest when the stresses on
+    floor and sides balance the slope h' of its depth h: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot
+    2006). Here tau is the yield stress, b the width of the box, rho the density and g gravity. The equation is
+    integrated from the far end, or from the front if the concrete does not reach the far end.
     """
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume of the concrete [m3] and its depth at the near end [m].
+        """Return the volume of the resting concrete [m3] and its depth at the near end [m].
 
-        `far` is the depth at the far end, and `reach` the distance between both ends [m].
+        `far` is the depth of the concrete at its far end [m], and `reach` is the distance between both ends [m].
         """
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
@@ -161,9 +163,9 @@ def box_at_rest(
 def box_slope(near: float, width: float) -> tuple[float, float]:
     """Return two integrals over the depth of concrete at rest in a long box, from 0 at its front to `near` [m].
 
-    With the constant A = 2 tau / (rho g b) of a box of `width` b [m], the first integral [m] is A times the length that
-    the concrete covers, and the second one [m2] is A / b times its volume (Roussel 2007). Both follow from the equation
-    of :func:`box_at_rest`.
+    They follow from the equation of :func:`box_at_rest` (Roussel 2007). Let tau be the yield stress, rho the density, g
+    the gravity, b the box's `width` [m], and A = 2 tau / (rho g b). The first integral [m] is A times the length that
+    the concrete covers. The second integral [m2] is A / b times the volume of the concrete.
     """
     bent = 0.5 * width * math.log1p(2 * near / width)
     return near - bent, 0.5 * near * near - 0.5 * width * (near - bent)
@@ -212,14 +214,15 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The formula of
-    Kozicki, Chou & Tiu is exact in slots and pipes. It states that 2 v / R is tau^(-b/a) / a times the integral of
-    s^(b/a - 1) g(s) ds up to tau, with the mean speed v, the hydraulic radius R, the wall stress tau and the shear rate
-    g. For Bingham's law the right side is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with
-    q = tau0 / tau.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. A slip `layer`
+    adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield stress [Pa].
+    For laws other than Bingham's, it is also given by its flow index and its quadratic coefficient.
 
-    A slip `layer` adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield
-    stress [Pa]. Laws other than Bingham's also need its flow index and its quadratic coefficient.
+    The formula of Kozicki, Chou & Tiu is exact in slots and pipes. Let v be the mean speed, R the hydraulic radius, tau
+    the wall stress, g(s) the shear rate at a stress s, and a and b two constants of the cross-section. The formula
+    states that 2 v / R is tau^(-b/a) / a times the integral of s^(b/a - 1) g(s) ds up to tau. For Bingham's law with
+    the yield stress tau0 and the plastic viscosity mu, this is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a +
+    b))), with q = tau0 / tau.
     """
     law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))
@@ -237,15 +240,16 @@ def duct_stress(
 
 
 def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -> np.ndarray:
-    """Return twice the mean speed of a duct over its hydraulic radius [1/s], at a mean wall `stress` [Pa].
+    """Return 2 v / R for a duct [1/s], with the mean speed v and the hydraulic radius R, at a mean wall `stress` [Pa].
 
     The formula and its constants `a` and `b` are those of :func:`duct_stress`.
     """
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)
         return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity
-    # Integrate over x, where x^3 is the stress above the yield stress divided by its largest value. As a function of x,
-    # the integrand is smooth even at the yield stress, where the shear rate begins.
+    # Replace the stress by the variable x, from 0 at the yield stress to 1 at the largest stress, so that stress =
+    # yield stress + (largest stress - yield stress) x^3. As a function of x, the integrand is smooth even at the yield
+    # stress, below which the shear rate is zero.
     x = 0.5 * (NODES + 1)
     over = np.maximum(stress - law.yield_stress, 0.0)[:, None]
     at = law.yield_stress + over * x**3
@@ -274,8 +278,8 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # Pressure of the weight above the outlet, less the losses by friction and inertia [Pa], for each outlet speed
-    # and each level of the concrete.
+    # Compute the pressure of the weight above the outlet minus the losses by friction and inertia [Pa], for each outlet
+    # speed and each level of the concrete in the funnel.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,

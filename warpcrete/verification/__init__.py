@@ -29,7 +29,8 @@ def run_cases(
 ) -> Iterator[tuple[Case, list[Row]]]:
     """Run verification cases one after the other, and yield each case with the rows of its results.
 
-    If a case raises an error, its only row is one that counts as failed and states the error.
+    If a case raises an error, it has a single row, which counts as failed and states the error. Without `slow`, the
+    slow cases are left out.
     """
     for case in chosen:
         if slow or not case.slow:

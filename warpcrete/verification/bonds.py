@@ -159,9 +159,9 @@ def breakage(device, precision) -> list[Row]:
             if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
             last = abs(float(stepper.state.pairs.load.numpy()[0, place]))
-        # The load grows by 5e-4 of its final value per step, and this step limits the accuracy of the measured load. In
-        # double precision, loads other than shear reach the bond's strength exactly at the end of a step, so their
-        # error is smaller.
+        # The load grows by 5e-4 of its final value per step, which limits the accuracy of the measured load. Loads
+        # other than shear are an exception in double precision: they reach the bond's strength exactly at the end of a
+        # step, so their error is smaller.
         sheared = label.startswith("shear") or precision == "float32"
         rows.append(
             Row(

@@ -72,8 +72,8 @@ def oscillator(device, precision) -> list[Row]:
             )
         )
         order = math.log2(errors[0] / errors[1])
-        # The leapfrog method is of second order. A dashpot that uses the velocity of half a step ago reduces the
-        # order to one.
+        # The leapfrog method is of second order. With a dashpot that uses the velocity of half a step ago, it is only
+        # of first order.
         rows.append(Row(f"order of convergence in dt, damping ratio {beta:g}", order, 2.0 if beta == 0 else 1.0, 0.12))
     return rows
 
@@ -81,8 +81,8 @@ def oscillator(device, precision) -> list[Row]:
 def rolling(device, precision) -> list[Row]:
     """Compare the accelerations of a sphere on an incline with rigid-body mechanics.
 
-    The sphere rolls without slip if tan(theta), the incline's slope, is below 7/2 mu. On a steeper incline
-    the sphere slides, and friction spins it up.
+    The sphere rolls without slip if tan(theta), the incline's slope, is below 7/2 mu, with the coefficient of friction
+    mu. On a steeper incline the sphere slides, and friction spins it up.
     """
     rows = []
     friction, g = 0.2, 9.81
@@ -136,9 +136,9 @@ def stick_slip(device, precision) -> list[Row]:
     """Compare the stick-slip motion of a sled with the exact solution.
 
     The sled has mass m. It is pressed with force N on a floor that moves at speed V, and it is held by a spring of
-    stiffness k. While the sled sticks, the spring's force grows as k V t. When the force reaches mu N, the sled
-    slips: the force is mu N + V sqrt(k m) sin(omega t), and the speed of the sled relative to the floor is zero once
-    per period.
+    stiffness k. While the sled sticks, the spring's force grows as k V t. When the force reaches mu N, with the
+    friction coefficient mu, the sled slips. At the time t after that the force is mu N + V sqrt(k m) sin(omega t) with
+    omega = sqrt(k / m), and the speed of the sled relative to the floor is zero once per period.
     """
     friction, press, speed, modulus = 0.4, 0.5, 0.05, 1e6
     side = 1.2 * RADIUS

@@ -121,8 +121,8 @@ def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = S
     return Outcome(name, stopped, deepest, growth, taken, expected_outcome(name, precision))
 
 
-# The following scenes must stop; each has a pattern for the error message. The prefix `float32:` limits this
-# requirement to single precision.
+# Scenes that must stop with an error, each with a pattern for the error message. If the pattern begins with `float32:`,
+# the scene must stop only in single precision.
 MUST_STOP = {
     "time step 3 of the estimate": "speed|energy|radius",
     "modulus 10000": "overlap",

@@ -23,9 +23,13 @@ from ..theory.pipe import CONCRETES, Concrete
 FEW, STEPS, LONG = 10, 100, 2000
 SAMPLES = 20
 BALANCE, VOLUME, SPEED, CLOSEST = 0.2, 0.015, 4.0, 0.3
-"""Bounds of acceptable flows, in this order: largest unbalanced part of the piston's force after the first tenth of the
-steps, relative to the force; largest relative change of the volume; largest speed over the theoretical maximum;
-smallest distance of two particles over their initial spacing."""
+"""Bounds that an acceptable flow must keep, in the order of the names:
+
+- largest unbalanced part of the piston's force, divided by the force, after the first tenth of the steps,
+- largest relative change of the volume,
+- largest speed, divided by the theoretical maximum,
+- smallest distance of two particles, divided by their initial spacing.
+"""
 PAPER = CONCRETES["no1"]
 ACROSS = 10
 
@@ -145,8 +149,8 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that are allowed or required to stop early, each with a part of the expected error message. If that text is
-empty, running to the end and stopping are both acceptable."""
+"""Flows that are allowed or required to stop early, each with an excerpt from the expected error message. If that text
+is empty, the flow may either run to its end or stop."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
@@ -156,15 +160,15 @@ AXES: dict[str, tuple[float, float]] = {
     "flow": (1e-6, 1e-1),
     "gravity": (0.0, 981.0),
 }
-"""Lowest and highest value of each parameter. The cases are scenes with one extreme value, and all corners of this
-parameter space."""
+"""Lowest and highest value of each parameter. The cases of the verification are scenes in which one parameter has an
+extreme value, and scenes in which all parameters have extreme values (the corners of the parameter space)."""
 
 
 def scenes() -> Iterator[Case]:
     """Yield name, scene and number of steps of every case.
 
-    In each case, either a single parameter is extreme, or the flow is a special one, or all parameters in `AXES` are
-    extreme at once.
+    There are three kinds of cases. In the first kind, a single parameter is extreme. In the second kind, all parameters
+    in `AXES` are extreme at once. The others are special flows.
     """
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)

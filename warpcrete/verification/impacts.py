@@ -23,9 +23,10 @@ TEST_4 = np.array([
     [50, 0.845, -457.0, 29.35], [60, 0.893, -357.5, 47.79], [70, 0.932, -246.2, 64.58], [80, 0.966, -126.3, 78.70],
     [85, 0.983, -63.1, 84.52],
 ])  # fmt: skip
-# Published curves of test 5 (steel), digitised. The first column is the normalised incident angle 2 v_t / (mu (1 + e)
-# v_n). The second column is a normalised rebound velocity: in the first table the velocity of the sphere's surface, in
-# the second table the part of it that is due to rotation.
+# Published curves of test 5 (steel), digitised. Here v_n and v_t are the normal and tangential velocities before the
+# impact, mu is the coefficient of friction and e the coefficient of restitution. The first column is the normalised
+# incident angle 2 v_t / (mu (1 + e) v_n). The second column is a normalised rebound velocity: in the first table the
+# velocity of the sphere's surface, in the second table the part of it that is due to rotation.
 TEST_5_SURFACE = np.array([
     [0.066, -0.08], [0.332, -0.28], [0.671, -0.493], [1.009, -0.747], [1.335, -1.0], [1.662, -1.267], [2.0, -1.533],
     [2.350, -1.813], [2.991, -2.44], [3.341, -2.693], [4.006, -2.787], [4.997, -2.0], [6.0, -1.013], [9.988, 3.013],
@@ -138,8 +139,8 @@ def restitution(device, precision) -> list[Row]:
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
         rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
-        # With e = 0 the rebound never ends. Its velocity is therefore read after a fixed time: three (Hertz-Mindlin) or
-        # four (linear) durations of an elastic impact.
+        # With a restitution of e = 0 the spheres never separate. Their velocity is therefore read after a fixed time:
+        # three (Hertz-Mindlin) or four (linear) durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 
@@ -184,9 +185,9 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # The error of each final spin is relative to the expected spin. The impact at 5 degrees is left out, because it
-    # causes hardly any spin: the spin follows from the small difference between the tangential restitution and 1. The
-    # restitution itself is compared above.
+    # The error of a final spin is divided by the expected spin. The impact at 5 degrees causes hardly any spin, because
+    # its spin follows from the small difference between the tangential restitution and 1. It is left out here, and its
+    # restitution is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
@@ -196,7 +197,9 @@ def oblique(device, precision) -> list[Row]:
     rows.append(
         _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
     )
-    # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n.
+    # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n. Here
+    # v_n and v_t are the normal and tangential velocities before the impact, mu is the coefficient of friction and e
+    # the coefficient of restitution.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
     worst = int(np.argmax(np.abs(tangential[slip] - exact)))
@@ -250,8 +253,8 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm of friction reaches only to the plane. It is 0.05 % shorter than the sphere's radius, because the
-    # sphere overlaps with the plane.
+    # The lever arm of friction is the distance of the plane from the sphere's centre. It is 0.05 % shorter than the
+    # sphere's radius, because the sphere overlaps with the plane.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

@@ -53,10 +53,11 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Return the largest energy in the last fifth of a run over that in the first fifth; infinite if the run diverges.
+    """Return the growth of energy in a run: its maximum in the last fifth over that in the first fifth.
 
-    The run has `STEPS` time steps, whose size is `fraction` times the estimated stable step. Near the stability limit,
-    the energy of a stable leapfrog integration oscillates, but it does not grow.
+    The result is infinite if the run diverges. The run has `STEPS` time steps, whose size is `fraction` times the
+    estimated stable step. Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does
+    not grow.
     """
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, table), TimeStep(safety=10.0))

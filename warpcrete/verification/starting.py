@@ -39,9 +39,9 @@ def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.
 
 
 def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, step: float) -> np.ndarray:
-    """Return velocity profiles of a pipe flow that a force per volume drives from rest [m/s], shape (times, cells).
+    """Return velocity profiles [m/s] of a pipe flow that starts from rest, shape (times, cells).
 
-    The cells divide the radius of the pipe, or half the width of the channel.
+    A force per volume drives the flow. The cells divide the radius of the pipe, or half the width of the channel.
     """
     concrete, axial = scene.concrete, scene.dimensions == 3
     h = scene.radius / cells
@@ -111,8 +111,9 @@ def start(device: str, precision: str) -> list[Row]:
         for number, layer, error, end in START_CASES:
             rms, largest = worst(dimensions, number, layer, LONGEST, error, end, device, precision)
             name = f"{form}, Bn {number:g}" + (", slips" if layer < 1e6 else "")
-            # The measured errors of the velocity profile are 0.11 to 0.38 % (largest rms) and 0.15 to 0.7 % (largest in
-            # any cell) without a yield stress, and 0.8 % and 1.4 % (on the axis of the tube) with a yield stress.
+            # The measured errors of the velocity profile without a yield stress are 0.11 to 0.38 % (rms) and 0.15 to
+            # 0.7 % (largest in any cell). With a yield stress they are 0.8 % (rms) and 1.4 % (in a cell on the axis of
+            # the tube).
             found += [
                 Row(f"{name}: profile, largest rms error", rms, 0.0, 0.01, scale=1.0),
                 Row(f"{name}: largest error of any cell", largest, 0.0, 0.015, scale=1.0),

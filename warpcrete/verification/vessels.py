@@ -41,9 +41,9 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout for a `room` that is filled with concrete except for the space inside its walls.
+    """Return the arguments of a layout in which concrete fills a `room` except for the space inside its walls.
 
-    Every full cell of the room starts with `abreast` particles along each axis.
+    A cell that is full of concrete contains `abreast` particles along each axis at the start.
     """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
@@ -78,10 +78,11 @@ def between_cylinders(
 
 
 def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSITY, NO_SLIP_VISCOSITY)) -> float:
-    """Return the rms error of the velocity between the cylinders, over the speed of the inner wall.
+    """Return the rms error of the velocity between the cylinders, divided by the speed of the inner wall.
 
-    The exact velocity is u = a r + b / r. The shear stress 2 mu b / r^2 acts on both slip layers. Divided by the
-    viscous constant of a layer, it gives the slip velocity at this layer.
+    The exact velocity at the distance r from the axis is u = a r + b / r. The constants a and b follow from the
+    conditions at both walls. The shear stress of a fluid with the viscosity mu is 2 mu b / r^2. At a wall, this stress
+    divided by the viscous constant of the slip layer is the slip velocity.
     """
     slips = [2 * PASTE.viscosity / (radius**2 * layer) for radius, layer in zip((INNER, OUTER), layers)]
     a, b = np.linalg.solve([[INNER, 1 / INNER + slips[0]], [OUTER, 1 / OUTER - slips[1]]], [TURNS * INNER, 0.0])
@@ -100,8 +101,8 @@ def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSI
 def cylinders(device: str, precision: str) -> list[Row]:
     """Compare the flow between a rotating and a fixed cylinder with the closed form, on three grids."""
     found = []
-    # The measured rms errors of the velocity, over the speed of the inner wall, are 0.93, 0.31 and 0.12 % on the three
-    # grids.
+    # The measured rms errors of the velocity, divided by the speed of the inner wall, are 0.93, 0.31 and 0.12 % on the
+    # three grids.
     for cells, allowed in ((22, 0.011), (44, 0.004), (88, 0.0015)):
         flow = between_cylinders(device, precision, cells)
         flow.take(200)
@@ -113,8 +114,10 @@ def cylinders(device: str, precision: str) -> list[Row]:
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
     """Compare the flow between two cylinders with theory, for slip above half of the inner cylinder's speed."""
     found = []
-    # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
-    # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.
+    # Measured rms errors of the velocity, divided by the speed of the inner wall, on the coarse and the fine grid:
+    # - first pair of layers: 0.40 and 0.20 %,
+    # - second pair: 0.37 and 0.36 %,
+    # - third pair: 0.77 and 1.02 %.
     for layers, allowed in (
         ((400.0, NO_SLIP_VISCOSITY), 0.005),
         ((200.0, 200.0), 0.005),
@@ -206,8 +209,8 @@ def rest(device: str, precision: str) -> list[Row]:
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)
         off = float(np.abs(pressure - exact)[full].max())
         found += [
-            # The measured errors in the plane and in space are 5e-4 and 1.5e-3 of the pressure at the bottom, 0.06 and
-            # 0.17 mm/s of mean speed, and 0.09 and 0.14 % of the volume.
+            # Measured errors in a plane: 5e-4 of the pressure at the bottom, 0.06 mm/s of mean speed, and 0.09 % of the
+            # volume. In space: 1.5e-3 of the pressure at the bottom, 0.17 mm/s of mean speed, and 0.14 % of the volume.
             Row(f"{name}: pressure, largest error over that at the bottom", off / exact.max(), 0.0, 2e-3, scale=1.0),
             Row(f"{name}: speed, mean", float(run.series["mean_speed"][-1]), 0.0, 2e-4, "m/s", scale=1.0),
             Row(f"{name}: volume", 1 + run.result["volume_error"], 1.0, 2e-3),

@@ -1,8 +1,8 @@
 """The regularised Bingham law (Xu, Li & Jiang 2021, Eq. 15), and its means over cells in which the stress varies.
 
-The stress varies linearly across a pipe. The mean velocity of a cell is therefore an integral of the shear rate over
-the stress, which has a closed form here. A sheared layer at a wall or beside a plug is therefore computed as accurately
-as the stress, even if the layer is thinner than a cell.
+In a pipe, the stress varies linearly from the axis to the wall. The mean velocity of a cell is therefore an integral of
+the shear rate over the stress, which has a closed form for this law. Some layers, at a wall or beside a plug, are
+thinner than a cell. With the closed form, the velocity is as accurate as the stress even there.
 """
 
 import functools
@@ -87,8 +87,9 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the Bingham law on a grid.
 
-    `apparent` is the viscosity at a shear rate, `apparent_at_edge` the viscosity at a corner near which a plug may end,
-    and `at_wall` the stress of a wall on the cell beside it.
+    - `apparent`: viscosity at a shear rate.
+    - `apparent_at_edge`: viscosity at a corner between cells, also if a plug ends within these cells.
+    - `at_wall`: shear stress that a wall exerts on the cell beside it.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions)
@@ -97,16 +98,17 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
-        """Return the viscosity at the corner between two cells, corrected if a plug ends within these cells.
+        """Return the viscosity at the corner where two cells meet, corrected if the edge of a plug lies in these cells.
 
-        `rate` is the difference of the cells' mean velocities over their distance. `change` is the change of the stress
-        over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
+        `rate` is the difference of the cells' mean velocities divided by their distance, and `change` is the change of
+        the stress over one cell. If the edge of a plug lies in the cells, `rate` is larger than the shear rate at the
+        corner.
         """
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):
             return viscosity
-        # Estimate the stress at the cells' common corner as if the edge of the plug were not inside these cells. Two
-        # straight lines approximate the shear rate as a function of the stress.
+        # First estimate of the shear stress at the corner where the two cells meet. It holds if no edge of a plug lies
+        # inside these cells. Two straight lines approximate the relation of shear rate and stress.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),
@@ -134,14 +136,15 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
-        """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
+        """Return the mean velocity of a cell at a wall minus the velocity at the wall, and its derivative.
 
-        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from
-        the wall to the cell's opposite side, where it is `inner`.
+        Both velocities are those of the concrete. The derivative is with respect to `stress`, the shear stress at the
+        wall. The stress falls linearly from the wall to the cell's opposite side, where it is `inner`.
         """
-        # The stress varies linearly over the cell. Where the stress is tau, the velocity relative to the wall is
-        # u = width / change * (F1(stress) - F1(tau)), with F1 = `rate_integral`. The mean of u over the cell follows
-        # from the integral of F1, which is `double_integral`.
+        # The stress varies linearly across the cell, from `stress` at the wall to `inner`. The difference is `change`.
+        # Where the stress is tau, the velocity relative to the wall is u = width / change * (F(stress) - F(tau)). Here
+        # F, the function `rate_integral`, is the integral of the shear rate over the stress. The mean of u over the
+        # cell contains the integral of F, which is the function `double_integral`.
         change = stress - inner
         if change > scalar(0.05) * stress:
             part = (change * rate_integral(g, stress) - (double_integral(g, stress) - double_integral(g, inner))) / (

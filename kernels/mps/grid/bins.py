@@ -6,16 +6,17 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import NOW, GridKind, grid_parameters_struct, grid_structs
+from .cells import NOW, GridKind, grid_parameters_struct, grid_structs, item
 from .places import grid_functions
 
 
 @functools.cache
 def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which sort particles into cells in this order.
+    """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which together sort particles into cells.
 
-    All cells share one list of particles, in which each cell reserves as many places as it has particles. The order of
-    the cells in the list differs from run to run, but results do not depend on it.
+    A step launches them in this order. All cells share one list of particles, in which each cell reserves as many
+    places as it has particles. The order of the cells in the list differs from run to run, but results do not depend on
+    it.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -52,24 +53,24 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
             mesh.begin[c] = wp.atomic_add(mesh.reserved_places, 0, mesh.count[c])
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sort(flags: wp.array(dtype=wp.int32), mesh: Fields):
+    def sort(flags: wp.array(dtype=wp.int32), mesh: Fields, worker: wp.int32, workers: wp.int32):
         """Write the number of each particle into the range of `sorted_particles` that is reserved for its cell.
 
         The kernel runs with one task per particle.
         """
         if flags[HALTED] != 0:
             return
-        p = wp.tid()
+        p = item(wp.tid(), worker, workers)
         c = mesh.cell_of_particle[p]
         if c >= 0:
             mesh.sorted_particles[mesh.begin[c] + mesh.place[p]] = p
 
     @wp.kernel(enable_backward=False, module="unique")
-    def order(flags: wp.array(dtype=wp.int32), mesh: Fields):
+    def order(flags: wp.array(dtype=wp.int32), mesh: Fields, worker: wp.int32, workers: wp.int32):
         """Sort the particles of each cell by their numbers, so that sums are reproducible, with one task per cell."""
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
+        c = item(wp.tid(), worker, workers)
         begin = mesh.begin[c]
         for a in range(1, mesh.count[c]):
             own = mesh.sorted_particles[begin + a]
@@ -95,11 +96,11 @@ def lift_kernel(scalar, of: GridKind):
     @wp.kernel(enable_backward=False, module="unique")
     def lift(
         slots: wp.int32, flags: wp.array(dtype=wp.int32), after: Geometry, solid_after: wp.array(dtype=wp.int32),
-        geometry: Geometry, mesh: Fields,
+        geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
+        c = item(wp.tid(), worker, workers)
         if scalar(mesh.clock[NOW]) >= geometry.opens[c]:
             mesh.solid[c] = solid_after[c]
             for k in range(places):

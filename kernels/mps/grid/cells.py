@@ -53,6 +53,18 @@ BEFORE = wp.constant(6)  # Root mean square speed of the concrete in the previou
 RATE = wp.constant(7)  # Rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
+STRIP = wp.constant(64)
+"""Number of successive cells, faces or particles that one thread of a CPU processes at once."""
+
+
+@wp.func
+def item(task: wp.int32, worker: wp.int32, workers: wp.int32) -> wp.int32:
+    """Return the number of the cell, face or particle that a task processes.
+
+    Items are divided into strips of `STRIP` items, and the strips are dealt out to `workers` threads in turn, so that
+    all threads get about as much concrete. `worker` is the number of the thread. On a GPU there is one worker.
+    """
+    return (task / STRIP * workers + worker) * STRIP + task % STRIP
 
 
 class GridKind(NamedTuple):
@@ -159,14 +171,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
         slip: wp.array(dtype=scalar)
-        # Walls in cut cells: force of a wall between a face and the next face along an axis, divided by the velocity
-        # at the wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face
-        # lies.
+        # Force of the wall in a cut cell, divided by the velocity at the wall. The wall lies between a face and the
+        # next face along an axis. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the
+        # next face lies.
         wall_stiffness: wp.array(dtype=scalar)
         # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
-        # The velocity at a wall in a cut cell is interpolated between a face and the next face. This is the weight of
-        # the next face, in the layout of `wall_stiffness`.
+        # The velocity at the wall in a cut cell is interpolated between a face and the next face along an axis.
+        # `wall_weight` is the weight of the next face, in the layout of `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
@@ -193,10 +205,11 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         depth: wp.array(dtype=scalar)
         room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (slots,).
         # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
-        # axes, which gives four quarters. Shape (slots * pairs * 4,); the pair's first axis varies fastest.
+        # axes, which gives four quarters. Shape (slots * pairs * 4,), in which the position along the pair's first axis
+        # varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        # Volume around a cell's centre that is free of wall, weighted with the same function of distance as the
-        # particles, shape (slots,).
+        # Volume around a cell's centre that is free of wall, shape (slots,). It is weighted with the same function of
+        # the distance from the centre as the particles.
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
         inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.

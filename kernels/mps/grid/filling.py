@@ -7,12 +7,12 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import mps_types
-from .cells import OPEN, GridKind, grid_parameters_struct, grid_structs
+from .cells import OPEN, GridKind, grid_parameters_struct, grid_structs, item
 from .places import grid_functions
 
 WET = wp.constant(0.02)
-"""Fill fraction of a cell above which its concrete can flow. With a smaller value, a free surface at rest that
-coincides with the sides of cells would start to move (at 1 mm/s in a test with a viscosity of 10 Pa s)."""
+"""Fill fraction of a cell above which its concrete can flow. With a smaller value, concrete at rest would start to move
+if its free surface coincides with the sides of cells (at 1 mm/s in a test with a viscosity of 10 Pa s)."""
 
 
 @functools.cache
@@ -118,10 +118,18 @@ def fill_kernel(scalar, of: GridKind):
     level, lies, film, behind = say.level, say.lies, say.film, say.behind
 
     @wp.kernel(enable_backward=False, module="unique")
-    def fill(g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Fields):
+    def fill(
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        particles: Particles,
+        geometry: Geometry,
+        mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.in_grid(g, c):
             return

@@ -12,15 +12,17 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
-from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
 from .other_laws import flow_functions
 from .places import grid_functions
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
-"""Exponent by which the viscosity of unyielded concrete is extrapolated in flows with a free surface. If `before` is
-the previous viscosity and `now` the viscosity at the present shear rate, the step uses the viscosity
-before * (now / before)^STIFFENING. With an exponent of 1 this would be `now`."""
+"""Exponent by which the viscosity of unyielded concrete is extrapolated in flows with a free surface.
+
+Let `before` be the viscosity in the previous step, and `now` the viscosity at the present shear rate. The step then
+uses the viscosity before * (now / before)^STIFFENING. With the exponent 1 it would use `now`.
+"""
 
 
 @functools.cache
@@ -107,10 +109,12 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
         return sum / wp.max(count, scalar(1.0))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rates(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def rates(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if mesh.liquid[number] == 0 or not f.on_grid(g, c):
             return
@@ -134,10 +138,12 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
         )
 
     @wp.kernel(enable_backward=False, module="unique")
-    def viscosity(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def viscosity(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.on_grid(g, c):
             return
@@ -173,10 +179,13 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def friction_function(scalar, of: GridKind):
-    """Build `wall_friction`, the friction of a wall that passes between a face and the next face along an axis.
+    """Build `wall_friction`, a function for the friction of a wall that passes between a cell face and the next one.
 
-    It returns three values: the friction force against the velocity of the face, the derivative of this force with
-    respect to that velocity, and the coefficient of the next face in the face's row of the matrix.
+    The next face is that along the axis `b`. The function returns three values:
+
+    - the friction force against the velocity of the face,
+    - the derivative of this force with respect to that velocity,
+    - the coefficient of the next face's velocity in the matrix row of the face.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -250,11 +259,18 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, matrix: Matrix, viscous: Solve
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        geometry: Geometry,
+        mesh: Fields,
+        matrix: Matrix,
+        viscous: Solve,
+        worker: wp.int32,
+        workers: wp.int32,
     ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         rows = dims * g.slots
         within = f.on_grid(g, c)

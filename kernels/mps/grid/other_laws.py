@@ -1,6 +1,7 @@
-"""Flow laws other than Bingham's on a grid, and slip layers that are not linear.
+"""Functions on a grid for flow laws other than Bingham's, and for slip layers that are not linear.
 
-The functions have the names and meanings of those in `bingham`, with the viscous part of the law from `flow_laws`.
+The functions have the same names and meanings as those in the module `bingham`. The viscous part of each law comes from
+the module `flow_laws`.
 """
 
 import functools
@@ -18,11 +19,11 @@ MARGIN = wp.constant(4.0)
 
 @functools.cache
 def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
-    """Build the functions of a law: viscosity as a function of the rate, and rate as a function of the stress.
+    """Build functions of a flow law: viscosity as a function of the shear rate, and rate as a function of the stress.
 
-    `apparent` returns the viscosity of the regularised law. `sums` uses a law with a straight line below the yield
-    stress. For a stress of at least zero it returns the shear rate, and the rate's first and second integral from 0 to
-    that stress.
+    `apparent` returns the apparent viscosity of the regularised law. `sums` uses a law that is a straight line below
+    the yield stress. For a stress of at least zero, `sums` returns the shear rate, and the first and second integral of
+    the rate over the stress from 0 on.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     h = law_functions(scalar, law)
@@ -46,9 +47,10 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 
     @wp.func
     def sums(g: Grid, stiff: scalar, stress: scalar):
-        """Return the shear rate at a stress of at least zero, and the first and second integral of the rate.
+        """Return the shear rate at a `stress` of at least zero, and the first and second integral of the rate.
 
-        Both integrals run over the stress from 0 to the given stress. `stiff` is the viscosity below the yield stress.
+        Both integrals run over the stress from 0 to `stress`. `stiff` is the viscosity of concrete below the yield
+        stress.
         """
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)
@@ -108,12 +110,13 @@ def edge_function(scalar, dimensions: int, law: str):
         if change <= scalar(0.01) * plain:
             return viscosity
         if over >= change:
-            # The mean rate over the cells is nearly the rate at the corner's stress s, plus change^2 / 12 times the
-            # second derivative of the rate with respect to the stress.
+            # The stress differs by `change` over each of the two cells. The mean rate over the cells is nearly the rate
+            # at the corner's stress s plus a correction: change^2 / 12 times the second derivative of the rate with
+            # respect to the stress.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # The end of a plug or the middle of the pipe lies within these two cells. Solve the equation for the corner's
-        # stress s by Newton's method, kept between two bounds.
+        # Within the two cells beside this corner, the plug ends or the pipe has its middle. Find the corner's stress s
+        # by Newton's method between two bounds. The mean shear rate over both cells must equal `rate`.
         low = scalar(0.0)
         high = plain + change
         s = plain
@@ -172,11 +175,12 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         g: Grid, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar,
         slip_index: scalar, slip_quadratic: scalar,
     ):  # fmt: skip
-        """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
+        """Return a wall's stress on a cell, this stress's derivative with respect to `speed`, and the slip velocity.
 
-        `speed` is the cell's mean velocity along the wall. It is the sum of the slip velocity and of the mean velocity
-        due to shear within the cell; `ring` corrects the latter for cells that are rings about an axis. Newton's method
-        is kept between two bounds, because the velocity is not a convex function of the stress.
+        The cell lies at the wall, and `speed` is its mean velocity along the wall. This velocity is the sum of the slip
+        velocity and of the mean velocity due to shear within the cell. If the cell is a ring about an axis, `ring`
+        corrects the latter. Newton's method is kept between two bounds, because the velocity is not a convex function
+        of the stress.
         """
         stiff = unyielded_viscosity(g)
         # Slip and shear are each at most the whole speed. The stress that results if all of the speed is slip is
@@ -191,8 +195,9 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         stress = high
         growth = scalar(1.0)
         slip = scalar(0.0)
-        # Shear-thickening concrete has its largest apparent viscosity at the largest rate, all other concrete at the
-        # smallest. This viscosity gives a lower limit for the derivative of the speed with respect to the stress.
+        # Newton's method divides by the derivative of the speed with respect to the stress. The largest apparent
+        # viscosity in the cell gives a lower limit for this derivative. Shear-thickening concrete has its largest
+        # apparent viscosity at the largest rate, all other concrete at the smallest.
         least = scalar(0.1) * width / wp.max(stiff, apparent(g, steepest))
         for _ in range(40):
             over = wp.max(stress - slip_yield, scalar(0.0))
@@ -225,8 +230,8 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 def flow_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build the functions of the flow laws of bulk and slip layer, which :func:`bingham_functions` describes.
 
-    The function `at_wall` has two more arguments unless `of.plain`: flow index and quadratic coefficient of the slip
-    layer.
+    If the laws are not both Bingham's (`of.plain` is false), the function `at_wall` has two more arguments: the flow
+    index and the quadratic coefficient of the slip layer.
     """
     if of.plain:
         return bingham_functions(scalar, of.dimensions)

@@ -96,7 +96,9 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def sums(g: Grid, blocks: wp.int32, mesh: Fields, partial: wp.array(dtype=wp.float64)):
         """Compute each block's sums of volume times squared speed and of volume, and its maximum crossing rate.
 
-        One thread processes one face; all blocks are complete. The crossing rate is that of `cells_per_second`.
+        The crossing rate is the number of cells that the flow crosses per second (`cells_per_second`). One thread
+        processes one face of the grid. All threads of a block take part in its sums, so the kernel runs in whole
+        blocks.
         """
         r = wp.tid()
         square = wp.float64(0.0)
@@ -165,8 +167,8 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
         """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
         dt = clock[DT]
-        # Limit the growth relative to the length that was wanted for the previous step. The length of the previous step
-        # itself may be shorter, so that the step ended at a given time.
+        # Limit the growth relative to the length that was wanted for the previous step. The actual length of the
+        # previous step may be shorter, because a step is cut short to end at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest
         if not first:

@@ -62,7 +62,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
     def reached(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists.
 
-        A periodic grid is treated as if it continued without end along the pipe.
+        In a periodic grid, every index along the pipe is valid.
         """
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):

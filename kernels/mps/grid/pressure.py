@@ -19,6 +19,7 @@ from .cells import (
     GridKind,
     grid_parameters_struct,
     grid_structs,
+    item,
 )
 from .places import grid_functions
 
@@ -44,12 +45,12 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, matrix: Matrix,
-        projection: Solve,
+        projection: Solve, worker: wp.int32, workers: wp.int32,
     ):  # fmt: skip
         """Compute the net volume flow into each cell, and the cell's row of the matrix for the pressure increment."""
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         count = wp.int32(0)
         diagonal = scalar(0.0)
@@ -85,11 +86,13 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         projection.residual[number] = g.density / scalar(mesh.clock[DT]) * into
 
     @wp.kernel(enable_backward=False, module="unique")
-    def project(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def project(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         """Subtract the gradient of the pressure increment from the velocities, and update the pressure."""
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.on_grid(g, c):
             return
@@ -151,10 +154,18 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
         return sum
 
     @wp.kernel(enable_backward=False, module="unique")
-    def source(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, projection: Solve):
+    def source(
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        geometry: Geometry,
+        mesh: Fields,
+        projection: Solve,
+        worker: wp.int32,
+        workers: wp.int32,
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         mesh.potential[number] = scalar(0.0)
         excess = scalar(0.0)
@@ -171,10 +182,12 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
         projection.residual[number] = g.density / dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")
-    def disperse(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def disperse(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         dt = scalar(mesh.clock[DT])
         for axis in range(dims):
@@ -194,9 +207,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     """Build the kernels that keep the mean velocity along a periodic pipe constant.
 
-    `deficit` (on a GPU `sums` and `deficit_of_sums`) computes the difference between the wanted and the present mean
-    velocity. `correct` adds this difference to the velocity of all faces, which is equivalent to a uniform force. For
-    the next step, the driving force is increased by this force and by the resulting increase of wall friction.
+    `deficit` computes the wanted minus the present mean velocity; on a GPU, `sums` and `deficit_of_sums` do this.
+    `correct` adds this difference to the velocity of all faces, which is equivalent to a uniform force. This force and
+    the resulting increase of wall friction are added to the driving force of the next step.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     Fields = grid_structs(scalar, dimensions).Fields
@@ -240,9 +253,10 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     def deficit_of_sums(
         g: Grid, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Compute the deficit of the mean velocity and the new driving force from the partial sums.
+        """Compute the deficit of the mean velocity, and the new driving force.
 
-        The kernel runs in one block. The deficit is the wanted mean velocity minus the present one.
+        The deficit is the wanted minus the present mean velocity. The present mean velocity follows from the partial
+        sums of all blocks. The kernel runs in one block.
         """
         c = wp.tid()
         sum = total(c, partial, 0, blocks)

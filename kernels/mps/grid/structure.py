@@ -1,9 +1,9 @@
 """Thixotropy on a grid: the yield stress that concrete gained at rest, and how flow breaks this structure down.
 
 While concrete is sheared, the gained yield stress G changes as dG/dt = A - alpha G rate. Here A is the rate of recovery
-and alpha the constant of breakdown. In Roussel 2006 the equation is d lambda/dt = 1/T - alpha lambda rate, with
-G = tau_0 lambda and A = tau_0 / T. The term A is included only with `GridKind.rebuilding`. The slip layer on a wall is
-sheared by its slip velocity only.
+and alpha the constant of breakdown. Roussel 2006 writes this equation for a state of structure lambda: d lambda/dt =
+1/T - alpha lambda rate, with the time of recovery T. With the yield stress tau_0, G is tau_0 lambda and A is tau_0 / T.
+The term A is included only with `GridKind.rebuilding`. The slip layer on a wall is sheared by its slip velocity only.
 The structure is stored on the grid and not carried with the flow, which makes no difference in a pipe whose state is
 the same all along its axis.
 """
@@ -13,7 +13,7 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
 from .places import grid_functions
 
 
@@ -33,9 +33,10 @@ def with_gain_function(scalar, dimensions: int):
 
 @functools.cache
 def break_kernel(scalar, of: GridKind):
-    """Build the kernel that breaks down the structure of each cell, and of the slip layer along its faces, in a step.
+    """Build the kernel that updates the yield stress gained at rest, in each cell and in the slip layer.
 
-    It runs with one thread per cell.
+    The flow breaks down the structure that has built up at rest. The kernel computes one time step, with one thread per
+    cell; the slip layer is that along the faces of the cell.
     """
     Grid = grid_parameters_struct(scalar, of.dimensions)
     structs = grid_structs(scalar, of.dimensions)
@@ -44,9 +45,10 @@ def break_kernel(scalar, of: GridKind):
 
     @wp.func
     def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
-        """Return the increase of the gained yield stress by recovery in a step, less its breakdown in the same step.
+        """Return the yield stress that recovery adds in a step, less what breaks down again in the same step.
 
-        The recovery has the given `rate`. The breakdown reduces older structure by the factor exp(-broken).
+        The recovery has the given `rate`. The result does not include the structure from earlier steps, which the
+        breakdown reduces by the factor exp(-broken).
         """
         if broken > scalar(1.0e-3):
             return rate * dt * (scalar(1.0) - wp.exp(-broken)) / broken
@@ -61,10 +63,12 @@ def break_kernel(scalar, of: GridKind):
         flags: wp.array(dtype=wp.int32),
         walls: Walls,
         mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
     ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         if not f.on_grid(g, f.cell(g, number)):
             return
         dt = scalar(mesh.clock[DT])

@@ -24,6 +24,7 @@ from .cells import (
     GridKind,
     grid_parameters_struct,
     grid_structs,
+    item,
 )
 from .places import grid_functions
 
@@ -121,11 +122,18 @@ def gather_kernel(scalar, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls, mesh: Fields
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        particles: Particles,
+        geometry: Geometry,
+        walls: Walls,
+        mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
     ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if wp.static(of.periodic):
             if c[last] < 0 or c[last] >= g.n[last]:
@@ -162,10 +170,13 @@ def gather_kernel(scalar, of: GridKind):
 def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it. If
-    walls are sides of cells, the velocity is continued linearly through its value at a wall. If walls cut cells, the
-    velocities of ghost faces inside walls are unknowns of the solve instead. The kernel runs with one task per cell and
-    extends the velocities by one cell per launch.
+    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it, so
+    these faces need velocities too.
+
+    - If walls are sides of cells, the velocity is continued linearly through its value at a wall.
+    - If walls cut cells, the velocities of ghost faces inside walls are unknowns of the solve instead.
+
+    The kernel runs with one task per cell and extends the velocities by one cell per launch.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -177,11 +188,11 @@ def extend_kernel(scalar, of: GridKind):
     def extend(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, again: wp.int32, final: wp.int32,
         before: wp.array(dtype=scalar), known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar),
-        known_after: wp.array(dtype=wp.int32),
+        known_after: wp.array(dtype=wp.int32), worker: wp.int32, workers: wp.int32,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         for axis in range(dims):
             r = number + axis * g.slots
@@ -204,8 +215,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # A face at the lower end of the grid has a cell on one side only, so it does not count as a
-                            # face inside a wall.
+                            # At the lower end of the grid, a face has a cell on one side only. The rule for faces
+                            # inside a wall does not apply to it.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -238,9 +249,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def corner(g: Grid, base: whole, s: vec, n: wp.int32):
-        """Return a corner of the grid cell around a position: its indices, its weight, and the gradient of the weight.
+        """Return one corner of a grid cell, with its weight in linear interpolation and the gradient of this weight.
 
-        `n` is the number of the corner, and `s` is the position within the cell, from 0 to 1 along each axis.
+        The corner is returned as its indices. `base` holds the indices of the lowest corner, and `n` is the number of
+        the wanted corner. `s` is the position at which to interpolate, from 0 to 1 along each axis of the cell.
         """
         c = whole()
         part = vec()
@@ -265,9 +277,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def sample(
         g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
-        """Return a velocity component at a position, its gradient, and the total weight of the faces used.
+        """Return a velocity component at a position, its gradient, and the total weight of the faces that contribute.
 
-        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        The component is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
+        far from the concrete, their total weight is 0.
         """
         base = whole()
         s = vec()
@@ -299,9 +312,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carry(g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        """Return the velocity at a position, its gradient, and the total weight of the faces used.
+        """Return the velocity at a position, its gradient, and the total weight of the faces that contribute.
 
-        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        The velocity is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
+        far from the concrete, their total weight is 0.
         """
         here = vec()
         slopes = mat()
@@ -332,8 +346,8 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Add the frame's cell, two half cells, before the division and subtract it afterwards, because integer
-                # division would round a negative number upwards.
+                # Integer division would round a negative number upwards. Add two half cells, the width of the frame
+                # around the grid, before the division, and subtract one cell afterwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]
@@ -376,11 +390,12 @@ def advect_kernel(scalar, of: GridKind):
     @wp.kernel(enable_backward=False, module="unique")
     def advect(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, velocity: wp.array(dtype=scalar),
-        good: wp.array(dtype=wp.int32), particles: Particles, event_flags: wp.array(dtype=wp.int32),
+        good: wp.array(dtype=wp.int32), particles: Particles, event_flags: wp.array(dtype=wp.int32), worker: wp.int32,
+        workers: wp.int32,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
-        p = wp.tid()
+        p = item(wp.tid(), worker, workers)
         if particles.mass[p] == scalar(0.0):
             return
         x = particles.position[p]
@@ -389,8 +404,9 @@ def advect_kernel(scalar, of: GridKind):
         if wp.static(not of.periodic):
             if total == scalar(0.0):  # A particle alone in the air falls freely.
                 here = particles.velocity[p] + dt * g.gravity
-        # Estimate the velocity that the grid had at the particle's present position in the previous step. The estimate
-        # starts from the particle's own velocity and adds the gradient's contribution over the distance moved since.
+        # Estimate the velocity that the grid had in the previous step at the particle's present position. The estimate
+        # is the particle's own velocity, plus the velocity gradient times the distance that the particle has moved
+        # since then.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here

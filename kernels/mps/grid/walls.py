@@ -7,7 +7,7 @@ import warp as wp
 from ...common.control import HALTED
 from ..flow_laws import BINGHAM, law_functions
 from ..structs import mps_types
-from .cells import INSIDE, LIQUID, OPEN, GridKind, grid_parameters_struct, grid_structs
+from .cells import INSIDE, LIQUID, OPEN, GridKind, grid_parameters_struct, grid_structs, item
 from .other_laws import flow_functions
 from .places import grid_functions
 from .structure import with_gain_function
@@ -32,10 +32,12 @@ def side_kernel(scalar, of: GridKind):
     with_gain = with_gain_function(scalar, 2)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wall_stress(g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Fields):
+    def wall_stress(
+        g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.on_grid(g, c):
             return
@@ -131,7 +133,7 @@ def wall_kernel(scalar, of: GridKind):
     def weight(g: Grid, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
         """Return the radius of the point halfway between a face and the next face along axis `b` [m].
 
-        The result is 1 if there is no axis of symmetry.
+        The radius is the distance from the axis of symmetry. Without such an axis, the result is 1.
         """
         if axis == b:
             return f.cell_weight(g, c)
@@ -150,10 +152,18 @@ def wall_kernel(scalar, of: GridKind):
         return most
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wall_stress(g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Fields):
+    def wall_stress(
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        walls: Walls,
+        geometry: Geometry,
+        mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         for axis in range(dims):
             for b in range(dims):
@@ -202,9 +212,10 @@ def wall_kernel(scalar, of: GridKind):
                                         speed, scalar(SLOW),
                                     )  # fmt: skip
                                 if hold > stiff:
-                                    # Concrete sticks to this wall. The stiffness of the slip layer is limited to that
-                                    # of a film with a thickness of 1 / STICKY of a cell. To compensate for this film,
-                                    # friction acts on the velocity half its thickness inside the concrete.
+                                    # Concrete that sticks to a wall would need an infinite stiffness. Use the stiffness
+                                    # of a film whose thickness is 1 / STICKY of a cell. To compensate for this film,
+                                    # compute the friction from the velocity at a point inside the concrete, half the
+                                    # thickness of the film away from the wall.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))

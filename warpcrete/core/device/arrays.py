@@ -128,7 +128,9 @@ class StructMember(Protocol):
     """Member of a struct; `type` is its annotation, for example ``wp.array(dtype=...)``."""
 
     @property
-    def type(self) -> Any: ...
+    def type(self) -> Any:
+        """Annotation of the member."""
+        ...
 
 
 class Struct(Protocol):
@@ -150,14 +152,18 @@ class KernelArgument(Protocol):
     """Parameter of a kernel; `label` is its name."""
 
     @property
-    def label(self) -> str: ...
+    def label(self) -> str:
+        """Name of the parameter."""
+        ...
 
 
 class KernelCode(Protocol):
     """Code of a kernel as Warp has parsed it from Python; `args` holds the kernel's parameters."""
 
     @property
-    def args(self) -> Sequence[KernelArgument]: ...
+    def args(self) -> Sequence[KernelArgument]:
+        """Parameters of the kernel, in order."""
+        ...
 
 
 class KernelFunction(Protocol):
@@ -171,20 +177,33 @@ class Kernel(Protocol):
     """Kernel, as ``wp.kernel`` returns it."""
 
     @property
-    def key(self) -> str: ...
+    def key(self) -> str:
+        """Name of the kernel."""
+        ...
+
     @property
-    def func(self) -> KernelFunction: ...
+    def func(self) -> KernelFunction:
+        """Python function of the kernel."""
+        ...
+
     @property
-    def adj(self) -> KernelCode: ...
+    def adj(self) -> KernelCode:
+        """Code of the kernel."""
+        ...
+
     @property
-    def module(self) -> KernelModule: ...
+    def module(self) -> KernelModule:
+        """Unit of compilation that holds the kernel."""
+        ...
 
 
 class KernelModule(Protocol):
     """Unit of compilation, which holds one kernel or several."""
 
     @property
-    def kernels(self) -> Mapping[str, Kernel]: ...
+    def kernels(self) -> Mapping[str, Kernel]:
+        """Kernels by name."""
+        ...
 
 
 def declared(struct: Struct) -> Struct:

@@ -55,11 +55,11 @@ def core_waiting_time(thread: int) -> float:
 
 
 class CoreContention:
-    """Monitor of core contention, which decides whether one thread should do the work of all threads.
+    """Monitor of core contention, which means that other processes use the cores of the run's threads.
 
-    Two successive windows in which threads waited too long for cores count as contention. One thread then does all
-    work for some time. This time lies within `BACKOFF_TIMES` and doubles after each failed attempt with several
-    threads.
+    The monitor decides whether one thread should do the work of all threads. Two successive windows of time in which
+    threads waited too long for cores count as contention. One thread then does all work for some time. This time lies
+    within `BACKOFF_TIMES` and doubles after each failed attempt with several threads.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,7 @@
 """Transfers of small arrays between host and GPU through page-locked memory.
 
-Several arrays, such as flags and clocks, are copied with one launch, which takes less time than a single ordinary copy.
+Several arrays, such as flags and simulated times, are copied with one launch, which takes less time than a single
+ordinary copy.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ from .arrays import DeviceArray, is_struct
 def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
     """Yield each Warp array in `root` that owns its memory, with its path such as "NAME.attribute.key".
 
-    The search descends into lists, mappings, meshes, structs and the attributes of objects of this package. `name` is
-    the beginning of each path.
+    The search descends into lists, mappings, meshes, structs and the attributes of objects of this package. Each path
+    begins with `name`.
     """
     seen: set[int] = set()
     waiting: list[tuple[str, object]] = [(name, root)]

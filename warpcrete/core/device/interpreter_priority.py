@@ -12,8 +12,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time of a single wait of a recorder until the run waits for the device [s]. After this time, the recorder
-works although the run is busy."""
+"""Longest time of a single wait of a recorder [s]. A recorder waits while the run uses Python's interpreter, until the
+run in turn waits for the device. After this time, the recorder works although the run is busy."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0

@@ -149,8 +149,8 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
     """Report the progress of compiling while the block runs.
 
-    The function `tell` is called with "compiling" and the fraction done, if compiling takes longer than
-    `COMPILE_PROGRESS_DELAY`.
+    If compiling takes longer than `COMPILE_PROGRESS_DELAY`, the function `tell` is called with the word "compiling" and
+    the fraction done.
     """
     token = _compile_callback.set(tell)
     try:
@@ -160,9 +160,9 @@ def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
 
 
 def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
-    """Compile kernels in parallel, or load them from the cache.
+    """Compile the kernels of `stages` in parallel, or load them from the cache.
 
-    `stages` holds stages, and also kernels that are launched without a stage.
+    An entry of `stages` is a stage (a recorded launch) or a kernel that is launched without a stage.
     """
     wanted: dict[tuple[int, int], tuple[KernelModule, int]] = {}
     for stage in stages:
@@ -219,9 +219,10 @@ def graph_sizes(count: int, largest: int) -> list[int]:
 
 
 def merge_thread_stages(step: Step) -> Step:
-    """Merge the threads' stage lists into a list for one thread, barrier by barrier.
+    """Merge the stage lists of several threads into one list, for a single thread.
 
-    The single thread runs the stages of all threads up to a barrier, then those up to the next barrier.
+    The single thread runs the stages of all threads up to the first barrier, then those of all threads up to the next
+    barrier, and so on.
     """
     parts: list[list[list[Stage]]] = []
     for stages in step:
@@ -302,9 +303,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Launch the periodic stages, which run once in several steps, if graphs are too short to contain them.
+        """Launch the kernels that run only once in several steps, if no replayed graph is long enough for them.
 
-        `sizes` are the numbers of steps in the graphs that have just been replayed.
+        These kernels are the stages with `every` > 1. They are launched when at least `every` steps have passed since
+        their last launch. `sizes` are the numbers of steps in the graphs that have just been replayed.
         """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:
@@ -375,7 +377,7 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch a GPU's stages during a graph capture, those with `on_side_stream` on a side stream.
+    """Launch the stages of a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
 
     The main stream waits for the side stream before a stage with `joins_side_stream`, and at the end.
     """

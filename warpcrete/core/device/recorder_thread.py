@@ -11,7 +11,8 @@ from .interpreter_priority import run_is_waiting, yield_to_run
 from .simulation_protocol import SimulationOnDevice
 
 MAXIMUM_JOBS = 8
-"""Maximum number of waiting jobs. If more are added, the run waits, so that no job is lost and memory stays bounded."""
+"""Maximum number of jobs that wait for the recorder thread. If the run adds more jobs, the run itself waits, so that no
+job is lost and memory stays bounded."""
 
 
 class RecorderThread:

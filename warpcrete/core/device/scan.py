@@ -27,8 +27,8 @@ def scan_stages(values: DeviceArray, before: DeviceArray) -> list[Stage]:
     named = {"count": count, "values": values, "before": before}
     if not parallel(device):
         return [Stage(kernels.spread, 1, named, device)]
-    # The first stage stores the sum of each block of values. The second stage adds the sums of all previous blocks to
-    # the sum of the previous values in the same block.
+    # The values are divided into blocks, and the first launch stores the sum of each block. For each value, the second
+    # launch adds up all previous blocks and the previous values in the same block.
     blocks = -(-count // (VALUES_PER_THREAD * BLOCK))
     partial = zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}

@@ -156,11 +156,11 @@ class Display(ABC):
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
     def snapshot_value(self, name: str, source: Callable[[], object]) -> Any:
-        """Return the value of `source()`, a quantity of the state, at the time that is drawn.
+        """Return the value of `source()`, a quantity of the simulation's state, at the time that is drawn.
 
-        While a snapshot is drawn, the snapshot's value with the name `name` is returned, without a call of `source`.
-        All displays of a simulation share the values of a snapshot, so the caller must not modify the value. A Warp
-        array is returned as a NumPy array.
+        While a snapshot (copy of the state at one time) is drawn, the value with the name `name` in the snapshot is
+        returned, and `source` is not called. All displays of a simulation share the values of a snapshot, so the caller
+        must not modify the value. A Warp array is returned as a NumPy array.
         """
         if self._current_snapshot is not None:
             self._yield_to_run()
@@ -273,9 +273,9 @@ class Display(ABC):
         return None
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Return the painted quantity at the vertices of a drawn wall, shape (v,), in the displayed unit.
+        """Return the quantity that colours a drawn wall, at the vertices of the wall, shape (v,).
 
-        Return None for a wall of a single colour.
+        It is given in the displayed unit. The result is None for a wall of a single colour.
         """
         return None
 

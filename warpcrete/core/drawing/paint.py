@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
-"""Number of discrete values on a logarithmic scale to which recordings round the quantities that colour walls.
-
-The first constant is the total number, and the second is the number in each decade."""
+"""Numbers of discrete values to which recordings round a quantity that colours walls. The values are evenly spaced on a
+logarithmic scale. The first constant is the total number, and the second is the number in each decade."""
 SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
@@ -56,7 +55,8 @@ class Paint:
     """Title of the scale, with the unit of the displayed values."""
     palette: str
     upper: float
-    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, all values are still 0."""
+    """Upper end of the scale, in the unit of the displayed values. It is 0 if all values so far are 0. The lower end is
+    always 0."""
 
     @property
     def unit(self) -> str:
@@ -72,9 +72,9 @@ class Paint:
     def steps(self, values: np.ndarray) -> np.ndarray:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
-        `values` are in the displayed unit. The viewer interpolates indices, not values, between neighbouring vertices,
-        so it shows wrong colours between vertices whose indices differ greatly. To reduce these differences, all values
-        that have the first colour of the scale get the same index.
+        `values` are in the displayed unit, and each index stands for a colour. Between neighbouring vertices, the
+        viewer interpolates the indices instead of the values. If the indices differ greatly, the colours in between are
+        wrong. To reduce these differences, all values that have the first colour of the scale get the same index.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

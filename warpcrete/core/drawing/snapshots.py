@@ -52,10 +52,10 @@ class PinnedPool:
         return self._arrival_flag
 
     def take(self, arrays: Mapping[str, DeviceArray], device: wp.Device) -> tuple[PinnedBuffers, deque[PinnedBuffers]]:
-        """Return page-locked memory for copies of arrays, and the pool's queue of free memory for these arrays.
+        """Return page-locked memory for copies of `arrays`, and the queue into which the caller puts it after use.
 
-        The caller puts the memory into this queue after use. The pool frees memory that it holds for arrays with the
-        same names but other sizes or addresses.
+        The queue belongs to the pool and contains free memory for these arrays. The pool frees memory that it holds for
+        arrays with the same names but other sizes or addresses.
         """
         names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
         if names not in self._free or self._free[names][0] != where:
@@ -92,7 +92,7 @@ class PendingCopies:
             self._return_queue.append(self._buffers)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a copy by name after it has arrived; the copy is valid while this object exists.
+        """Wait for the copy of the array called `name`, and return the copy, which is valid while this object exists.
 
         Raises RuntimeError if the copies do not arrive within the time `COPY_TIMEOUT`.
         """

@@ -74,7 +74,7 @@ def _folder_on_path() -> Generator[None]:
 
 @dataclass(frozen=True)
 class ByName(CompositeRule):
-    """Rule for a parameter whose value is an object of a class in `classes` (by short name) or of a user's class."""
+    """Rule for a parameter whose value is an object of one of the `classes` (by short name) or of a user's class."""
 
     classes: Mapping[str, type]
 

@@ -36,9 +36,9 @@ MAXIMUM_CHAIN = 10
 
 @dataclass(frozen=True)
 class MixSection:
-    """Section `mix` of a concrete's file before the program derives parameters from the mix.
+    """Section `mix` of a concrete's file, from which the program derives parameters of the concrete.
 
-    `elements` and `flow` are the values of the file's other sections, which override the derived parameters.
+    `elements` and `flow` are the values in the other sections of the file. They override the derived parameters.
     """
 
     values: Any

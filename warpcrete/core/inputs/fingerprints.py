@@ -16,7 +16,9 @@ from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_number
 class Digest(Protocol):
     """Hash of data that is passed in pieces, such as a hash object of `hashlib`; `update` adds a piece."""
 
-    def update(self, data: bytes, /) -> None: ...
+    def update(self, data: bytes, /) -> None:
+        """Add bytes to the data of which the digest is taken."""
+        ...
 
 
 def fingerprint(value: object) -> str:

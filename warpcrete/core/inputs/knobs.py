@@ -16,14 +16,17 @@ class Level:
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Values of the scene's parameters that this setting of the knob changes, by parameter name."""
     cost: float = 1.0
-    """Expected wall time of a run at this level, relative to the other levels of the same knob. It is used only for
-    planning, before wall times are measured."""
+    """Expected wall time of a run at this level, relative to the other levels of the same knob. A level is a value of
+    the accuracy parameter that the knob changes. The expected time is used only for planning, before wall times are
+    measured."""
     key: str = ""
-    """Name by which this setting of the knob is found again in other scenes. For example, half the element size has the
-    key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
+    """Name that this level of a knob has in all scenes. A knob is a parameter that trades accuracy for run time. For
+    example, half the element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If
+    the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
-    """Pair (offset, factor) for each result quantity, by name, whose meaning at this level differs from that in the
-    scene as given. The value offset + factor * (value - offset) is comparable with the scene as given."""
+    """Conversions of result quantities, by name. At this setting of the knob, a quantity may mean something else than
+    in the scene as given. A conversion is a pair (offset, factor): the value offset + factor * (value - offset) is
+    comparable with the scene as given."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,11 @@ def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
     physical: bool = False,
 ) -> Knob:  # fmt: skip
-    """Return a knob, which trades accuracy for computing time, that changes one number: the parameter `parameter`.
+    """Return a knob that changes one number, the parameter `parameter` of a scene.
 
-    At each level of the knob, the number is `value` times one of `factors`, from the coarsest to the finest level. The
-    expected wall time at a level is proportional to its factor to the power of `power`.
+    A knob trades accuracy for computing time, and its settings are called levels. At each level, the number is `value`
+    times one of `factors`, from the coarsest to the finest level. The expected wall time at a level is proportional to
+    its factor to the power of `power`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical)
@@ -67,9 +71,10 @@ def precisions() -> Knob:
 
 @dataclass(frozen=True)
 class Trading:
-    """Description of a scene for studies of accuracy against computing time: knobs, quantities and closed forms.
+    """Description of a scene for studies that weigh accuracy against computing time.
 
-    The module of the scene assigns this object to the name `trading`.
+    It contains the knobs (accuracy parameters with their values), the quantities to compare, and the closed forms. The
+    module of the scene assigns this object to the name `trading`.
     """
 
     knobs: Callable[[Any], Iterator[Knob]]

@@ -27,8 +27,8 @@ class Limit:
     usual: tuple[float, float] | None = None
     """Lower and upper end of the usual magnitudes; a value outside this range causes a warning."""
     unit: str = ""
-    """Unit that a quantity must have if the limits are listed under the name of a quantity. It is empty for limits that
-    are listed under a unit."""
+    """Unit of the quantity, for limits that are listed under the name of a quantity. Empty for limits that are listed
+    under a unit."""
 
 
 LIMITS = {

@@ -124,9 +124,9 @@ def changed_fields(scene: Any) -> list[str]:
 
 
 def arguments_of(scene: Any) -> Mapping[str, Any]:
-    """Return the arguments with which the scene function makes an equal scene.
+    """Return arguments with which the scene function makes a scene equal to this one.
 
-    The mapping is empty for a scene that was changed, or built without a scene function.
+    The mapping is empty if the scene was built without a scene function, or changed after the function had made it.
     """
     return {} if changed_fields(scene) else scene.parameters
 

@@ -38,6 +38,7 @@ class Above:
     hint: str = ""
 
     def check(self, name: str, value: float, unit: str) -> None:
+        """Refuse a value that is not a finite number above `lower`."""
         if not math.isfinite(value) or value <= self.lower:
             refuse(name, value, f"must be a finite number above {self.lower:g}{unit}", self.hint)
 
@@ -51,6 +52,7 @@ class Within:
     hint: str = ""
 
     def check(self, name: str, value: float, unit: str) -> None:
+        """Refuse a value outside [lower, upper]."""
         if math.isfinite(value) and self.lower <= value <= self.upper:
             return
         span = f"in [{self.lower:g}, {self.upper:g}]" if math.isfinite(self.upper) else "finite"
@@ -66,14 +68,16 @@ class OneOf:
     choices: tuple[object, ...]
 
     def check(self, name: str, value: object, unit: str) -> None:
+        """Refuse a value that is not one of the choices."""
         one_of(name, value, self.choices)
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`.
+    """Rule for a parameter that has a meaning only if the value of another parameter passes a test.
 
-    If there are further parameters `others`, it is enough that `test` holds for one of them.
+    The other parameter is `field`, and `test` is a function of its value. If `others` names further parameters, it is
+    enough that one of all these parameters passes the test.
     """
 
     field: str
@@ -89,9 +93,9 @@ class Needs:
 
 @dataclass(frozen=True)
 class FileIf:
-    """Rule that a text for which `test` holds names a file.
+    """Rule that a text names a file if `test` holds for the text.
 
-    The text is stored as an absolute path, which is valid in any working folder.
+    Such a text is stored as an absolute path, which is valid in any working folder.
     """
 
     test: Callable[[str], bool]
@@ -106,10 +110,11 @@ class Alias:
 
 
 class CompositeRule:
-    """Rule of a parameter whose value is an object with parameters of its own.
+    """Rule for a parameter whose value is an object.
 
-    For example, the contact law in the parameter `contact` has the parameters `contact_FIELD`. The module
-    :mod:`warpcrete.core.inputs.by_name` explains these parameters.
+    Each field of the object becomes a parameter of its own. For example, the parameter `contact` holds a contact law,
+    whose field FIELD is the parameter `contact_FIELD`. The module :mod:`warpcrete.core.inputs.by_name` explains these
+    parameters.
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
@@ -119,12 +124,13 @@ class CompositeRule:
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return a copy of the parameters `values` in which `field` has an object as its value.
 
-        The object is made from the value of `field` and from the parameters that belong to it, which are removed.
+        The object is made from the value of `field` and from the parameters that belong to the object. These parameters
+        are missing in the copy.
         """
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return the parameters that describe an object `value` of `field` as numbers and texts, by name.
+        """Return numbers and texts, by name of the parameter, that describe the object `value` of `field`.
 
         The second result is True if `with_objects` makes an equal object from these parameters.
         """

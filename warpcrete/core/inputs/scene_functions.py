@@ -166,7 +166,8 @@ class SceneFunction(Generic[P, S]):
     def declared(self, given: Mapping[str, object]) -> Any:
         """Return an instance of the parameters' dataclass.
 
-        Each field has the given value, or else a value that the given ones imply, or else its default.
+        A field gets the given value. Without a given value, it gets the value that other given values imply, or else
+        its default.
         """
         return self.parameters(**self.with_objects(self.completed(given)))
 

@@ -13,9 +13,9 @@ text with the finding."""
 
 
 def with_cures(cures: Mapping[str, str]) -> Callable[[Check], Check]:
-    """Return a decorator that adds the usual cure to the finding of each failed check.
+    """Return a decorator that adds the usual remedy to the message of each failed check.
 
-    `cures` maps the name of a check to a text with the cure.
+    `cures` maps the name of a check to the text of the remedy.
     """
 
     def decorate(check: Check) -> Check:

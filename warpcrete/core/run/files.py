@@ -123,9 +123,8 @@ trade-off, calibration or reproduction."""
 NULLABLE_ENTRIES = {"device", "precision", "threads", "columns", "rows"}
 """Entries that may be null in a record (the JSON file of a request), because the user left them at their defaults."""
 NEVER_NULL = {"scene.json": {"threads"}, "trade.json": {"device", "threads"}}
-"""Entries in `NULLABLE_ENTRIES` that may not be null in a particular file, by the name of that file.
-
-The program always fills in these entries when it writes the file."""
+"""Entries that must not be null in some files although `NULLABLE_ENTRIES` contains them, by name of the file. The
+program always fills in these entries when it writes the file."""
 
 
 def read_record(path: Path) -> dict[str, Any]:

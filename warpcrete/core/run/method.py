@@ -47,7 +47,7 @@ class Quantity:
 
 
 def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float | Quantified]:
-    """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as such.
+    """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as numbers.
 
     `known` is the method's data about a run, which is passed to the function `of` of each quantity.
     """
@@ -125,7 +125,7 @@ class Method:
     def quantities(self) -> tuple[Quantity, ...]:
         """All quantities that runs of this method may have.
 
-        The list is made at each access, because a user may define further standard tests with their own quantities.
+        The list is made anew at each access, because a user may have added standard tests with quantities of their own.
         """
         return self.list_quantities()
 

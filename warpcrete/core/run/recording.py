@@ -43,9 +43,9 @@ class Recording:
             self._call(recorder, method, *arguments)
 
     def states(self) -> dict[str, object]:
-        """Return the data from which recorders can go on after a checkpoint, by class name of the recorder.
+        """Return the data that each recorder needs to go on after a checkpoint, by the class name of the recorder.
 
-        For a recorder that failed and was dropped, the result has its data from an earlier checkpoint, if any.
+        A recorder that failed was dropped. If it stored data at an earlier checkpoint, the result has these data.
         """
         for recorder in list(self.active):
             self._states[class_name_of(recorder)] = self._call(recorder, "checkpoint")

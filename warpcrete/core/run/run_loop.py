@@ -237,9 +237,10 @@ class Simulation:
         return False
 
     def reaching(self, time: float) -> Coroutine:
-        """Step the run to `time` [s], as a generator that yields the times to which the caller must step.
+        """Step the run until the time `time` [s].
 
-        Subclasses override this method to do further actions at times before `time`, such as a rest of the concrete.
+        The method is a generator. It yields each time until which the caller must step next. Subclasses override the
+        method to act at times before `time`, for example to let the concrete rest.
         """
         yield Until(time)
 
@@ -389,9 +390,12 @@ class Simulation:
     def _end(self, finished: bool, interrupted: bool) -> Run:
         """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
 
-        The last state takes effect as a checkpoint when all recorders have finished. Recorders then
-        join the files of their recordings; a run that is killed meanwhile need not repeat its last steps. If a
-        recorder fails, the run can go on from the previous checkpoint without loss of data.
+        The order makes sure that no data are lost if a recorder fails or the run is killed:
+
+        - The final state is written first, but does not yet replace the previous checkpoint.
+        - All recorders finish. If one fails, the run can go on from the previous checkpoint.
+        - The final state becomes the checkpoint. Recorders then join the files of their recordings; a run that is
+          killed meanwhile need not repeat its last steps.
         """
         recording, path = self._recording, self.checkpoint_path
         written = False

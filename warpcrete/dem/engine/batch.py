@@ -1,10 +1,10 @@
 """Batch of one or many scenes: their arrays joined end to end, and the kernel launches that advance them together.
 
-The scenes of a batch share kernels and launches only; each has its own parameters, walls, clock, flags and neighbour
+The scenes of a batch share kernels and launches only; each has its own parameters, walls, time, flags and neighbour
 lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
 goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
-and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time,
-because every kernel visits it; the module `regrouping` removes finished scenes.
+and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time, because
+every kernel visits it; the module `regrouping` removes finished scenes.
 """
 
 from __future__ import annotations
@@ -126,10 +126,10 @@ class Batch(JointArrays):
         self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,
         every: int = 1, block: int | None = None, **named: object,
     ) -> Stage:  # fmt: skip
-        """Return a recorded launch of `kernel` over `dim` tasks.
+        """Return a launch of `kernel` over `dim` tasks, recorded for later replays.
 
-        `named` gives arguments by the kernel's parameter names; missing ones come from `kernel_arrays`.
-        `on_side_stream`, `joins_side_stream`, `every` and `block` have the meaning described in :class:`Stage`.
+        `named` holds arguments by the names of the kernel's parameters. Missing arguments come from `kernel_arrays`.
+        The meaning of `on_side_stream`, `joins_side_stream`, `every` and `block` is described in :class:`Stage`.
         """
         arguments = completed(kernel, named, self.kernel_arrays)
         return Stage(
@@ -153,11 +153,12 @@ class Batch(JointArrays):
         self._wall_launch = None
 
     def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
-        """Set the kernel launches of one step, `step`, as one list for each CPU thread.
+        """Set the recorded launches of a time step, and of the work that follows each group of steps on a GPU.
 
-        The launches stay valid while `has_step` is True. A GPU launches steps in pieces. After each piece it launches
-        `between_pieces`, which rebuilds stale neighbour lists (only in a batch of one scene) and estimates stable time
-        steps. If no scene needs estimates, it launches `rebuild` instead, which only rebuilds the lists.
+        `step` holds one list of launches for each CPU thread. The launches stay valid while `has_step` is True. After
+        each group of steps, a GPU launches `between_pieces`. This estimates stable time steps and, in a batch of one
+        scene, rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead, which
+        only rebuilds the lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
@@ -284,9 +285,10 @@ class Batch(JointArrays):
         self.exchange.begin_read(self.flags, self.scenes.clock)
 
     def _launch(self, launch_sizes: list[int], interval: int) -> None:
-        """Launch one piece of time steps for each number of steps in `launch_sizes`.
+        """Launch the time steps in groups; `launch_sizes` holds the number of steps of each group.
 
-        After each piece, a GPU also launches `between_pieces` or `rebuild`, see :meth:`use_step`.
+        After each group, a GPU also launches the work that :meth:`use_step` has recorded for this purpose: `rebuild` if
+        `interval` is NEVER, and otherwise `between_pieces`.
         """
         # A GPU runs all sub-cycling rounds of a step in one kernel, so the rounds add no launches to its graphs.
         rounds = 0 if self.parallel else self.subcycles.rounds

@@ -25,11 +25,9 @@ from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Wal
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
-"""Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
-
-Growing arrays discards all recorded launches of the batch, so scenes that will soon need more room grow at the same
-time.
-"""
+"""Fill level of a scene's arrays, as a fraction of their size. When the arrays of one scene of a batch must grow, those
+of the other scenes grow as well if their fill level is higher than this. The reason is that growing arrays discards all
+recorded launches of the batch."""
 
 
 class JointArrays:
@@ -86,10 +84,8 @@ class JointArrays:
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray
-    """Scene index of each entry of `pairs.start`, shape (spheres + scenes,).
-
-    `pairs.start` contains the first list entry of each sphere, and an end marker for each scene.
-    """
+    """Index of the scene to which each entry of `pairs.start` belongs, shape (spheres + scenes,). The array
+    `pairs.start` contains the first list entry of each sphere, and an end marker for each scene."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
         """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
@@ -110,9 +106,9 @@ class JointArrays:
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Allocated number of rows for the forces and moments (loads) of each scene's bonds, shape (scenes,).
+        """Allocated number of rows for the forces and moments of each scene's bonds, shape (scenes,).
 
-        If contacts heal, this number is unused, because then every listed pair has a row.
+        If contacts can form bonds during the run, every listed pair has a row, and this number is unused.
         """
         self._join_states()
         self._join_models()
@@ -169,9 +165,10 @@ class JointArrays:
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
     def _join(self, parts: Sequence[object], name: str) -> DeviceArray:
-        """Return the arrays named `name` of all objects in `parts`, one for each scene, joined end to end.
+        """Return the arrays `name` of several objects, joined end to end.
 
-        The array of each object is replaced by its slice of the joint array.
+        `parts` contains one object for each scene. The array of each object is replaced by its slice of the joint
+        array.
         """
         arrays: list[DeviceArray] = [getattr(part, name) for part in parts]
         if len(arrays) == 1:
@@ -301,8 +298,8 @@ class JointArrays:
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
-        # A link is a pair of the neighbour list, and the array `result` contains the contact forces of all links. Free
-        # `result`, the largest array of the old links, before new arrays are allocated. Its values are not needed,
+        # A link is a pair of the neighbour list, and the array `result` contains the contact forces of all links. It is
+        # the largest array of the old links, so free it before new arrays are allocated. Its values are not needed,
         # because every step computes the forces anew.
         before.result = None
         self._regrow("pairs", used, self.capacity, wanted)
@@ -311,10 +308,10 @@ class JointArrays:
             copy_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Enlarge the array of bond loads (forces and moments of bonds) to at least `wanted` rows for scene `s`.
+        """Enlarge `load`, the array of forces and moments of the bonds, to at least `wanted` rows for scene `s`.
 
-        Other scenes of the batch that have no bonds yet will probably create them soon, so they get room in proportion
-        to their number of spheres.
+        Other scenes of the batch that have no bonds yet will probably create them soon. They get room in proportion to
+        their number of spheres.
         """
         spheres = self.rows["sphere_count"].astype(np.int64)
         each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)
@@ -335,8 +332,8 @@ class JointArrays:
         if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # On a GPU, the two list entries of a pair share up to four rows of results. The array of results thus has up to
-        # twice as many rows as the list has entries, and 32-bit integers must suffice as indices of both.
+        # On a GPU, each pair has two list entries, which share up to four rows of results. The array of results thus
+        # has up to twice as many rows as the list has entries. 32-bit integers must suffice as indices of both.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(

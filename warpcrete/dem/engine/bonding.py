@@ -1,9 +1,12 @@
-"""Create bonds between bodies, change the properties of bonds, and assign their rows of load.
+"""Create bonds between bodies, change the properties of bonds, and store the forces and moments of bonds.
 
-The load of a bond (its forces and moments) is stored in a row of `pairs.load`. The integer `pairs.bond` of a listed
-pair encodes the bond's kind and that row. A bond keeps its row when neighbour lists are rebuilt, until it breaks. In a
-half list (CPU), two threads each compute a pair whose spheres belong to different threads, so every bond has two rows,
-one for each thread. If contacts can heal, any listed pair may bond, so every entry of the list has a row of its own.
+The forces and moments of a bond (its load) are stored in a row of the array `pairs.load`. The integer `pairs.bond` of a
+listed pair encodes the kind of the bond and the number of this row. A bond keeps its row until it breaks, even if the
+neighbour lists are rebuilt.
+
+In a half list (CPU), a pair whose spheres belong to different threads is computed by both threads. Every bond therefore
+has two rows, one for each thread. If contacts can heal, any listed pair may become bonded. Every entry of the list then
+has a row of its own.
 """
 
 from __future__ import annotations
@@ -67,10 +70,10 @@ def _kinds(state: State) -> np.ndarray:
 
 
 def _number(state: State, before: np.ndarray) -> None:
-    """Assign a row of `pairs.load` (force and moment of a bond) to every bond, in the order of the neighbour list.
+    """Assign a row of the array `pairs.load` to every bond, in the order of the neighbour list.
 
-    `before` contains the values of `pairs.bond` before the new bonds were made. Bonds that existed keep their force and
-    moment, and new bonds start without.
+    The row stores the force and the moment of the bond. `before` contains the values of `pairs.bond` before the new
+    bonds were made. Existing bonds keep their force and moment; new bonds start with zero.
     """
     i, j, place = listed_pairs(state)
     bond = state.pairs.bond.numpy().copy()
@@ -100,9 +103,9 @@ def _number(state: State, before: np.ndarray) -> None:
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
     """Assign rows of `pairs.load` to the second list entries of bonds between spheres of two CPU threads, in `bond`.
 
-    A pair of such spheres has two entries in the neighbour list, one for each thread. The second entry receives the row
-    after the row of the first entry. `low` and `high` are the indices of the bonded spheres, and `place` is the first
-    list entry of each bond.
+    A pair of such spheres has two entries in the neighbour list, one for each thread. The bond of the second entry is
+    stored in the row of `pairs.load` after that of the first entry. `low` and `high` are the indices of the bonded
+    spheres, and `place` is the first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
     # `place` contains the first list entry of each bonded pair, so all other bonded entries are second entries.

@@ -16,10 +16,8 @@ from .struct_types import Grid
 SAMPLED_SPHERES = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
 FARTHEST_CELL = 1e6
-"""Largest distance of a sphere from the middle of its scene that counts when the grid is fitted, in cell widths.
-
-Larger distances are reduced to this value.
-"""
+"""Largest distance of a sphere from the middle of its scene that the fit of the grid takes into account, in cell
+widths. A sphere at a larger distance is treated as if it were at this distance."""
 OUTSIDE_PERCENT = 0.1
 """Percentage of a scene's spheres that may lie beyond each end of the scene's block of cells, along each axis."""
 CELLS = 8
@@ -67,10 +65,10 @@ class Cells:
         self.made += 1
 
     def width(self) -> float:
-        """Return the width of a cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
+        """Return the width of a grid cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
 
-        All scenes share one width, the largest that any scene needs. The few spheres larger than the mean search more
-        than the adjacent cells.
+        All scenes of a batch share one width, the largest that any scene needs. Spheres larger than the mean must
+        search in more than the adjacent cells.
         """
         b = self.batch
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0

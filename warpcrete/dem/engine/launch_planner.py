@@ -30,22 +30,21 @@ On a CPU, recording a graph costs as much as several steps and replaying a graph
 threads get longer graphs, because they lose time when they wait for each other between two graphs.
 """
 STABLE_CHUNK_STEPS = 256
-"""Steps launched with the same division of bodies among CPU threads, after which the threads may use longer graphs.
+"""Number of steps with the same division of bodies among CPU threads, after which the threads may use longer graphs.
 
-The division often changes soon after the start of a run, which makes recorded graphs useless.
+A graph contains the recorded launches of several steps. Soon after the start of a run the division often changes, which
+makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
 """Step count that no scene ever reaches; the goal of a scene that runs until a given time instead of a step count."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
-"""Factors that adapt the expected lifetime of neighbour lists.
-
-Lists that became stale are expected to last `LIFETIME_DECREASE` times as many steps next time. The expected lifetime
-grows by the factor `LIFETIME_INCREASE` when lists were still valid at the end of their expected lifetime.
-"""
+"""Factors that adapt the expected lifetime of neighbour lists. If lists have become stale, the next lists are expected
+to last `LIFETIME_DECREASE` times as many steps. If lists are still valid at the end of their expected lifetime, this
+lifetime grows by the factor `LIFETIME_INCREASE`."""
 SHARED_REBUILD_AGE = 0.6
-"""Minimum age at which a scene's neighbour lists are rebuilt early, as a fraction of their expected lifetime.
+"""Minimum age at which the neighbour lists of a scene are rebuilt early, as a fraction of their expected lifetime.
 
-A rebuild is early if the lists are still valid but those of another scene of the batch must be rebuilt.
+A rebuild is early if these lists are still valid, but those of another scene of the batch must be rebuilt.
 """
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
@@ -57,8 +56,8 @@ MINIMUM_LIFETIME = 8
 class LaunchPlanner:
     """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
 
-    The choices of the planner affect speed only: a scene halts itself where it must, and the kernels in flight skip a
-    halted scene.
+    The choices of the planner affect speed only: a scene halts itself where it must, and kernels that are already
+    launched skip a halted scene.
     """
 
     def __init__(self, parallel: bool, scenes: int) -> None:
@@ -66,8 +65,8 @@ class LaunchPlanner:
         # For each scene, the step count at which its lists were built, and the expected lifetime of its lists in steps.
         self._built_at_step = np.zeros(scenes, dtype=np.int64)
         self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
-        # `_age_known` is False for scenes that joined the batch with lists of unknown age. The lifetime of these lists
-        # cannot be measured.
+        # A scene may join the batch with neighbour lists of unknown age. `_age_known` is then False, because the
+        # lifetime of these lists cannot be measured.
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
@@ -87,7 +86,8 @@ class LaunchPlanner:
     def largest_graph(self, threads: int, rounds: int) -> int:
         """Return the maximum number of steps in one recorded graph of launches.
 
-        Each step consists of the launches of `threads` CPU threads and has `rounds` sub-cycling rounds.
+        `threads` is the number of CPU threads that take part in a step, and `rounds` is the number of sub-cycling
+        rounds per step. The more rounds a step has, the fewer steps a graph holds.
         """
         kind = (
             "cuda"
@@ -137,11 +137,13 @@ class LaunchPlanner:
         self._built_at_step[stale], self._age_known[stale] = flags[stale, int(STEPS)], True
 
     def launch_sizes(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
-        """Divide the next launch into pieces and return the number of steps of each piece.
+        """Divide the next launch of time steps into pieces, and return the number of steps of each piece.
 
-        After each piece, a GPU estimates the stable time step of the scenes that need an estimate. A GPU that can
-        rebuild neighbour lists without the host also rebuilds stale lists then. The flags, clocks and parameters
-        (`rows`) of all scenes are arrays with one row for each scene.
+        A launch is a sequence of time steps that the host requests at once. After each piece, a GPU estimates the
+        stable time step of the scenes that need an estimate. If the GPU can rebuild neighbour lists without the host,
+        it also rebuilds stale lists then.
+
+        The arguments are arrays with one row for each scene: control flags, times and parameters.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.
@@ -165,17 +167,18 @@ class LaunchPlanner:
             self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
         )
         if self.scenes > 1:
-            # The scenes of a batch need the next estimate of their stable step after different numbers of steps,
-            # because some scenes have waited for new lists. The first piece lasts until the last scene needs an
-            # estimate; the other scenes halt and wait.
+            # Some scenes of a batch have waited for new neighbour lists, so they need the next estimate of their stable
+            # step later than the others. The first piece of the launch lasts until the last scene needs an estimate.
+            # The scenes that need an estimate earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, remaining_lifetime)
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # The device skips all queued steps after the lists have become stale. If the host rebuilds the lists, the
-        # launch therefore ends when the lists are expected to become stale, judging by their last lifetime.
+        # The device skips all remaining steps of a launch after the lists have become stale. If only the host can
+        # rebuild the lists, the launch therefore ends when the lists are expected to become stale. The last lifetime of
+        # the lists serves as the forecast.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

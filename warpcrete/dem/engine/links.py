@@ -35,7 +35,10 @@ def rows_of(features: Features) -> int:
 
 
 def make_links(batch: BatchArrays) -> Links:
-    """Return new, unused links for all listed pairs of a batch; for a CPU, which uses no links, arrays of length 0."""
+    """Return new, unused links (pairs as the GPU evaluates them) for all listed pairs of a batch.
+
+    A CPU uses no links, so its arrays have the length 0.
+    """
     struct = declared(links_struct(batch.scalar))
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {
@@ -65,10 +68,10 @@ def make_links(batch: BatchArrays) -> Links:
 
 
 def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
-    """Copy the links of each scene from the arrays of `before` into the enlarged arrays of `links`.
+    """Copy the links (pairs of spheres) of each scene from the arrays of `before` into the enlarged arrays of `links`.
 
-    `old` and `capacity` are the allocated numbers of neighbour list entries of each scene, before and after the
-    enlargement, shape (scenes,).
+    `old` and `capacity` are the numbers of neighbour list entries for which each scene had room before the enlargement
+    and has room afterwards, shape (scenes,).
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))

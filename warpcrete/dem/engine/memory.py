@@ -40,8 +40,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = bytes_of(model.scalar)
-    # `listing` is the memory per sphere for neighbour lists and bonds [B]. It begins with the current and the previous
-    # neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search.
+    # `listing` is the memory per sphere for neighbour lists and bonds [B]. Its first terms stand for the current and
+    # the previous neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search. The
+    # terms for bonds follow below.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
     # Add memory for the forces and moments of bonds, which half lists may store twice per bond. If bonds may heal, the
     # memory of a listed pair already includes a force and a moment.
@@ -55,10 +56,11 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     else:
         # Add memory for the buffer in which the neighbour search stores the neighbours of each sphere.
         listing += 4 * MOST_KEPT
-        # Add memory for the links of a GPU. A link represents the two list entries of a pair. It stores the pair twice
-        # (in the list of all links and in that of near links, which may touch soon), its scene, its state, its index
-        # at both entries, and its forces and moments. Each sphere stores its position at the last selection of near
-        # links, and bits that mark touching neighbours.
+        # Add memory for the links of a GPU. A link represents the two list entries of a pair. Near links are those
+        # whose spheres may touch soon.
+        # - A link stores the pair twice: in the list of all links and in that of near links. It also stores its scene,
+        #   its state, its index at both entries, and its forces and moments.
+        # - A sphere stores its position at the last selection of near links, and bits that mark touching neighbours.
         listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(EXTRA_MASKS)
     if model.features.subcycling and model.scene.hydration is not None:
         # Add memory for the sub-cycled bonds. Each sphere has at most three bonded pairs, of which the fraction

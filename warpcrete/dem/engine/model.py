@@ -103,10 +103,9 @@ class Model:
     segments: DeviceArray
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: DeviceArray
-    """Range in `segments` of the pipe axis along which a force drives each body group, shape (groups, 2).
-
-    The range begins at the first number and ends before the second. Both are 0 for a group without a driving force.
-    """
+    """Range of the lines and arcs in `segments` along which a force drives each body group, shape (groups, 2). The
+    range begins at the first number and ends before the second. Both numbers are 0 for a group without a driving
+    force."""
     drive_force: DeviceArray
     """Driving force along the axis on each single body of a group [N], for every body group, shape (groups,)."""
     meshes: tuple[wp.Mesh, ...]
@@ -311,7 +310,7 @@ def _law_table(
     """Return a contact law for every ordered pair of materials, as a flattened square table.
 
     All pairs of materials that can touch must follow one type of law; otherwise :class:`SceneError` is raised. Pairs
-    that cannot touch need an entry as well and get the law of a pair that can.
+    that cannot touch need an entry in the table as well, and get the law of a pair that can touch.
     """
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = sorted({type(c).__name__ for c in met})

@@ -49,11 +49,12 @@ MOST_KEPT = 64
 
 
 class NeighborLists:
-    """Builder of the neighbour lists and mesh candidates (triangles near a sphere) of the scenes with stale lists.
+    """Builder of the neighbour lists of all scenes of a batch whose lists are stale.
 
-    A list contains the pairs with gaps of less than a skin [m]. It stays complete until some sphere has moved by half
-    the skin relative to a common drift (its scene's mean velocity at the build), or by the mesh skin relative to a
-    mesh.
+    It also builds the lists of mesh candidates, which are the triangles near each sphere. A neighbour list contains all
+    pairs of spheres whose gap is less than a margin, the skin [m]. The list stays complete until a sphere has moved too
+    far. The limit is half the skin, relative to the motion of the scene as a whole (at its mean velocity when the list
+    was built). Relative to a mesh, the limit is the mesh skin.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -154,7 +155,7 @@ class NeighborLists:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Launch the phases `cells` and `search` for half lists, and return the rebuild with all phases.
+        """Launch the phases `cells` and `search` of a rebuild of half lists, and return the complete rebuild.
 
         If the search buffers are too small, they are enlarged and the search is repeated.
         """
@@ -183,10 +184,10 @@ class NeighborLists:
             self._recorded.clear()
 
     def device_rebuild(self) -> Rebuild:
-        """Return the phases of a rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
+        """Return the phases of a list rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
 
-        The device launches all phases. A rebuild by the host instead begins at the phase `cells`, after the host has
-        copied the old lists.
+        The device launches all phases. In a rebuild by the host, the host first copies the old lists and then begins at
+        the phase `cells`.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
@@ -199,9 +200,10 @@ class NeighborLists:
         self._cells.use_width(width)
 
     def link(self, s: int) -> None:
-        """Build the links (listed pairs) of scene `s` from neighbour lists that a checkpoint contained.
+        """Build the links of scene `s` from neighbour lists that a checkpoint contained.
 
-        Half lists have no links, so nothing is done for them.
+        A link stands for a listed pair when the GPU computes contact forces. Half lists have no links, so nothing is
+        done for them.
         """
         if self.batch.features.half_list:
             return
@@ -219,8 +221,8 @@ class NeighborLists:
         b = self.batch
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
-        # Add the kernels for `OCTANTS` threads per sphere. They are needed when only a few scenes of the batch are
-        # rebuilt, because these scenes have few spheres.
+        # If only a few scenes of a batch are rebuilt, the spheres are few, and `OCTANTS` threads share each sphere. Add
+        # the kernels for this case.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
@@ -251,7 +253,7 @@ class NeighborLists:
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
-        """Return the recorded phases of a rebuild, for the present arrays.
+        """Return the launches that rebuild the neighbour lists, recorded for the present arrays.
 
         `sorted_now` must be True if the bodies have just been re-sorted. `searchers` is the number of threads that find
         the neighbours of one sphere; by default it is the number chosen for the present rebuild.
@@ -266,11 +268,11 @@ class NeighborLists:
         return self._recorded[key]
 
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
-        """Return the phases of a rebuild, in the only order in which they may run.
+        """Return the phases of a rebuild of the neighbour lists, in the only order in which they may run.
 
-        No phase before `starts` changes the current lists. If a device that rebuilds its lists without the host finds
-        after `count` that its arrays are too small, it can therefore stop, and the host repeats the rebuild. The host
-        reads the lengths of the lists after `starts`.
+        A device may rebuild its lists without the host. After the phase `count`, it may find that its arrays are too
+        small. It can then stop, because no phase before `starts` changes the current lists. The host repeats the
+        rebuild with larger arrays. The host reads the lengths of the lists after `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
@@ -317,7 +319,8 @@ class NeighborLists:
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere.
 
-        The result is empty without bonds, and for full lists, whose search does not need this length.
+        Only the search for half lists needs this length. The result is empty for full lists, and if the scenes have no
+        bonds.
         """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
@@ -356,9 +359,10 @@ class NeighborLists:
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
     def _transfer(self, old: Arguments) -> Recordable:
-        """Return the launch that copies contact history from the old to the new neighbour lists.
+        """Return the launch that copies contact history from the old neighbour lists to the new ones.
 
-        On a CPU it is a group of launches, one for each thread, and it also writes the neighbours into the lists.
+        On a CPU the launch is a group with one launch for each thread. It also writes the neighbours into the new
+        lists.
         """
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS
@@ -373,9 +377,10 @@ class NeighborLists:
         return Chunks(parts, b.launch_chunks) if f.half_list else parts[0]
 
     def _link_stages(self, scan: list[Stage]) -> list[Stage]:
-        """Return the launches that build a GPU's links (pairs) from the new lists; empty for half lists.
+        """Return the launches that build a GPU's links from new neighbour lists; empty for the half lists of a CPU.
 
-        `scan` contains the launches of the prefix sum that gives the index of each sphere's first link.
+        A link represents the two list entries of a pair. `scan` contains the launches of the prefix sum that gives the
+        index of each sphere's first link.
         """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         if f.half_list:
@@ -408,10 +413,10 @@ class NeighborLists:
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
         """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
 
-        The second result is the largest number of neighbours of a sphere for which the search buffer was too small, or
-        0 if the buffer was large enough. Both results are read from the device array `total`. Raises
-        :class:`CapacityError` for more entries than 32 bits can count; its message names the list by `what` and
-        `entries`.
+        The second result is 0 if the search buffer was large enough for the neighbours of every sphere. Otherwise it is
+        the largest number of neighbours of a sphere that needs more room. Both results are read from the device array
+        `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; its message names the list by
+        `what` and `entries`.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)

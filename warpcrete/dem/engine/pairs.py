@@ -16,7 +16,7 @@ def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def chunks_of(state: State) -> list[int] | None:
-    """Return the index of the first sphere of each CPU thread's chunk, and the number of spheres.
+    """Return the index of the first sphere of each CPU thread's range of spheres, and the number of spheres.
 
     The result is None for full lists (GPU).
     """
@@ -26,16 +26,17 @@ def chunks_of(state: State) -> list[int] | None:
 def pairs_of(
     start: np.ndarray, other: np.ndarray, chunks: list[int] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sphere indices i and j and the list entry of every listed pair, each pair once.
+    """Return the sphere indices i and j of every listed pair, and the index of its list entry.
 
-    `start` and `other` are host copies of these arrays of the neighbour list; `chunks` comes from :func:`chunks_of`.
+    Each pair is returned once. `start` and `other` are host copies of the neighbour list's arrays with these names.
+    `chunks` comes from :func:`chunks_of`.
     """
     other = other[: start[-1]]
     i = np.repeat(np.arange(len(start) - 1), np.diff(start))
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # If a pair is listed at both spheres, use the entry whose `other` is not negative. In half lists, a pair inside
-        # a chunk is listed only once, so always use its entry.
+        # If a pair is listed at both spheres, use the entry whose `other` is not negative. In a half list, a pair whose
+        # spheres belong to the same CPU thread is listed only once, so always use its entry.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

@@ -28,10 +28,10 @@ POLL_INTERVAL = 50e-6
 
 
 class _Scene:
-    """Scene with its coroutine, which yields goals (times or numbers of steps), and the state of the last goal.
+    """Scene of a batch with its coroutine, which yields goals (times or numbers of steps).
 
-    `waiting` is True while the coroutine waits for time steps. `result` is what the coroutine has returned or raised at
-    its end.
+    `waiting` is True while the coroutine waits for the time steps to its last goal. `result` is what the coroutine has
+    returned or raised at its end.
     """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
@@ -160,11 +160,11 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return the two launches of which a GPU inserts one between pieces of steps.
+        """Return two launches; a GPU inserts one of them after each piece of a sequence of time steps.
 
-        The first launch rebuilds stale neighbour lists. The second launch also estimates stable time steps. Only a GPU
-        with a batch of one scene can rebuild its lists without the host. If it cannot, the first launch is None, and
-        the second launch only estimates. On a CPU both are None.
+        The first launch rebuilds stale neighbour lists. The second launch does the same, and then estimates stable time
+        steps. Only a GPU with a batch of one scene can rebuild its lists without the host. If it cannot, the first
+        launch is None, and the second only estimates. On a CPU, both are None.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)

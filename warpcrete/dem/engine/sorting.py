@@ -14,10 +14,8 @@ from .batch import Batch
 from .state import OF_BATCH, struct_of
 
 SORTED = {"bodies": ("first", *OF_BATCH["bodies"]), "spheres": ("scene", "body", "force", "moment"), "slots": ()}
-"""Structs whose arrays are permuted when bodies are re-sorted, and for each struct the arrays that are not permuted.
-
-The arrays that are not permuted are recomputed, do not depend on the order, or contain only zeros.
-"""
+"""Arrays that keep their order when bodies are re-sorted, by name of their struct. All other arrays of these structs
+are permuted. The listed arrays are recomputed, do not depend on the order, or contain only zeros."""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place: DeviceArray) -> None:

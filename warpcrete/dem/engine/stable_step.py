@@ -23,9 +23,10 @@ from .struct_types import Estimate
 class StableStep:
     """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
-    The estimate is stored in the scene's `clock[STABLE]`. The step size `clock[DT]` follows from it and the scene's
-    settings. An automatic step is also short enough that impacts with little dissipation keep their energy to about
-    1 %, and that fast bodies move by no more than a fraction of their radius per step.
+    The estimate is stored in the entry STABLE of the scene's row in the array `clock`. The step size in the entry DT
+    follows from it and from the settings of the scene. If the program chooses the step, it obeys two more limits.
+    Impacts with little dissipation must keep their energy to about 1 %, and fast bodies must move by no more than a
+    fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -57,9 +58,9 @@ class StableStep:
         self._estimate_for([s])
 
     def precompute(self, scenes: list[int]) -> None:
-        """Estimate the stable steps of several scenes of a GPU batch together, before they are needed.
+        """Estimate the stable steps of several scenes of a batch together, before they are needed.
 
-        On a GPU, this takes as long as the estimate for one scene. On a CPU, nothing is done.
+        On a GPU, this takes as long as the estimate for one scene. On a CPU, the method does nothing.
         """
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)

@@ -26,15 +26,15 @@ from .links import rows_of
 MANY_SPHERES = 200_000
 """Number of spheres above which one thread per sphere suffices to keep a GPU busy while neighbour lists are built."""
 NEAR_LINK_INTERVAL = 20
-"""Number of steps between two selections of the near links, which are the pairs that may touch soon.
+"""Number of steps between two selections of the near links, which are the pairs of spheres that may touch soon.
 
 It equals the default number of steps between two estimates of the stable step.
 """
 THREADS_PER_LINK = 0.5
 """Number of GPU threads that compute the forces of near links, divided by the number of all links.
 
-A link is a listed pair; a near link may touch soon. If there are more near links than threads, some threads compute
-several links.
+A link is a listed pair of spheres; it is a near link if the spheres may touch soon. If there are more near links than
+threads, some threads compute several links.
 """
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
@@ -45,9 +45,10 @@ More threads would not hide more memory latency: with 100,000 spheres, eight thr
 than the single thread that this limit allows.
 """
 LANE_BITS = 2
-"""Base-2 logarithm of the number of GPU threads that move one clump, if a clump has several threads.
+"""Base-2 logarithm of the number of GPU threads that share the motion of one clump.
 
-A clump has several threads if spheres are few, or if the forces of each contact take more than two rows of memory.
+Several threads share a clump if there are few spheres, or if the forces of each contact take more than two rows of
+memory. Otherwise a single thread moves a clump.
 """
 
 

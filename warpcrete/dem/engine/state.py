@@ -31,10 +31,8 @@ OF_BATCH = {
     "spheres": ("scene", "clear"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Names of the arrays that a batch has but the states of its scenes do not store, by the name of their struct.
-
-The batch can calculate these arrays from its models, or their values are needed only within a step.
-"""
+"""Names of the arrays that a batch has but the states of its scenes do not store, by the name of their struct. The
+batch calculates these arrays from its models, or needs their values only within a step."""
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
@@ -51,9 +49,10 @@ def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
 
 
 class HoldingBatch(Protocol):
-    """Protocol of the batch that a state belongs to, for modules that cannot import the class `Batch`.
+    """Protocol of the batch to which a state belongs.
 
-    The module `state` cannot, because the module `batch` imports it. The probes know a batch only through a state.
+    It serves modules that cannot import the class `Batch`. The module `state` cannot, because the module `batch`
+    imports it. The measuring functions in `probes` know a batch only through a state.
     """
 
     device: wp.Device
@@ -366,14 +365,15 @@ class State:
 
 
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
-"""Names of the arrays of the struct `pairs` that have one entry for each listed pair, if the scene needs them.
-
-An exception is `load`: it has an entry for each listed pair only if contacts heal, and otherwise for each bond.
-"""
+"""Names of the arrays of the struct `pairs` that have one entry for each listed pair; a batch has only the arrays that
+its scenes need. The array `load` is an exception: unless contacts heal, it has one entry for each bond instead."""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
-    """Return the size of one entry [B], by name, of each array that has an entry for every listed pair of the scene."""
+    """Return the size [B] of one entry, by array name, of the arrays with an entry for every listed pair.
+
+    Arrays that the scene does not need are left out.
+    """
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
     # The array `load` (force and moment of bonds) has an entry for every listed pair only if bonds heal. Otherwise it

@@ -54,7 +54,7 @@ def restore_state(model: Model, stored: dict[str, Any]) -> State:
 
 
 def state_hash(state: State) -> str:
-    """Return the SHA-256 hash of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
+    """Return the SHA-256 hash of bodies, contacts, bonds, walls and times, in the order of permanent numbers.
 
     Two states with the same hash will move identically, bit for bit. The hash does not depend on the order of bodies in
     memory, on listed pairs that do not touch, or on bonds that are permanently broken.
@@ -86,8 +86,8 @@ def state_hash(state: State) -> str:
     if features.bonds:
         bond = bond[kept][ranks]
         digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
-        # For pairs without an intact bond, `loads` now contains row 0, which may belong to another bond. Hash zeros for
-        # these pairs.
+        # A pair without an intact bond has the bond row 0. For such a pair, `loads` now contains a row that may belong
+        # to another bond, so hash zeros instead.
         loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
         loads[bond <= 0] = 0.0
         digest.update(loads.tobytes())

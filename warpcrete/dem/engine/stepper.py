@@ -30,18 +30,18 @@ from .stepper_protocol import StepperRecord, Steps
 from .subcycling import MARGIN, rounds_for
 
 # Skin of the neighbour lists divided by the mean sphere radius. On a CPU, a step of a pumping scene takes equally long
-# for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin and so fewer list rebuilds: for 28,000
-# spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, a skin of 1.0 is
-# 2 to 3 % slower than 0.7.
+# for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin, because the lists are rebuilt less
+# often: for 28,000 spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres
+# on, a skin of 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
 MESH_SKIN = 4  # Skin of the mesh candidates (triangles near a sphere), as a multiple of the neighbour lists' skin.
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
-"""Number of steps between two re-sortings of the bodies in memory by the host.
+"""Number of steps after which the host re-sorts the bodies in memory, by kind of device.
 
-Neighbour lists are rebuilt 13 to 55 times in this interval. If bodies are few, they fit into the cache of a GPU in any
-order and need less sorting: for 28,000 spheres a step takes 1.3 us less if bodies are sorted every 16,000 instead of
-4000 steps, and equally long without sorting.
+Neighbour lists are rebuilt 13 to 55 times in this interval. The key "few" stands for a GPU with few bodies. Few bodies
+fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, a step takes 1.3 us less if
+bodies are sorted every 16,000 instead of every 4000 steps. Without any sorting it takes as long as with 16,000 steps.
 """
 
 
@@ -66,9 +66,10 @@ class Stepper:
     ) -> None:
         """Create a stepper for one scene of an existing batch, or of a new batch if `among` is None.
 
-        `among` contains the neighbour lists and the :class:`StableStep` of the existing batch, and the index of the
-        scene in the batch. If `resumed` is given, the new stepper continues like the stepper whose `state_dict` it is.
-        Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two re-sortings.
+        `among` holds three things: the neighbour lists of the existing batch, its :class:`StableStep`, and the index of
+        the scene in the batch. With `resumed`, the `state_dict` of another stepper, the new stepper continues like that
+        stepper. Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two
+        re-sortings.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
@@ -91,9 +92,10 @@ class Stepper:
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
+        """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
+        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
+        ended.
         """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
@@ -180,10 +182,10 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Strengthen the scene's bonds and lubrication layer by what they gain during its rest.
+        """Strengthen the scene's bonds and lubrication layer by what they gain while the concrete rests.
 
-        Pairs without a bond are bonded as well. Returns the travel [m] of the wall `Rest.wall` at the rest, from which
-        the slip along the wall is counted.
+        Pairs without a bond are bonded as well. Returns the present travel [m] of the wall `Rest.wall`; the slip along
+        the wall is counted from there.
         """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
@@ -197,9 +199,10 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Add the yield stress that the lubrication layer gained at rest, less the part that slip has worn off since.
+        """Add the yield stress that the lubrication layer gained at rest.
 
-        The slip is the travel of the wall `Rest.wall` beyond `travel_at_rest` [m], its travel at the rest.
+        Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
+        since the rest. `travel_at_rest` is the distance that it had moved in total when the rest took place [m].
         """
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)

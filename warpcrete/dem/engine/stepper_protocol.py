@@ -68,9 +68,10 @@ class SceneStepper(Protocol):
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
+        """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
+        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
+        ended.
         """
 
     def state_dict(self) -> StepperRecord:

@@ -28,9 +28,9 @@ from .state import pair_bytes
 from .struct_types import Subcycled
 
 MARGIN = 1.1
-"""Reserve in the number of sub-cycling rounds, which is chosen once.
+"""Reserve in the number of sub-cycling rounds.
 
-The rounds allow a time step this many times as large as the time step at the moment of the choice.
+The number is chosen once. It allows time steps up to MARGIN times as long as the time step at the moment of the choice.
 """
 ROUND_BLOCK = 128
 """Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
@@ -51,10 +51,11 @@ BODY_ARRAYS = (
 
 
 def rounds_for(ratio: float) -> int:
-    """Return the number of rounds for a time step that is `ratio` times the stable step of the undamped stiff bonds.
+    """Return the number of sub-cycling rounds in a time step; `ratio` is this step over the stable step.
 
-    Stiff bonds have dashpots with a relaxation time of RELAXATION times the step. A round of 1/n of the step is then
-    stable if n^2 >= ratio^2 (1 + RELAXATION n); the result is the smallest such whole number.
+    The stable step is that of the stiff bonds without damping. Stiff bonds have dashpots with a relaxation time of
+    RELAXATION times the step. A round of 1/n of the step is then stable if n^2 >= ratio^2 (1 + RELAXATION n). The
+    result is the smallest whole number n for which this holds.
     """
     damped = 0.5 * RELAXATION * ratio * ratio
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))
@@ -64,8 +65,8 @@ def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> i
     """Return the number of GPU blocks that compute the sub-cycling rounds of one batch.
 
     A round computes `count` pairs or bodies. The blocks of a batch wait for each other after every round, so all of
-    them must be resident on the GPU at once. The `concurrent_batches`, which may compute rounds at the same time,
-    therefore share the blocks that fit on the GPU.
+    them must be resident on the GPU at once. Several batches, `concurrent_batches` in number, may compute rounds at the
+    same time. They share the blocks that fit on the GPU.
     """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 
@@ -167,8 +168,8 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # `ends` contains for each pair the rows of its two bodies, and two rows in the array of forces on bodies. This
-        # array is sorted by body.
+        # `ends` holds, for each pair, the rows of its two bodies, and the two rows of the pair in the array of forces
+        # on bodies. In that array, the forces on one body stand next to each other.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,

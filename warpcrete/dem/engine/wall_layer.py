@@ -19,10 +19,10 @@ def _rest_of(scene: Scene) -> Rest:
 
 
 class Structure:
-    """Yield stress that the lubrication layers of a batch's scenes gained at rest and lose by slip along the wall.
+    """Yield stress that the lubrication layers on walls have gained at rest and lose again by slip.
 
-    After the slip s, the fraction exp(-s / breakdown) of the gain is left. The travel of the wall `Rest.wall` since the
-    rest serves as the slip.
+    The value can differ between the scenes of a batch. After the slip s, the fraction exp(-s / breakdown) of the gain
+    is left. The slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
     """
 
     def __init__(self, batch: SceneBatch) -> None:
@@ -53,10 +53,10 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Add the gain at rest to the yield stress of the lubrication layer of scene `s`.
+        """Add the yield stress that the lubrication layer of scene `s` gained at rest.
 
-        The part of the gain that slip has worn off is left out. The slip is the travel of the wall `Rest.wall` beyond
-        `begun` [m], the travel at the rest.
+        Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
+        since the rest. `begun` is the distance that it had moved in total when the rest took place [m].
         """
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 

@@ -19,9 +19,9 @@ RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "pla
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Exception for a parameter that the device stores under another `name` or with another value.
+    """Rule that a device stores a parameter under another name or with another value.
 
-    The function `of` computes the device's value from the parameter.
+    `name` is the name on the device. The function `of` computes the device's value from the parameter.
     """
 
     name: str
@@ -30,10 +30,11 @@ class OnDevice:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLaw(Declared, ABC):
-    """Base class of all contact laws: frozen parameters of one pair of materials, annotated fields in SI units.
+    """Base class of all contact laws; an object holds the parameters of the law for one pair of materials.
 
-    Every field exists on the device under the same name. Numbers keep their value, words become their index among the
-    choices, and a nested law becomes the struct of its parameters. :class:`OnDevice` declares exceptions.
+    The parameters are annotated fields in SI units and cannot be changed. Every field exists on the device under the
+    same name. Numbers keep their value, words become their index among the choices, and a nested law becomes the struct
+    of its parameters. :class:`OnDevice` declares exceptions.
     """
 
     rolls: ClassVar[bool] = False
@@ -92,7 +93,8 @@ class ContactLaw(Declared, ABC):
     def gripped(self, grip: float) -> "ContactLaw":
         """Return the law for contacts with a wall that resists sliding and rolling `grip` times as much as bodies do.
 
-        The fields named in RESISTANCES are multiplied by `grip`, also in nested laws.
+        The fields named in RESISTANCES are multiplied by `grip`. If a field is itself a contact law, this is done in
+        that law as well.
         """
         changes: dict[str, Any] = {}
         for name in declared_fields(type(self)):
@@ -143,7 +145,8 @@ def _device_type(field: Field, scalar: Any) -> Any:
 def damping_ratio(restitution: float) -> float:
     """Return the damping, as a fraction of critical damping, that gives a coefficient of `restitution` from 0 to 1.
 
-    It is exact for the linear and the Hertz-Mindlin law with a dashpot that may pull: -ln e / sqrt(ln^2 e + pi^2).
+    With the coefficient of restitution e, the damping is -ln e / sqrt(ln^2 e + pi^2). It is exact for the linear and
+    the Hertz-Mindlin law with a dashpot that may pull.
     """
     between("restitution", restitution, 0, 1)
     if restitution == 0:

@@ -119,9 +119,10 @@ class HertzMindlin(ContactLaw):
             kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
-                # A change of the overlap changes the stiffness of the shear spring, and the spring thereby loses
-                # energy. While the overlap grows, the force stays constant and the spring becomes stiffer. While the
-                # overlap shrinks, the force falls with the stiffness if `rescale` is chosen.
+                # If the overlap changes, the stiffness of the shear spring changes, and the energy stored in the spring
+                # changes with it. While the overlap grows, the force stays constant and the spring becomes stiffer.
+                # While the overlap shrinks, the force decreases in proportion to the stiffness if `unloading` is
+                # RESCALE; otherwise it stays constant.
                 ratio = wp.sqrt(overlap / before)
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))

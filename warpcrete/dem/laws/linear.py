@@ -12,8 +12,8 @@ from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice
 
-# The index of a dashpot mode in this tuple is a bit mask. Bit 0 forbids a tensile total normal force, and bit 1 drops
-# the shear dashpot while the contact slips (Zhan et al. 2019, Eq. 8).
+# The position of a name in this tuple is a bit mask. If bit 0 is set, the total normal force may not be tensile. If bit
+# 1 is set, the shear dashpot does not act while the contact slips (Zhan et al. 2019, Eq. 8).
 DASHPOTS = ("full", "no-tension", "slip-cut", "both")
 
 

@@ -1,9 +1,10 @@
 # pyright: reportInvalidTypeForm=false
 """Linear contact with a lubrication layer in shear: yield stress and viscous drag (Xu, Li & Jiang 2021, Eq. 8).
 
-On a wall it represents the layer of fine mortar that pumped concrete forms there. Its shear stress at the slip velocity
-V, tau = tau_L0 + eta_L V, acts on the area A = pi r^2 of every contact. The yield stress adds to the limit of the shear
-spring's slider, so a layer at rest carries any stress up to tau_L0.
+On a wall the layer represents the fine mortar that collects there in pumped concrete. Its shear stress is tau = tau_L0
++ eta_L V, with the yield stress tau_L0, the viscosity per thickness eta_L, and the slip velocity V. The stress acts on
+the area A = pi r^2 of every contact, where r is the radius of the smaller sphere. The force A tau_L0 is added to the
+friction limit of the contact's shear spring. A layer at rest therefore carries any stress up to tau_L0.
 """
 
 from dataclasses import dataclass, field
@@ -24,8 +25,8 @@ class LubricationLayer(ContactLaw):
     """Linear law in the normal direction, and a lubrication layer in shear.
 
     In shear a slider has the limit mu N + A tau_L0, and a drag A eta_L V acts in addition. Here mu is the friction
-    coefficient, N the normal spring force, A the contact's area, tau_L0 and eta_L the layer's yield stress and
-    viscosity per thickness, and V the slip velocity.
+    coefficient, N the normal spring force, A the contact's area, tau_L0 the yield stress of the layer, eta_L the
+    viscosity of the layer divided by its thickness, and V the slip velocity.
     """
 
     called = "layer"

@@ -30,11 +30,11 @@ from .base import ContactLaw, OnDevice
 
 @dataclass(frozen=True, kw_only=True)
 class BinghamMortar(ContactLaw):
-    """Hard cores in soft shells of Bingham mortar, with a shear slider that core friction and yield stress limit.
+    """Hard cores in soft shells of Bingham mortar; core friction and yield stress limit the shear force.
 
-    The cores' spring has the stiffness A E*/L and the slider the limit mu N_core + A tau_0. Here A is the contact's
-    area, E* the effective modulus, L the distance of the centres at first touch, mu the friction coefficient, N_core
-    the force of the cores' spring, and tau_0 the yield stress of the mortar.
+    The cores' spring has the stiffness A E*/L. The shear force has the limit mu N_core + A tau_0, where a slider slips.
+    Here A is the contact's area, E* the effective modulus, L the distance of the centres at first touch, mu the
+    friction coefficient, N_core the force of the cores' spring, and tau_0 the yield stress of the mortar.
     """
 
     called = "mortar"

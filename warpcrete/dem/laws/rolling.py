@@ -1,12 +1,14 @@
 # pyright: reportInvalidTypeForm=false
 """Linear contact with rolling resistance: elastic-plastic spring with dashpot, model C of Ai, Chen, Rotter & Ooi 2011.
 
-The spring's moment grows with the relative rotation of the two bodies about axes in the contact plane, up to mu_r R N,
-where it slips. Here R = R1 R2 / (R1 + R2), or the radius against a wall, and N is the force of the normal spring. The
-spring's stiffness is k_s R^2 (Iwashita & Oda 1998). The dashpot is a fraction of the critical one and acts while the
-spring does not slip. Unlike in the paper, the sum of spring and dashpot is limited to mu_r R N. Otherwise, when a
-spinning sphere meets a floor, the dashpot would brake it in the first step by much more than friction could. Rotation
-about the normal (twist) is free, as in the paper.
+The moment of the rolling spring grows with the relative rotation of the two bodies about axes in the contact plane. At
+the moment mu_r R N the spring slips. Here mu_r is the coefficient of rolling friction and N the force of the normal
+spring. R is R1 R2 / (R1 + R2) for spheres of the radii R1 and R2, or the sphere's radius against a wall. The stiffness
+of the rolling spring is k_s R^2, with the shear stiffness k_s of the contact (Iwashita & Oda 1998).
+
+The dashpot is a fraction of the critical one and acts while the spring does not slip. Unlike in the paper, the sum of
+spring and dashpot is limited to mu_r R N. Otherwise, when a spinning sphere meets a floor, the dashpot would brake it
+in the first step by much more than friction could. Rotation about the normal (twist) is free, as in the paper.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +25,10 @@ from .linear import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class RollingResistance(ContactLaw):
-    """Linear law with a moment up to mu_r R N against rolling; R is the reduced radius, N the normal spring force."""
+    """Linear law with rolling resistance: a moment of up to mu_r R N acts against rolling.
+
+    Here mu_r is the coefficient of rolling friction, R the reduced radius and N the normal spring force.
+    """
 
     called = "rolling"
 

@@ -1,7 +1,10 @@
 """Detect and locate the blockage of a pipe during a run, from the motion and the contact forces of the aggregates.
 
-A pipe counts as blocked if a part of the concrete hardly moves although the piston advances, if this lasts longer than
-compression of the concrete behind that part can explain, and if the pressure rises.
+A pipe counts as blocked if three conditions hold:
+
+- A part of the concrete hardly moves although the piston advances.
+- This lasts longer than compression of the concrete behind that part can explain.
+- The pressure rises.
 """
 
 from __future__ import annotations
@@ -145,13 +148,16 @@ class BlockageWatch:
 
 
 def blockage_travel(diameter: float, length: float, modulus: float) -> float:
-    """Return the piston travel [m] during which a part of the concrete must stand still in a blocked pipe.
+    """Return the piston travel [m] after which concrete that still stands counts as blocked.
 
-    The travel must exceed the compression of the concrete, which delays the motion of its front. It is therefore the
-    compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient that pumping never
-    reaches. It is at least length/20, because the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to
-    length/20 before their front moves. It is at most the pipe `diameter` [m], where this maximum is itself limited to
-    between length/10 and length/5.
+    The piston compresses the concrete, which delays the motion of the front. The travel must exceed this compression.
+    It is therefore the compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient
+    that pumping never reaches. Two limits apply:
+
+    - The travel is at least length / 20. The soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to this length
+      before their front moves.
+    - The travel is at most the pipe `diameter` [m]. If the diameter is not between length / 10 and length / 5, the
+      nearer of these two lengths is the maximum instead.
     """
     most = max(min(diameter, length / 5), length / 10)
     return min(max(length * GRADIENT * length / modulus, length / 20), most)
@@ -160,9 +166,10 @@ def blockage_travel(diameter: float, length: float, modulus: float) -> float:
 def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end: float) -> float:
     """Return the smallest advance of any part of the concrete [m].
 
-    The advance of a part is the volume-weighted median of the advances of its aggregates. `before` and `after` are arc
-    lengths [m] and `volume` the volumes [m3] of all aggregates, shape (n,). Aggregates that were already past the arc
-    length `end` [m] of the pipe's outlet do not count.
+    The concrete is divided along the pipe into parts of equal volume. The advance of a part is the volume-weighted
+    median of the advances of its aggregates. `before` and `after` are arc lengths [m] and `volume` the volumes [m3] of
+    all aggregates, shape (n,). Aggregates that were already past the arc length `end` [m] of the pipe's outlet do not
+    count.
     """
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:

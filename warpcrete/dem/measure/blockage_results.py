@@ -30,15 +30,18 @@ QUANTITIES = (
 )  # fmt: skip
 """Quantities of a blocked pipe.
 
-- `blocked` is 1 if the pipe was blocked and 0 if not, so its mean over several seeds is a probability.
-- `blocked_at` is the position of the blockage along the axis.
-- `blocked_time` is the time of detection.
-- `blocked_from_travel` is the piston travel at which a part of the concrete stopped.
-- `blocked_pressure` and `blocked_pressure_before` are the pressures at detection and when that part stopped.
+- `blocked` is 1 if the pipe was blocked, else 0. Its mean over several seeds is a probability.
+- `blocked_at` is the arc length of the blockage along the pipe's axis.
+- `blocked_time` is the time at which the blockage was detected.
+- `blocked_from_travel` is the travel of the piston at which a part of the concrete stopped.
+- `blocked_pressure` is the pressure at detection.
+- `blocked_pressure_before` is the pressure at the time when that part of the concrete stopped.
 - `blocked_solid_fraction` is the solid fraction at the blockage.
-- `blocked_chains` is the number of networks of strong contacts that span the pipe there.
-- `blockage_window` is the travel of the piston during which part of the concrete must stand still.
-- `slowest_advance` is the advance of the slowest part over that of the piston, by volume, at the last check.
+- `blocked_chains` is the number of networks of strong contacts that span the pipe at the blockage.
+- `blockage_window` is the travel of the piston during which a part of the concrete must stand still to count as
+  blocked.
+- `slowest_advance` is the advance of the slowest part of the concrete, divided by that of the piston, at the last
+  check.
 """
 
 

@@ -47,8 +47,9 @@ ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", M
 MAX_LINE_RADIUS, MIN_LINE_RATIO = 0.12, 0.04
 """Radii of the lines that show contact forces.
 
-`MAX_LINE_RADIUS` is the radius at the top of the colour scale, divided by the size of the largest aggregate.
-`MIN_LINE_RATIO` is the smallest radius, for a contact without force, divided by that radius.
+`MAX_LINE_RADIUS` is the radius for the force at the top of the colour scale, as a fraction of the size of the largest
+aggregate. `MIN_LINE_RATIO` is the radius for a contact without force, as a fraction of the radius at the top of the
+colour scale.
 """
 RINGS = 10
 """Number of rings of a velocity profile between the axis and the wall."""

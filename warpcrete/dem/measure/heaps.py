@@ -83,8 +83,8 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # In every direction, the heap reaches at least as far as its outer spheres alone. The spheres that lie nearer to
-    # the origin than the smallest of these distances cannot change the result, so skip them.
+    # The outer spheres alone give a lower bound for the reach of the heap in every direction. A sphere that lies nearer
+    # to the origin than the smallest of these bounds cannot change the result, so skip it.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 

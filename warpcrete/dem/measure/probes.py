@@ -88,9 +88,9 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
 
 
 def row_sums(model: Model, state: State) -> tuple[BodySums, ContactSums, np.ndarray]:
-    """Return the sums over bodies, the sums over contacts, and the values of each wall, shape (walls, WALL_COLUMNS).
+    """Return the values for a row of the time series: sums over bodies, sums over contacts, and values of each wall.
 
-    A GPU measures everything with one launch.
+    The values of the walls have the shape (walls, WALL_COLUMNS). A GPU measures everything with one launch.
     """
     batch, index = state.batch, state.index
     recorded = state.launches(batch.version)
@@ -171,9 +171,10 @@ def _sums(state: State, what: str, columns: int) -> wp.array:
 
 
 def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
-    """Return the kernel launches that reduce each column of `values` to its sum or, if listed in `maxima`, its maximum.
+    """Return the kernel launches that reduce each column of `values` to one number.
 
-    The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
+    This number is the maximum for the columns in `maxima`, and the sum for the others. The order of the additions
+    depends only on the number of rows, so that the sums are reproducible to the bit.
     """
     columns = values.shape[1]
     lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
@@ -197,9 +198,9 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the kernels of the measurement `what`, recorded as one graph.
+    """Launch the kernels of the measurement called `what` as one recorded graph.
 
-    `make` returns the launches to record. It is called the first time, and again whenever the batch's arrays have
+    `make` returns the launches to record. It is called at the first launch, and again whenever the batch's arrays have
     changed.
     """
     recorded = state.launches(state.batch.version)

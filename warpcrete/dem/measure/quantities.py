@@ -30,8 +30,9 @@ from .wear_results import report as report_wear
 WINDOW = 0.2
 """Length of the final window, in which pressures are averaged, as a fraction of the piston's travel."""
 LEVEL = 0.1
-"""Largest relative change of the pressure on a plateau. It applies to the difference between the means over the final
-window and over an equal window before it, and to the rise of a straight line through the final window."""
+"""Largest relative change of a pressure on a plateau. Two changes must stay within this limit. The first is the
+difference between the mean over the final window and the mean over an equal window before it. The second is the rise of
+a straight line that is fitted to the pressure in the final window."""
 NOISE = 2.0
 """Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
 fall by chance in a short window."""
@@ -76,8 +77,8 @@ class Known:
     def window(self) -> np.ndarray:
         """Mask of the samples in the final window, shape (samples,).
 
-        The final window is the last fraction WINDOW of the travel, or of the last stroke if the piston stops between
-        strokes.
+        The final window is the last fraction WINDOW of the piston's travel. If the piston stops between strokes, the
+        window is the last fraction WINDOW of the travel in the last stroke.
         """
         return self.series["travel"] >= self.window_begin
 
@@ -92,7 +93,8 @@ class Known:
     def on_plateau(self) -> bool:
         """True if the pressure is on a plateau in the final window.
 
-        The piston must have moved at its final speed throughout that window, see also :func:`is_level`.
+        The pressure must be level in this window (see :func:`is_level`). The piston must also have moved at its final
+        speed throughout the window.
         """
         if not self.pumped:
             return False

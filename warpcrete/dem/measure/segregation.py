@@ -130,10 +130,13 @@ def are_large(size: np.ndarray, volume: np.ndarray) -> np.ndarray:
 def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     """Return Lacey's mixing index of large and small stones: 0 if separate, 1 if mixed at random (Lacey 1954).
 
-    The index is (s0^2 - s^2) / (s0^2 - sr^2). Here s^2 is the variance of the share of `large` stones, by number, over
-    cells that rings and stretches of the pipe form. If the overall share is p, completely separate stones have the
-    variance s0^2 = p (1 - p), and randomly mixed stones the variance sr^2 = s0^2 / n with n stones per cell. `s` is the
-    arc length [m], and `apart` the distance from the axis divided by the pipe's radius.
+    The index is (s0^2 - s^2) / (s0^2 - sr^2). It contains three variances of the share of `large` stones, by number:
+
+    - s^2 is the actual variance, over cells that are formed by rings and stretches of the pipe.
+    - s0^2 = p (1 - p) is the variance of completely separate stones, with the overall share p.
+    - sr^2 = s0^2 / n is the variance of randomly mixed stones, with n stones per cell.
+
+    `s` is the arc length of each stone [m], and `apart` is its distance from the axis divided by the pipe's radius.
     """
     p = float(large.mean())
     if not 0 < p < 1:
@@ -164,8 +167,8 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 def _outward(place: int) -> Callable[[Any], float | None]:
     """Return a function that computes the radial segregation in one row of the time series.
 
-    The function takes the data of a run. Its result is the outer minus the inner volume fraction of aggregate, divided
-    by the mean over the cross-section. `place` is the index of the row.
+    `place` is the index of the row. The function takes the data of a run. It subtracts the volume fraction of aggregate
+    in the inner part of the cross-section from that in the outer part, and divides by the mean fraction.
     """
 
     def found(known: Any) -> float | None:

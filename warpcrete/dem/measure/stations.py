@@ -31,10 +31,8 @@ from .probes import launch_recorded, scene_stage
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""
 FRONT = 0.98
-"""Fraction of the solid volume that lies behind the point defined as the front of the concrete.
-
-Beyond this point the concrete no longer fills the cross-section.
-"""
+"""Fraction of the solid volume that lies behind a point, which is defined as the front of the concrete. Beyond this
+point the concrete no longer fills the cross-section."""
 FARTHEST = 8
 """The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
 PLACES = ("place", "radius")
@@ -140,12 +138,14 @@ def stresses_along(
 ) -> np.ndarray:
     """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
 
-    They differ from the first two columns of :func:`measured` only in that each body's stress is spread evenly over its
-    size. Slices that concrete does not fill are NaN.
+    The results differ from the first two columns of :func:`measured`, because the stress of each body is spread evenly
+    over the size of the body. Slices that concrete does not fill are NaN. The arguments hold one entry per body:
 
-    The arguments describe bodies: `stress` (n, 6) (stress times volume, [J]) as from :func:`body_stresses`, arc lengths
-    `s` (n,) [m], the `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies
-    of a plug.
+    - `stress` (n, 6): stress times volume [J], as from :func:`body_stresses`,
+    - `s` (n,): arc length [m],
+    - `tangent` (n, 3): tangent of the pipe's axis at this arc length,
+    - `size` (n,): size [m],
+    - `fills` (n,): False for bodies of a plug.
     """
     edges, t = np.array(stations.edges), tangent
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
@@ -157,9 +157,9 @@ def stresses_along(
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices between a piston at `travel` [m] and the front of the bodies, shape (slices,).
+    """Return a mask of the slices that lie between the piston and the front of the bodies, shape (slices,).
 
-    The bodies have the arc lengths `s` [m] and the volumes `volume`.
+    The piston is at the arc length `travel` [m]. The bodies have the arc lengths `s` [m] and the volumes `volume`.
     """
     whole = float(volume.sum())
     if whole == 0:
@@ -180,17 +180,18 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
 
 
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
-    """Return the friction losses along a pipe from a table of stations, after subtraction of the weight.
+    """Return the friction losses along a pipe, from a table of the measured stress at stations along it.
 
-    For a straight pipe the losses are the pressure gradient [Pa/m] and the wall stress [Pa]. For a pipe with a bend or
-    taper in its middle, both are returned for the straight stretches before and behind it. They follow from line fits
-    that leave out one radius at each end of a stretch.
+    The weight of the concrete is subtracted. For a straight pipe the losses are the pressure gradient [Pa/m] and the
+    wall stress [Pa]. For a pipe with a bend or taper in its middle, both are returned for the straight stretch before
+    the middle and for that behind it. They follow from straight lines, fitted to each stretch without one radius at
+    each end. Such a pipe has three more results:
 
-    A pipe with a bend or taper has three more results. `middle_loss` [Pa] is the axial stress lost over the middle
-    between these lines. `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length.
-    Friction rises with pressure, so the gradient of this straight pipe is the logarithmic mean of 4 tau / d at both
-    ends of the middle, which is exact if friction rises linearly with pressure. `flux_ratio` is the solid volume flux
-    downstream divided by that upstream.
+    - `middle_loss` [Pa] is the axial stress lost over the middle, between the two lines.
+    - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
+      pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
+      middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
+    - `flux_ratio` is the solid volume flux downstream divided by that upstream.
 
     A result is left out if concrete fills too few of the slices that it needs.
     """
@@ -359,8 +360,8 @@ def _of_contacts(
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Spread each of the `values` (n, k) evenly from its `begin` to its `end` [m]; return the sums in slices (m, k)."""
-    # A wall contact across the pipe has begin = end. Spread such a value over a small length, because the code divides
-    # by the length.
+    # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread its value
+    # over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
@@ -373,10 +374,11 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Find the slices that each span from `low` to `high` overlaps; yield pairs of arrays: spans and slices, by index.
+    """Find the slices of the pipe that each span from `low` to `high` overlaps; yield pairs of index arrays.
 
-    The first pair of arrays has the first slice of every span, the second pair its second slice, and so on. Spans with
-    fewer slices are missing in later pairs.
+    `edges` are the boundaries of the slices. Each pair holds the indices of some spans, and the index of one slice for
+    each of them. The first pair has the first slice of every span, the second pair its second slice, and so on. Spans
+    with fewer slices are missing in later pairs.
     """
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):

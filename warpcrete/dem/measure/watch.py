@@ -76,8 +76,8 @@ class Watch:
                 "'precision' float64, or positions nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
-        # A contact law with attraction can make the elastic energy negative. Use its absolute value, because a negative
-        # energy measures the energy scale of the scene as well as a positive one.
+        # A contact law with attraction can make the elastic energy negative. Use its absolute value, because only the
+        # magnitude of the energy matters for the energy scale of the scene.
         moving = row["kinetic_energy"] + abs(row["elastic_energy"]) + row["bond_energy"]
         self.scale = max(self.scale, moving, abs(work), self.floor)
         self.least = min(self.least, free)

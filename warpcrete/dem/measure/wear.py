@@ -32,9 +32,10 @@ They are the work of sliding [J], the energy lost in impacts [J], and normal for
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 RAY_TOLERANCE = 1e-4
-"""Tolerance of the visibility test, relative to the triangle's distance from the axis.
+"""Tolerance of the test that decides if a triangle is visible from the axis, divided by its distance from the axis.
 
-A triangle counts as visible if it lies behind the first hit of the ray by no more than this.
+A ray from the axis towards the triangle first hits a surface. The triangle counts as visible if it lies behind that
+surface by no more than the tolerance.
 """
 
 

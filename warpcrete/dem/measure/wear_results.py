@@ -127,10 +127,10 @@ def report(run: Any) -> Iterator[tuple[str, str]]:
 
 
 def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
-    """Return a figure of a run's worn depth per hour [um/h] over arc length and angle of a pipe, and of means along it.
+    """Return a figure of the worn depth of a pipe per hour [um/h].
 
-    `wall` is one of `run.wear.walls`; by default the most worn wall. Returns None if there is nothing to
-    draw.
+    The upper panel shows the depth over arc length and angle. The lower panel shows means of the depth along the pipe.
+    `wall` is one of `run.wear.walls`; by default it is the most worn wall. Returns None if there is nothing to draw.
     """
     from matplotlib.figure import Figure
 

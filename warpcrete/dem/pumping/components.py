@@ -160,10 +160,10 @@ class Plug:
 
 
 def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
-    """Return the plug at an arc length `at` of a pipe's axis [m]; `given` has parameters of plug and aggregate.
+    """Return the plug at the arc length `at` [m] of a pipe's axis.
 
-    A plug of balls has `layers` layers in a bore of radius `inner` [m]. The plug pressure acts against the flow on the
-    cross-section of radius `radius` [m].
+    `given` holds the parameters of the scene. A plug of balls has `layers` layers and fills a bore of radius `inner`
+    [m]. The plug resists the flow with the force of the plug pressure on a circle of radius `radius` [m].
     """
     area, density = math.pi * radius**2, given.bulk_density or given.density
     if given.plug == "balls":
@@ -215,7 +215,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
 def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
     """Return the filling of a container with aggregates.
 
-    `given` has the parameters of the aggregates and of their contacts, and the pressure of the plug.
+    `given` contains the parameters of the aggregates and of their contacts. If it has no solid fraction, its
+    `plug_pressure` determines how densely the aggregates are packed.
     """
     return Fill(
         container=container,

@@ -39,18 +39,20 @@ WIDEST_STONE = 0.4
 
 
 class ConcreteDefaults:
-    """Mixin for scene parameters that contain a named concrete, which supplies defaults for other parameters.
+    """Mixin for scene parameters with a named concrete, which supplies defaults for other parameters.
 
-    The mixin also turns paths of mesh files in `shapes` into absolute paths.
+    It also turns paths of mesh files in `shapes` into absolute paths.
     """
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        """Return the section `elements` of a concrete's file, and the parameters that it may have."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the parameters that follow from the name or the file of the concrete."""
         return elements_of(values, cls.of_concrete()[1], ConcreteChoice.concrete)
 
     def __post_init__(self) -> None:
@@ -119,6 +121,7 @@ class PipeParameters(
 
     @property
     def is_bend(self) -> bool:
+        """True if the unit is a pipe with a bend."""
         return self.unit.startswith("bend")
 
     @property
@@ -178,7 +181,10 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Initial arc length of the front [m]: the end of a plug of balls or, without such a plug, of the concrete."""
+        """Initial arc length of the front [m].
+
+        With a plug of balls, the front is the end of the plug. Otherwise it is the end of the concrete.
+        """
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
@@ -205,13 +211,13 @@ LENGTHS = (0.25, 0.5, 1.0)
 
 
 def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
-    """Yield the settings that trade accuracy for computing time in a pumping scene.
+    """Yield the parameters that trade accuracy for computing time in a pumping scene.
 
-    One of the settings is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws
-    need no rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the
-    overlap relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by
-    their critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the
-    momentum that each impact carries.
+    One of them is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws need no
+    rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the overlap
+    relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by their
+    critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the momentum
+    that each impact carries.
     """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
@@ -241,8 +247,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # The pressure without the plug's share is proportional to the length of the pipe if the wall stress is uniform
-        # along it. The levels use this to convert the pressures of a shorter pipe.
+        # The pipe's length is one of the parameters that can be reduced to save run time. If the wall stress is uniform
+        # along the pipe, the pressure without the plug's share is proportional to this length. Each shorter length
+        # therefore comes with the factor that converts its pressures to those of the pipe as given.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

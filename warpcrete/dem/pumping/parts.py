@@ -161,7 +161,7 @@ class Course:
 
 
 def course_of(given: PartElements) -> Course:
-    """Return the course of a part or of a line, after a straight run-up for the travel of the piston.
+    """Return the pipe of a scene: a straight stretch in which the piston moves, then a part of a line or a line.
 
     Raises :class:`SceneError` if parameters contradict each other.
     """
@@ -258,10 +258,10 @@ def _meshed(given: PartElements) -> PipeLine:
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
-    """Return the axis of a single part, its inner radii, and the ends of the stretch that is not a straight pipe.
+    """Return the axis of a single pipe part, its inner radii, and the ends of the stretch that is not straight pipe.
 
-    The axis begins at the origin. The ends of the stretch are arc lengths [m], or None for a straight pipe of constant
-    diameter.
+    The axis begins at the origin. The ends of the stretch are arc lengths [m]. For a straight pipe of constant
+    diameter, None takes their place.
     """
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight

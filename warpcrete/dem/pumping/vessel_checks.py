@@ -13,7 +13,7 @@ COARSER = (2.0, 1.5, 1.25, 1.0)
 
 
 def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
-    """Yield settings that trade accuracy for computing time: time step, precision, grain size and stiffness.
+    """Yield parameters that trade accuracy for computing time: time step, precision, grain size and stiffness.
 
     Grains are no larger than a quarter of the `narrowest` passage [m].
     """

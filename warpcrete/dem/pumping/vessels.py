@@ -31,10 +31,9 @@ In a denser packing the mortar shells of neighbours overlap on all sides.
 """
 DEFAULT_FRACTION = 0.6
 LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Default friction coefficient by contact law, for laws that do not use the 0.05 of Zhan et al. 2019.
-
-With law rolling, low friction would let spheres slide instead of roll, so rolling resistance would have no effect.
-"""
+"""Default friction coefficients of contact laws that do not use the value 0.05 of Zhan et al. 2019, by name of the law.
+The law `rolling` needs high friction. With low friction its spheres would slide instead of roll, and the rolling
+resistance would have no effect."""
 CONTACTS = 6.9
 """Mean number of mortar spheres in a packing whose shells touch the shell of one sphere.
 
@@ -219,8 +218,8 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     def mould_grip_or_default(self) -> float:
         """Resistance of the mould to sliding, divided by that of the grains.
 
-        Both friction and yield stress are multiplied by this factor. The default depends on the contact law and is no
-        larger than the plate's factor.
+        The friction and the yield stress of contacts with the mould are those of the grains times this factor. The
+        default depends on the contact law, and is at most the plate's factor.
         """
         if self.mould_grip is not None:
             return self.mould_grip
@@ -314,9 +313,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
 
 def shear_means() -> tuple[float, float, float]:
-    """Return three means over contacts in all directions n in a simple shear of rate 1 with the strain rate tensor D.
+    """Return three means over contacts in all directions, in a simple shear of rate 1.
 
-    The vector D n has a part across n (sliding) and a part along n (approach). The results are:
+    Let n be the direction of a contact and D the strain rate tensor. The vector D n has a part across n (sliding) and a
+    part along n (approach). The results are:
 
     - the mean magnitude of the part across n,
     - the mean square of the part across n, which is 1/10 exactly,
@@ -343,11 +343,12 @@ def _core_and_shell(given: VesselParameters) -> dict[str, float]:
 def mortar_law(given: VesselParameters) -> BinghamMortar:
     """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
-    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d has Z/2
-    contacts, each with an area of pi d^2/4 over a distance d. At the solid fraction phi all contacts together fill 3/4
-    Z phi of the volume. A contact dissipates its yield stress times the sliding across its normal. Its viscosity over
-    the shell thickness dissipates the square of the sliding plus, by Trouton's ratio, three times the square of the
-    closing speed. The sum over all contacts equals the dissipation of the concrete.
+    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d touches Z
+    neighbours, so there are Z/2 contacts per grain. Each contact has an area of pi d^2/4 and spans the distance d. At
+    the solid fraction phi all contacts together fill 3/4 Z phi of the volume. A contact dissipates its yield stress
+    times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the sliding
+    plus, by Trouton's ratio, three times the square of the closing speed. The sum over all contacts equals the
+    dissipation of the concrete.
 
     Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
     deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a
@@ -365,14 +366,15 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 def plastic_law(given: VesselParameters) -> PlasticMortar:
     """Return the law of :class:`PlasticMortar` that has the yield stress and viscosity of the concrete.
 
-    As in :func:`mortar_law`, the dissipation of all contacts in a simple shear of rate 1 equals that of the concrete.
-    With the contact's direction n and the strain rate tensor D, a contact dissipates its yield stress times |D n|,
-    whose mean is pi/8. It also dissipates its viscosity over the shell thickness times |D n|^2, whose mean is 1/6.
+    In a simple shear of rate 1, all contacts together dissipate as much as the concrete, as in :func:`mortar_law`. Let
+    n be the direction of a contact and D the strain rate tensor. The dissipation of a contact has two parts. One part
+    is the yield stress times |D n|, whose mean is pi/8. The other part is the viscosity over the shell thickness, times
+    |D n|^2, whose mean is 1/6.
 
-    The tension of the shells, in units of the yield stress, is a choice: it was varied for a cone with a yield stress
-    of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the
-    closed form of a tall cone gives 78 mm, and the implicit material points of Newton 1.8 give 104 mm. At other yield
-    stresses the slumps are predictions without a fit.
+    The tension of the shells, in units of the yield stress, does not follow from the concrete. It was chosen by trials
+    with a cone of a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands
+    whole. For comparison, the closed form of a tall cone gives 78 mm, and the implicit material points of Newton 1.8
+    give 104 mm. At other yield stresses the slumps are predictions without a fit.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(

@@ -67,8 +67,8 @@ def union_properties(
     half = np.sqrt(np.maximum(square, 0.0))
     begin = np.where(square > 0, centres[:, 2] - half, np.inf)
     end = np.where(square > 0, centres[:, 2] + half, -np.inf)
-    # Sort the chords in which a line crosses the spheres, and clip each to the end of those before it, so that overlaps
-    # count once.
+    # Each line crosses the spheres in several chords. Sort the chords, and clip each chord where the previous chords
+    # end, so that overlaps count once.
     order = np.argsort(begin, axis=1)
     begin, end = np.take_along_axis(begin, order, 1), np.take_along_axis(end, order, 1)
     reached = np.maximum.accumulate(end, axis=1)
@@ -80,8 +80,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # Each line of the integration represents a prism of rectangular cross-section, whose own second moment of area adds
-    # step^2/12 in x and in y.
+    # The integration sums over vertical prisms of rectangular cross-section. A prism's extent in x adds steps[0]^2/12
+    # to the mean of x^2 in the prism, and its extent in y adds steps[1]^2/12 to the mean of y^2.
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()
@@ -93,7 +93,7 @@ def union_properties(
 
 
 def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
-    """Create a template from spheres at any scale and position.
+    """Create the template of a clump (a rigid body of spheres) from spheres at any scale and position.
 
     `centres`, shape (k, 3), and `radii`, shape (k,), are centred, rotated to principal axes and scaled to unit size.
     Raises :class:`SceneError` for invalid input.

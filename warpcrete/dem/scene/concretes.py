@@ -54,8 +54,10 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     """Return the parameters of a concrete for which only flow properties are known: bulk density and slip layer.
 
     The slip layer alone acts on the walls, without friction. All other parameters keep the values of Zhan (2019, Table
-    1). Raises :class:`SceneError` for a slip layer of another law than Bingham's, which elements do not have, unless
-    `layer_given` says that other values replace it.
+    1).
+
+    Discrete elements support only Bingham's law for the slip layer. Raises :class:`SceneError` for another law, unless
+    `layer_given` says that other values replace this layer.
     """
     known = known_only("flow", found.flow, UNITS, found.name)
     flow = {key: amount(f"concrete flow {key}", value, UNITS[key]) for key, value in known.items()}

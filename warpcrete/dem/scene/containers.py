@@ -32,11 +32,11 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 class PipeContainer:
     """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
 
-    If the pipe is not round with a constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore` is
-    its wall. Then `radius` is the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius as
-    a function of arc length where the radius varies, so that aggregates are placed evenly over the volume. If the
-    cross-section is not round, `clear` gives the radii of the largest circles about the axis that lie inside the bore.
-    Aggregates are placed within these circles.
+    A round pipe of constant radius is described by `radius` alone. In other pipes, such as a reducer or a pipe of few
+    facets, the mesh `bore` is the wall. Then `radius` is the smallest radius and `area` the mean cross-sectional area.
+    If the radius varies, `bores` gives the radius as a function of arc length, so that aggregates are placed evenly
+    over the volume. If the cross-section is not round, `clear` gives the radii of the largest circles about the axis
+    that lie inside the bore. Aggregates are placed within these circles.
     """
 
     axis: Axis

@@ -33,10 +33,9 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Ratio of moduli above which sub-cycling saves computing time: that of hydrated bonds to the largest other modulus.
-
-At a ratio of 100, a run with sub-cycling takes as long as one in which all bonds take the same small steps.
-"""
+"""Ratio of the modulus of hydrated bonds to the largest other modulus, above which sub-cycling of the bonds saves
+computing time. At a ratio of 100, a run with sub-cycling takes as long as a run without, whose time steps must all be
+as short as the stiff bonds require."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,11 +327,12 @@ class Vessel:
 class Rest(Declared):
     """Rest of the concrete for minutes at one moment of a run: its structure grows by a law, without time steps.
 
-    The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006). The same stress is added to the
-    tensile strength and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls.
-    Existing bonds keep the forces that they carry, and contacts without a bond receive a bond without force. Hydrated
-    bonds and the bonds inside a group, for example the plug, do not change. A bond that breaks later stays broken. If
-    the scene lets bonds heal, it returns with the strength from before the rest.
+    The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t, with the duration t of the rest and the growth
+    rate A_thix (Roussel 2006). The same stress is added to the tensile strength and cohesion of the scene's bonds, and
+    to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry, and
+    contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a group, for example the
+    plug, do not change. A bond that breaks later stays broken. If the scene lets bonds heal, it returns with the
+    strength from before the rest.
 
     Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
     the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest.
@@ -361,7 +361,8 @@ class Rest(Declared):
     def layer_gained(self) -> float:
         """Increase of the yield stress of a wall's lubrication layer during the rest [Pa].
 
-        The increase is `gained` divided by the fraction of the wall's area on which contacts act.
+        The layer acts only where contacts are, on a fraction of the wall's area. The stress `gained` is divided by this
+        fraction, so that it is the mean increase over the whole wall.
         """
         return self.gained / self.coverage
 

@@ -27,9 +27,10 @@ class Stroke:
 
 
 def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
-    """Return the selections of samples for the strokes that began within the run; none if the piston never stops.
+    """Return a :class:`Stroke` for each stroke of the piston that began within the run; an empty list without stops.
 
-    `time` has the times of the samples [s], shape (samples,).
+    A stroke selects the samples of the run that belong to it. `time` has the times of all samples [s], shape
+    (samples,).
     """
     if pipe is None or pipe.stops is None:
         return []

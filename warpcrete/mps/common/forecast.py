@@ -1,8 +1,8 @@
 """Forecasts of the run time of flows.
 
-A coarser copy of the flow is run to predict the simulated time until the flow is steady. This time is set by physics
-rather than by the resolution, so it is the same for both. The wall time of a step is measured in the first steps of the
-flow itself.
+The run time depends on the simulated time until the flow is steady, and on the wall time of a step. A coarser copy of
+the flow is run to predict the simulated time, which is set by physics rather than by the resolution. The wall time of a
+step is measured in the first steps of the flow itself.
 """
 
 from __future__ import annotations
@@ -95,11 +95,12 @@ def flow_forecast(
 
 
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
-    """Run a coarser copy of a flow; return the run, its simulated time [s], and a list of remarks.
+    """Run a coarser copy of a flow; return its run, its simulated time [s], and a list of remarks.
 
     The copy's scene equals that of the flow except for the attributes in `changes`. If the copy has not become steady,
-    a remark consists of the text `unmet` and the simulated time. If the copy stops with an error, the run is None and
-    the time is the longest allowed one.
+    the only remark is the text `unmet`, followed by the simulated time. If the copy stops with an error, the returned
+    run is None and the only remark states the error. The returned time is then the longest time that the flow may
+    simulate.
     """
     copy = None
     try:

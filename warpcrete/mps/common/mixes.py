@@ -135,10 +135,10 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
 
 
 def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
-    """Return True if the `given` constants are complete, so that the named concrete need not be looked up.
+    """Return True if `given` has enough constants, so that the concrete called `name` need not be looked up.
 
-    Bingham's constants are enough if the name is that of a file that no longer exists. Run records of earlier versions
-    hold only these constants.
+    Usually all constants in `CONSTANTS` are needed. If `name` is the path of a file that no longer exists, Bingham's
+    constants are enough, because the records of runs of earlier versions contain only these.
     """
     known = [each for each in CONSTANTS if given.get(each) is not None]
     return len(known) == len(CONSTANTS) or (
@@ -152,10 +152,10 @@ def flowing() -> list[str]:
 
 
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
-    """Return the constants of the concrete file that a scene's parameters name.
+    """Return the constants in the file of the concrete that a scene's parameters name.
 
-    The result is empty if the concrete is not a file, or if the parameters already state all constants. Constants of
-    flow laws that the file leaves out get the values that stand for Bingham's law.
+    The result is empty if the name is not that of a file, or if the parameters already state all constants. If the file
+    omits constants of a flow law, they get the values with which this law equals Bingham's.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

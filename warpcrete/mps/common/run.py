@@ -18,9 +18,10 @@ from ...core.units import quantity
 
 
 class FlowRun(Simulation):
-    """Simulation of one flow, which is stored in the attribute `flow` once the particles are placed.
+    """Simulation of one flow.
 
-    The flow must have the members `state`, `state_dict`, `load_state_dict`, `count` and `steps`.
+    The attribute `flow` holds the flow once the particles are placed. The flow must have the members `state`,
+    `state_dict`, `load_state_dict`, `count` and `steps`.
     """
 
     flow: Any

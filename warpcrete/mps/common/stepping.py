@@ -1,6 +1,6 @@
-"""Time stepping of flows by launch graphs of several steps, for one flow or for several flows at a time on one GPU.
+"""Time stepping of flows: launch recorded graphs of several steps, for one flow or for several flows on one GPU.
 
-After several graphs the host reads the control flags on the device to find out how many steps the flow has completed.
+After several graphs, the host reads the control flags on the device, which tell how many steps the flow has completed.
 """
 
 from __future__ import annotations
@@ -122,9 +122,14 @@ class Stepping(ABC):
 
     def launch(self) -> None:
         """Launch some of the steps that are left to the goal; on a GPU they run while Python goes on."""
-        largest = LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
+        largest = self._largest_graph
         sizes = graph_sizes(min(self._steps_left, GRAPHS_PER_CHECK * largest), largest)
         self._launcher.replay(self.step, self._single_thread_step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+
+    @property
+    def _largest_graph(self) -> int:
+        """Maximum number of steps in one launch graph."""
+        return LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
 
     def settle(self) -> None:
         """Wait for the launched steps, and read how many are completed; if a step failed, raise its error."""
@@ -198,10 +203,10 @@ class _Run:
             self._resume(failure)
 
     def check_steps(self) -> None:
-        """Check the completed steps.
+        """Check the completed steps, and resume the run's coroutine if they failed or reached its goal.
 
-        At the goal, let the run continue until it sets its next goal or ends. Store its result when it ends, or its
-        error.
+        The goal is the time or the number of steps that the coroutine has requested. The coroutine then requests its
+        next goal, or it ends. When it ends, its result or its error is stored.
         """
         try:
             self._flow.settle()
@@ -229,9 +234,9 @@ class _Run:
             self.outcome = failure
 
     def stop(self, why: KeyboardInterrupt) -> None:
-        """End the run now because of an interruption (Ctrl-C).
+        """End the run now after an interruption (Ctrl-C).
 
-        The outcome of a run that has begun is its unfinished result; otherwise it is the interruption `why`.
+        If the run has begun, its outcome is its unfinished result. Otherwise its outcome is the interruption `why`.
         """
         if self.outcome is None:
             if self._coroutine is None:

@@ -49,8 +49,8 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the expected duration and mean time step of a run until the concrete rests or a funnel is empty."""
     scene = simulation.scene
-    # The mean time step is estimated from the Courant number. Concrete that has fallen by its initial height crosses
-    # one cell in this time.
+    # The Courant number limits the time step. Estimate the mean step as the time in which concrete crosses one cell
+    # after it has fallen by its initial height.
     height = scene.extent[1, 1]
     swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
@@ -66,8 +66,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
-        # The finer flow has the same error per step. However, concrete crosses its smaller cells in less time, which
-        # shortens the steps that the Courant number limits.
+        # The flow of the scene has the same error per step as the flow of the coarser copy. However, concrete crosses
+        # the scene's smaller cells in less time, so the Courant number limits the steps to shorter ones.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

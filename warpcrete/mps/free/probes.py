@@ -40,7 +40,7 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 def bases(flow: GridFlow) -> np.ndarray:
     """Return the height at which the concrete in each column of cells begins [m], 0 where there is none.
 
-    In a cell that a wall cuts, the wall's part counts as lying below the concrete.
+    In a cell that a wall cuts, the volume inside the wall is assumed to lie below the concrete.
     """
     step, room = flow.state.layout.step, flow.state.cells("room")
     full = flow.state.cells("fill") * room

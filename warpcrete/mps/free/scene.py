@@ -215,8 +215,8 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
     def make_concrete(self, slips: bool) -> Concrete:
         """Return the concrete with its constants.
 
-        If `slips` is False, the concrete slips on no wall. Its own constants or those of a file may then lack the slip
-        layer.
+        If `slips` is False, the concrete slips on no wall. Constants that the user states, in the parameters or in a
+        file, then need not include the slip layer.
         """
         constants = {name: getattr(self, name) for name in CONSTANTS}
         if not slips and (self.concrete == "own" or is_file(self.concrete)):

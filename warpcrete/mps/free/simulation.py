@@ -52,7 +52,7 @@ class FreeSimulation(FlowRun):
         layout = free_layout(self.scene)
         self.volume = float(np.sum(layout.mass)) * layout.volume
         """Initial volume of the concrete [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
-        return GridFlow(GridState(self.scene, layout, self.device, self.precision))
+        return GridFlow(GridState(self.scene, layout, self.device, self.precision), threads=self.threads)
 
     def measured(self) -> dict[str, float]:
         """Measure the flow and return the results as a row of the time series."""

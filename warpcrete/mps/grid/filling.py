@@ -25,8 +25,9 @@ def fill_cells(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
 
-    A mass of 1 is that of a particle in a full cell. The particles of a partly filled cell together have the mass of
-    the concrete in the cell, within the limits of MAX_MASS.
+    A mass of 1 is that of a particle in a full cell. The particles of a partly filled cell share the mass of the
+    concrete in the cell equally. The total differs only where the particles' mass would lie outside the limits 1 /
+    MAX_MASS and MAX_MASS.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)

@@ -1,8 +1,8 @@
 """Geometry of walls on a grid: signed distances, and the open fractions of cells, faces and edges cut by walls.
 
-Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell, interpolated
-linearly, gives the open fraction of its volume and of its faces, through which concrete flows (Ng, Min & Gibou 2009).
-The open fraction around its edges weights the shear there (Batty & Bridson 2008).
+Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell is interpolated
+linearly. It gives the fractions of the cell's volume and faces that are open to the flow (Ng, Min & Gibou 2009). The
+open fraction around the edges of the cell weights the shear there (Batty & Bridson 2008).
 """
 
 from __future__ import annotations
@@ -17,11 +17,9 @@ from ...geometry.walls import MeshWall, PipeWall, PlaneWall
 from ...kernels.mps.grid.cells import FIXED, INSIDE
 
 NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
-"""Wall numbers: NONE stands for an open cell, PLATE for the wall of a pipe or a side of the room.
-
-SMOOTH is an axis or plane of symmetry without friction, GATE a wall that will open, ROUGH a wall that concrete sticks
-to. Larger numbers belong to walls that move.
-"""
+"""Numbers of the kinds of walls. NONE stands for an open cell. PLATE is the wall of a pipe or a side of the room.
+SMOOTH is an axis or plane of symmetry, without friction. GATE is a wall that will open. ROUGH is a wall that concrete
+sticks to. Larger numbers belong to walls that move."""
 WALL, MIRROR, OPEN_SIDE = "wall", "mirror", "open"
 """Kinds of the sides of a room: a wall, a plane of symmetry, or an open side."""
 NO_SLIP_VISCOSITY = 1e8
@@ -31,11 +29,9 @@ MIN_QUARTER_FRACTION = 1e-3
 MIN_OPEN_FRACTION = 0.01
 """Fraction above which a cell or a face counts as open."""
 ALIGNED, MAX_WALL_OFFSET = 0.999, 0.01
-"""Limits for a face that is a side of an aligned wall.
-
-ALIGNED: minimum cosine of the wall's normal and the axis; MAX_WALL_OFFSET: maximum distance from the wall in cell
-widths.
-"""
+"""Two limits for a cell face that counts as the side of a wall aligned with the grid. ALIGNED is the minimum cosine of
+the angle between the wall's normal and the grid axis. MAX_WALL_OFFSET is the maximum distance of the face from the
+wall, in cell widths."""
 SAMPLES_PER_CELL = {2: 8, 3: 4}
 """Number of sample points of a cell along each axis for its open volume; even, so that flat walls are exact."""
 LINES_PER_CELL = 8
@@ -49,10 +45,10 @@ Distance = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Geometry:
-    """Open parts of the cells, faces and edges of a grid, with the same names as in the kernels' struct `Geometry`.
+    """Open fractions of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
 
-    The arrays include the frame of one cell around the grid, with the last axis first. Arrays of faces have the shape
-    (axes, *shape), `depth` has (*shape, 2^axes), and the others `shape`.
+    `shape` is the shape of the grid with a frame of one cell around it, in reversed order of the axes. Arrays of cells
+    have this shape. Arrays of faces have the shape (axes, *shape), and `depth` has the shape (*shape, 2^axes).
     """
 
     solid: np.ndarray
@@ -81,9 +77,10 @@ class Room:
     """Kinds of the lower and the upper side along each axis: WALL, MIRROR or OPEN_SIDE."""
 
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
-        """Return a point [m] in each cell and frame cell, `shift` cell widths from the cell's lowest corner.
+        """Return a point [m] in each cell of the grid and in each cell of the layer around the grid.
 
-        The frame adds 2 points along each axis, and `more` adds further ones. The shape is (*(cells + 2 + more), axes).
+        Each point is `shift` cell widths from its cell's lowest corner. The layer adds 2 points along each axis, and
+        `more` adds further points at the upper end. The shape is (*(cells + 2 + more), axes).
         """
         along = [
             o + (np.arange(-1, n + 1 + more) + s) * h
@@ -101,8 +98,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    # The sides of the room coincide with cell sides. The distances at corners exclude these sides, because they would
-    # round off every wall that meets them at an angle.
+    # Leave the sides of the room out of the distances at the corners; they coincide with sides of cells. If the
+    # distances included them, interpolation would round off every wall that meets a side of the room at an angle.
     corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
@@ -184,9 +181,9 @@ def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
 def nearest_wall(
     room: Room, walls: Sequence[tuple[Distance, int]], sides: bool = True
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return a function that gives distance and number of the wall nearest to points, shape (..., axes) [m].
+    """Return a function that finds the wall nearest to each of several points: its distance [m] and its number.
 
-    The function includes the `sides` of the room that are walls, or leaves them out.
+    The points have the shape (..., axes) [m]. With `sides`, the sides of the room that are walls are included.
     """
     everything = [*walls, *(_room_walls(room) if sides else ())]
 
@@ -228,8 +225,9 @@ def _room_walls(room: Room) -> list[tuple[Distance, int]]:
 def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
     """Return the open volume around the middle of each cell, weighted as the kernel `fill` weights particles.
 
-    The weight is a hat function that falls to zero at the middles of the neighbouring cells. The part of a volume that
-    would be assigned to a neighbouring cell of `wall` counts for the cell in which the volume lies.
+    The weight is a hat function that falls to zero at the middles of the neighbouring cells, so a volume counts for
+    several cells. An exception is the part of a volume that would count for a neighbouring cell of `wall`: it counts
+    for the cell in which the volume lies.
     """
     axes = len(room.cells)
     fine = SAMPLES_PER_CELL[axes]
@@ -263,8 +261,9 @@ def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np
 def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     """Return the part of each cell's open volume that hat functions assign to neighbouring wall cells.
 
-    `found` contains the weights of the sample points, of which each cell has `fine` along each axis. `wall` is a mask
-    of the wall cells.
+    A hat function belongs to a cell. It falls linearly from 1 at the centre of the cell to 0 at the centres of the
+    neighbouring cells. Each cell has `fine` sample points along each axis. `found` holds the weights of these points: 0
+    inside a wall, and elsewhere 1 or, about an axis of symmetry, the radius. `wall` is a mask of the wall cells.
     """
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
@@ -273,8 +272,8 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     away = (np.arange(half) + 0.5) / fine
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
-        # The cell's centre divides the cell into halves along each axis. Select the sample points in the halves named
-        # by `side`, in order from the centre outward.
+        # The centre of a cell divides the cell into two halves along each axis, and `side` names one of them for each
+        # axis. Select the sample points that lie in all of these halves, in order from the centre outward.
         rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
         part = inner[(..., *rays)]
         for beyond in list(np.ndindex((2,) * axes))[1:]:
@@ -289,7 +288,7 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
 def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """Return the values at the lower and the upper end of each cell along `axes`, from values at grid points.
 
-    Each of these axes adds one last axis of length 2 to the result.
+    For each of these axes, the result has one more dimension, of length 2, at the end of its shape.
     """
     for axis in axes:
         count = values.shape[axis]

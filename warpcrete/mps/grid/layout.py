@@ -125,7 +125,8 @@ class Motion:
     velocity: tuple[float, ...]
     """Velocity of the wall [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Angular velocity of the wall [rad/s]; in a plane, whose axes are x and z of space, only the middle one counts."""
+    """Angular velocity of the wall [rad/s]. In a plane, whose axes are x and z of space, only the middle component
+    counts."""
     pivot: tuple[float, ...] | None = None
     """Point about which the wall spins [m]; None for the origin."""
     smooth: bool = False

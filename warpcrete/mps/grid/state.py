@@ -22,10 +22,8 @@ MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress"
 STRUCTURE_ARRAYS = ("gained", "layer")
 """Names of further mesh arrays that the next step depends on if the concrete gained structure at rest."""
 FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
-"""Names of mesh arrays with one entry per face (FACE_ARRAYS), edge (EDGE_ARRAYS) or particle (PARTICLE_LISTS).
-
-Most other mesh arrays have one entry per cell.
-"""
+"""Names of the mesh arrays with one entry per face. The next lines name the arrays with one entry per edge, and those
+with one entry per particle. Most other mesh arrays have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles")
 SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}

@@ -22,9 +22,9 @@ OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
 class PartDisplay(GridDisplay):
-    """Display of a part: particles coloured by speed, by pressure or by shear rate.
+    """Display of a part of a pump line: particles coloured by speed, by pressure or by shear rate.
 
-    If only half a part is simulated, its mirror image is drawn as well.
+    If only half of the part is simulated, its mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("speed", "pressure", "shear")
@@ -69,9 +69,10 @@ class PartDisplay(GridDisplay):
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return two plots over time: the pressure at the part's start, and the friction gradients.
+        """Return two plots over time: the pressure at the start of the part, and the friction per metre of pipe.
 
-        The friction gradients are those of the straight pipes upstream and downstream of the part's middle.
+        The friction per metre is measured in the straight pipes upstream and downstream of the middle of this part of
+        the pump line.
         """
         return (
             Plot("pressure", "Pressure", (

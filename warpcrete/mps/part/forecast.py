@@ -1,6 +1,6 @@
-"""Forecast of the run time of a flow through a part.
+"""Forecast of the run time of a flow through a part of a pump line.
 
-A coarser copy of the flow is run to predict the simulated time until the flow is steady. The wall time of a step is
+The time until the flow is steady is predicted by a run of the same flow on a coarser grid. The wall time of a step is
 measured in the first steps of the flow itself.
 """
 

@@ -1,7 +1,8 @@
-"""Layout of a part of a line on a grid: its cells, its walls, and the concrete in it at the start.
+"""Layout of a part of a pump line on a grid: cells, walls, and the concrete in the part at the start.
 
 The last axis of the grid is the direction in which concrete leaves, through an open side. Concrete enters through a
-plane across the pipe's axis, a wall that has the velocity of the flow. Particles that have left enter there again.
+plane across the pipe's axis. This plane is a wall that has the velocity of the flow. Particles that have left the grid
+enter again there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Entry of flows through parts of a line in the list of methods, by which the program runs, draws and reports them."""
+"""Entry in the list of simulation methods for flows through parts of a pump line."""
 
 from ...core.run.method import Method
 from ..common.stepping import run_abreast

@@ -12,10 +12,10 @@ from .scene import PartScene
 
 
 def plot_part(run: Run) -> Any:
-    """Return a figure of the frictional pressure along the part and of the pressure over time.
+    """Return a figure of the frictional pressure along the part of the pump line, and of the pressure over time.
 
-    The frictional pressure at a place is the loss still to come downstream; the theoretical frictional pressure of
-    straight pipes is drawn for comparison.
+    The frictional pressure at a place is the loss between this place and the end of the part. The theoretical
+    frictional pressure of straight pipes is drawn for comparison.
     """
     from matplotlib.figure import Figure
 
@@ -40,9 +40,9 @@ def plot_part(run: Run) -> Any:
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """Yield the legend name, begin and end of each stretch of the part that is not straight pipe.
+    """Yield name, begin and end of each stretch of the pipeline part that is not straight pipe.
 
-    Only the first stretch has a name, which lists the kinds of all stretches; the other names are empty.
+    The names serve for the legend. The first name lists the kinds of all stretches, and the other names are empty.
     """
     odd = [section for section in scene.sections if not section.straight]
     if not odd and scene.middle[1] > scene.middle[0]:

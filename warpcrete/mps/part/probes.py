@@ -33,9 +33,10 @@ The filled volume of a slice is that of the open parts of its cells with concret
 
 
 def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return arc lengths [m] and the mean pressure of the section at each, without its hydrostatic part [Pa].
+    """Return arc lengths [m], and at each of them the mean pressure of the cross-section without weight [Pa].
 
-    Without weight, the pressure is the frictional loss that is still to come downstream.
+    The hydrostatic part of the pressure is left out. The rest is the frictional loss between this arc length and the
+    end of the pipe.
     """
     scene: PartScene = flow.scene
     layout = flow.state.layout
@@ -73,18 +74,20 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
 def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
     """Return a table of the bore's radius, the remaining friction and the pressure at arc lengths `s` [m].
 
-    The argument `friction`, which becomes the column `friction_ahead`, is the frictional loss from each arc length to
-    the end of the part [Pa]. The pressure includes the weight of the concrete.
+    `friction` is the frictional loss from each arc length to the end of this part of the pump line [Pa]. It becomes the
+    column `friction_ahead`. The pressure includes the weight of the concrete.
     """
     columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
     return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})
 
 
 def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]:
-    """Return the frictional loss of each section of a part [Pa], the difference of the pressures at its ends.
+    """Return the frictional loss of each section of a part of a pump line [Pa].
 
-    At the end of a straight stretch the pressure is that of a straight line, fitted to the stretch without a length of
-    one radius at both ends. Elsewhere, and in stretches too short for a line, it is the mean over the cross section.
+    The loss is the difference of the pressures at the ends of the section. At the end of a straight stretch, the
+    pressure is that of a straight line. The line is fitted to the pressures in the stretch, without a length of one
+    radius at both ends. At all other ends, and in stretches too short for a line, the pressure is the mean over the
+    cross-section.
     """
     sections = scene.sections
     at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]
@@ -111,7 +114,7 @@ def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
 
 
 def measured(flow: GridFlow) -> dict[str, float]:
-    """Measure a flow and return a row of the time series.
+    """Measure a flow through a part of a pump line and return a row of the time series.
 
     The entry `pressure` is the pressure at the start of the part, including the weight of the concrete.
     """

@@ -33,9 +33,9 @@ class RunData:
 
     @property
     def as_straight(self) -> float:
-        """Theoretical frictional loss [Pa] of a straight pipe that has the length and bores of the part's middle.
+        """Theoretical frictional loss [Pa] of a straight pipe with the length and bores of the middle of this part.
 
-        The middle is the range of the part with all bends and tapers.
+        The middle is the stretch of the part that contains all its bends and tapers.
         """
         return self.scene.friction(*self.scene.middle)
 

@@ -24,11 +24,9 @@ from ..common.settings import STEP_ERROR, check_interval
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
 CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
-"""Limits for the straight stretches in which friction is measured.
-
-CLEARANCE is the length, in radii, left out next to an end or the middle of a part. MIN_CELLS_LEFT is the minimum
-number of cells that must remain.
-"""
+"""Limits for the measurement of friction in straight stretches of pipe. CLEARANCE is the length, in radii, that is left
+out next to an end or the middle of the simulated part. MIN_CELLS_LEFT is the minimum number of cells that must
+remain."""
 ROUNDNESS_TOLERANCE = 0.03
 """Maximum relative deviation of a bore's radius around the axis for the theory of round pipes to apply."""
 AXIS_SAMPLES = 60
@@ -239,10 +237,11 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Arc lengths between which the part is not straight pipe of constant bore [m].
+        """Arc lengths [m] between which this part of the pump line bends or changes its bore.
 
-        The range covers bends and tapers from the first to the last, or the stretch where a mesh's bore changes.
-        Without any of these both values are half the length of the part.
+        The range extends from the first bend or taper to the last one. Without bends and tapers, the range is that in
+        which the bore of the part's triangle mesh changes its radius. In a straight pipe of constant bore, both values
+        are half the length of the part.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)
@@ -275,7 +274,7 @@ class PartScene(Parametrised, PartSettings):
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
         """Yield the sections of a straight piece of the axis.
 
-        They are straight pipes, tapers, and the stretch where the bore of a mesh changes.
+        A section is a straight pipe, a taper, or the stretch in which the bore of a mesh varies.
         """
         odd = [("bore", *self.insert)] if self.insert is not None else []
         if self.wall is None:

@@ -1,4 +1,4 @@
-"""Simulation of concrete through a part of a line, from a scene to a finished run.
+"""Simulation of concrete that flows through a part of a pump line, from a scene to a finished run.
 
 The module `core/run/run_loop.py` contains the loop common to all runs.
 """
@@ -44,7 +44,9 @@ class PartSimulation(FlowRun):
     def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""
         check_memory(part_room(self.scene).cells, self.device, self.precision)
-        return GridFlow(GridState(self.scene, part_layout(self.scene), self.device, self.precision))
+        return GridFlow(
+            GridState(self.scene, part_layout(self.scene), self.device, self.precision), threads=self.threads
+        )
 
     def measured(self) -> dict[str, float]:
         """Measure the flow and return the values of one row of the time series, by column name."""
@@ -75,7 +77,7 @@ class PartSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result, and a table of the pressure along the part.
+        """Return the entries of the result, and a table of the pressure along the part of the pump line.
 
         The entries follow from the time series and from the current pressure along the part.
         """

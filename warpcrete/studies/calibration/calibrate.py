@@ -37,8 +37,8 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 SETTLED_ERROR_RATIO = 0.5
-"""Ratio of the error of the Gaussian-process emulator to the uncertainty of a target, both as standard deviations,
-below which more runs would not change the answer."""
+"""Limit for the error of the Gaussian-process emulator divided by the uncertainty of a target, both as standard
+deviations. Below this limit, more runs would not change the answer."""
 SETTLED_SHIFT = 0.25
 """Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
@@ -82,7 +82,8 @@ def run_calibration(
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    # The record contains the targets, so their file may change before the calibration is resumed.
+    # The record of the calibration contains the targets. The file of targets may therefore change before the
+    # calibration is resumed, and it is left out of the files that must not change.
     files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
@@ -162,7 +163,7 @@ def _continue(
 
 
 def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
-    """Run rounds until the answer is settled or the trials are used up, then verify the answer."""
+    """Run rounds of simulations until the parameters are settled or no trials are left; then verify the best ones."""
     settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
     place = 0
@@ -197,9 +198,9 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
-    `part` locates the round in the progress of the whole calibration: the fraction of the work that was done before
-    this round, and the fraction that this round adds. Raises :class:`WarpcreteError` if runs were lost because a
-    process died or the disk was full.
+    For the display of progress, `part` holds two fractions of the work of the whole calibration: the work that was done
+    before this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a process
+    died or the disk was full.
     """
     for group in range(len(calibration.task.groups)):
         study = _run_group(
@@ -218,7 +219,7 @@ def run_round(
 
 
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Return a progress callback that converts the progress of one study to the progress of the calibration."""
+    """Return a progress callback for one study, which reports the progress of the whole calibration to `tell`."""
     groups = len(task.groups)
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -270,7 +271,12 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 
 
 def _update_posterior(calibration: Calibration, seed: int) -> None:
-    """Compute the posterior of the trials so far, and decide whether more trials would change it."""
+    """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
+
+    The posterior is not updated while too few runs have yielded a value for one of the targets. Raises
+    :class:`WarpcreteError` if no run has yielded a value for a target. It is also raised if, after the last trial, too
+    few runs have yielded one.
+    """
     searched = calibration.searched
     points = np.array([trial.units for trial in searched])
     values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
@@ -343,8 +349,8 @@ def _first_points(
 def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
     """Return the points of the next round: a quarter from Optuna, the others from the posterior.
 
-    The first of the others is the maximum of the posterior. Every further point is the posterior sample that is
-    farthest from all points so far, with distances scaled by the posterior's standard deviations.
+    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
+    all points so far, with distances scaled by the posterior's standard deviations.
     """
     assert calibration.posterior is not None
     random = np.random.default_rng(seed)

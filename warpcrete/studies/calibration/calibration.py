@@ -15,7 +15,8 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Distance of a target from the closest prediction, in standard deviations, above which the target is unreachable."""
+"""Largest difference between a target and the best value that parameters can reach, in standard deviations of the
+target. If the difference is larger, the target counts as unreachable."""
 
 
 @dataclass
@@ -31,7 +32,7 @@ class Trial:
     """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Reason why a target that enters the fit has no value in this trial; empty if all such targets have a value."""
+    """Reason why this trial lacks the value of a target that is used in the fit. Empty if no such value is missing."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
 
@@ -67,7 +68,7 @@ class Calibration:
 
     @property
     def searched(self) -> list[Trial]:
-        """Trials of the search, without the verification runs."""
+        """Trials that search for the parameters; the runs that verify the answer are left out."""
         return [trial for trial in self.trials if not trial.proof]
 
     def verification_values(self, target: Target) -> list[float]:
@@ -79,9 +80,10 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured one, in the target's standard deviations (NaN if unknown).
+        """Return the best value minus the measured one, divided by the target's standard deviation (NaN if unknown).
 
-        The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
+        The best value is the mean of the verification runs, or without such runs the prediction for the likeliest
+        parameters.
         """
         assert self.posterior is not None
         runs = self.verification_values(target)
@@ -90,7 +92,7 @@ class Calibration:
 
     @property
     def findings(self) -> list[str]:
-        """Sentences about unreachable targets, undetermined parameters and failed runs."""
+        """Sentences about targets that cannot be reached, parameters that remain undetermined, and runs that failed."""
         if self.posterior is None:
             return []
         found, task = self.posterior, self.task

@@ -22,10 +22,10 @@ import numpy as np
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
-"""Number of points in the unit cube from which the best ones become the walkers' starting points."""
+"""Number of points in the unit cube that are compared; the best of them become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Radius in the unit cube within which a failed run lowers the estimated probability that runs succeed."""
+"""Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
@@ -34,9 +34,10 @@ class Emulator:
     """Gaussian process that predicts one quantity: a linear trend, a smooth remainder, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
-        """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
+        """Fit a Gaussian process to `values`, shape (n,), at `points` of the unit cube, shape (n, free).
 
-        Differences smaller than `least` between the values are treated as negligible.
+        The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
+        compared with `least` are therefore treated as negligible.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -46,7 +47,8 @@ class Emulator:
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
         self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
-        with warnings.catch_warnings():  # ignore warnings about kernel parameters at their bounds
+        # The fit warns if a parameter of the covariance function ends at its bound, which does no harm here.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.process.fit(points - 0.5, (values - self.middle) / self.scale)
         fitted: Any = self.process.kernel_
@@ -74,7 +76,7 @@ class Posterior:
     """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
     value."""
     samples: np.ndarray
-    """Samples of the posterior as points of the unit cube, shape (n, free)."""
+    """Samples of the posterior of the free parameters, each scaled to 0 to 1 over its range, shape (samples, free)."""
     best: np.ndarray
     """Likeliest values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
 
@@ -98,17 +100,17 @@ class Posterior:
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
-        """Return the central interval of a free parameter that holds the fraction `part` of the posterior."""
+        """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples."""
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def relative_width(self, place: int) -> float:
-        """Return a parameter's posterior standard deviation, relative to that of a uniform distribution."""
+        """Return a parameter's posterior standard deviation, divided by that of a uniform distribution on its range."""
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
-        """Return the correlation matrix of the free parameters in the unit cube, shape (free, free)."""
+        """Return the correlations between the free parameters in the posterior samples, shape (free, free)."""
         return np.atleast_2d(np.corrcoef(self.samples.T))
 
 
@@ -173,9 +175,9 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
+    """Return the pairs of parameters with a strong correlation, which the data cannot determine separately.
 
-    The data determine only a combination of the two parameters of such a pair.
+    Each entry holds both names and the correlation, whose magnitude is at least `close`.
     """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()

@@ -1,4 +1,4 @@
-"""Starting point of a calibration, estimated from closed-form solutions."""
+"""Initial parameters of a calibration: those whose closed-form predictions are closest to the targets."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from ...methods import method_of
 from .targets import Target, Task
 
 START_CANDIDATES = 32
-"""Number of points in the unit cube that are compared; the closed form of a funnel takes a quarter of a second."""
+"""Number of points in the unit cube of parameter ranges at which the closed forms are compared with the targets. The
+number is small because the closed form of a funnel takes a quarter of a second."""
 
 
 def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float]]:
-    """Return, in a list, the point of the unit cube whose closed-form predictions fit the targets best.
+    """Return, in a list, the best starting point for a calibration; the list is empty without closed forms.
 
-    The list is empty if no target has a closed form.
+    The coordinates of a point are the free parameters, each scaled from its range to 0 to 1. The best point is the one
+    whose closed-form predictions fit the targets best. The list is empty if no target has a closed form.
     """
     known = [
         target for target in task.fitted if _closed_form(task, target, [0.5] * len(task.free), modules) is not None
@@ -39,9 +41,10 @@ def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, A
 
 
 def _closed_form(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> float | None:
-    """Return the closed-form prediction of a target's quantity.
+    """Return the closed-form prediction of a target's quantity at a `point` in the ranges of the free parameters.
 
-    The result is None if there is no closed form, or if nothing would flow.
+    The coordinates of the point are the parameters, each scaled from its range to 0 to 1. The result is None if the
+    scene has no closed form for the quantity, or if the parameters are impossible.
     """
     module = modules[target.scene]
     try:

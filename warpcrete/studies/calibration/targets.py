@@ -27,14 +27,16 @@ from ...methods import METHODS, method_of
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
 LOG_SCALE_RATIO = 10.0
-"""Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
+"""Smallest ratio of the upper to the lower end of a parameter's range at which the parameter is searched on a
+logarithmic scale. The parameter's own entry `scale` overrides this rule."""
 MAX_DEVIATIONS_APART = 3.0
-"""Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
+"""Largest difference between two measured values of one quantity, in standard deviations. Values that differ by more
+contradict each other, and the targets are refused."""
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A free parameter of the calibration, with its range."""
+    """Parameter that a calibration searches for, with its range."""
 
     name: str
     low: float
@@ -45,7 +47,7 @@ class FreeParameter:
     """True if the parameter is a whole number."""
 
     def value(self, unit: float) -> float:
-        """Return the parameter's value at `unit`, a position in the parameter's range from 0 to 1."""
+        """Return the parameter's value at the position `unit`: 0 is the low end of its range and 1 the high end."""
         if self.log:
             found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
         else:
@@ -61,15 +63,15 @@ class FreeParameter:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A measured quantity of a scene."""
+    """Measured value that the calibration compares with a quantity of a scene's result."""
 
     scene: str
     quantity: str
     value: float
     uncertainty: float
-    """Standard deviation, in the unit of `value`."""
+    """Standard deviation of the measured value, in the unit of `value`."""
     parameters: Mapping[str, Any]
-    """Parameters of the scene, without the free ones."""
+    """Parameters with which the scene is simulated, without the free parameters of the calibration."""
     held_out: bool
     """True if the quantity is predicted and compared with the measurement, but not fitted."""
     unit: str
@@ -84,7 +86,7 @@ class Target:
 
     @property
     def label(self) -> str:
-        """Description of the quantity and its scene, for tables and messages."""
+        """Name of the target in tables and messages: its quantity, its scene and the scene's parameters."""
         given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
                           for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
         return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")
@@ -97,7 +99,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Task:
-    """The calibration's targets and free parameters."""
+    """Measured targets and free parameters of a calibration."""
 
     base: str | None
     """Concrete (name or file) that provides all properties that are not free; None: each scene's own concrete."""
@@ -126,7 +128,10 @@ class Task:
         return np.array([free.place(values[free.name]) for free in self.free])
 
     def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
-        """Return the keyword arguments of the target's scene, including the free parameters that the scene has."""
+        """Return the keyword arguments that build a target's scene from the `values` of the free parameters.
+
+        Free parameters that the scene does not have are left out.
+        """
         known = declared_fields(module.scene.parameters)
         base = {"concrete": self.base} if self.base is not None and "concrete" in known else {}
         return {**base, **target.parameters, **{name: value for name, value in values.items() if name in known}}
@@ -261,7 +266,7 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
 
 
 def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
-    """Return a standard deviation that was given as a number or as a percentage of the value."""
+    """Return the standard deviation of a measured value, stated as a number or as a percentage of the value."""
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
     if found:
         given = float(found.group(1)) / 100 * abs(value)
@@ -278,7 +283,10 @@ def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
 
 
 def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> Field:
-    """Return the declaration of a free parameter; it must be a number, and at least one target's scene must have it."""
+    """Return the field that declares a free parameter in the targets' scenes.
+
+    Raises :class:`SceneError` if no target's scene has such a parameter, if it is not a number, or if it is the seed.
+    """
     scenes = dict.fromkeys(target.scene for target in targets)
     known = [_known(modules, scene) for scene in scenes]
     fields = [each[name] for each in known if name in each]
@@ -297,7 +305,7 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
 
 
 def _free(name: str, given: Any, field: Field) -> FreeParameter:
-    """Check the range of a free parameter and return the parameter."""
+    """Check the range that the user states for a free parameter, and return the parameter with this range."""
     called, whole = f"vary {name}", field.kind is int
     scale = None
     if isinstance(given, Mapping):
@@ -330,9 +338,10 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
 
 
 def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
-    """Return the target with its unit, after checking that its scene measures the quantity.
+    """Return a copy of the target with its unit, after checking that its scene measures the quantity.
 
-    The scene must also be valid at both ends of every parameter range; otherwise :class:`SceneError` is raised.
+    Raises :class:`SceneError` if the scene does not measure the quantity, or if the scene refuses a value at one end of
+    a free parameter's range.
     """
     module = modules[target.scene]
     middle = [0.5] * len(task.free)
@@ -357,7 +366,7 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
 
 
 def _refuse_contradictions(targets: Sequence[Target]) -> None:
-    """Refuse two measured values of one quantity that contradict each other."""
+    """Refuse targets in which two measured values of the same quantity contradict each other."""
     for place, one in enumerate(targets):
         for other in targets[:place]:
             scatter = math.hypot(one.uncertainty, other.uncertainty)
@@ -370,7 +379,7 @@ def _refuse_contradictions(targets: Sequence[Target]) -> None:
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:
-    """Return the target's quantity from a result.json; None if it is missing or not a finite number."""
+    """Return the value of a target's quantity in a result.json; None if the value is missing or not a finite number."""
     entry = result.get(target.quantity)
     value = None if entry is None else number(entry)
     return value if value is not None and math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Answers to questions of a site engineer: where the band comes from, the power, and whether the pump suffices."""
+"""Answers to a site engineer: causes of the uncertainty, power of the motor, and whether the pump is strong enough."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from ...geometry.pumps import Pump
 from ...theory.bands import Band
 
 EFFICIENCY = 25 / 36
-"""Hydraulic power over the power of the pump's motor. The rule of practice is motor power [kW] = pressure [bar] * flow
-[m3/h] / 25 (bestsupportunderground.com, "Long distance concrete pumping"); the hydraulic power is a 36th."""
+"""Efficiency of a pump: hydraulic power divided by the power of the motor. The rule of practice for the motor is power
+[kW] = pressure [bar] * flow [m3/h] / 25 (bestsupportunderground.com, "Long distance concrete pumping"). The hydraulic
+power in the same units is pressure * flow / 36."""
 MARGIN = 1.25
-"""Pressure that a pump should deliver, divided by the pressure that the line needs (AIJ,
+"""Recommended ratio of the pump's largest pressure to the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
-"""Share of the band below which a cause is not mentioned, unless it is the largest."""
+"""Smallest share of the band's squared width with which a cause of uncertainty is mentioned. The largest cause is
+always mentioned."""
 ADVICE = {
     "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
     "viscosity of the bulk": "measure it with a rheometer, or state t500",
@@ -30,18 +32,19 @@ ADVICE = {
     "bores": "simulate them with --simulate, or state their 'factor'",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
 }
-"""Advice on how to make the band narrower, by cause."""
+"""Advice for the user on how to reduce the uncertainty that comes from a cause, by the name of the cause."""
 
 
 def pressure_text(pressure: float) -> str:
-    """Return a pressure [Pa] in bar and MPa."""
-    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa)"
+    """Return a pressure [Pa] in bar, MPa and psi."""
+    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / 6894.757:.4g} psi)"
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
-    """Return sentences that split the width of a band of pressure [Pa] by its causes, largest first, with advice.
+    """Return sentences that say how much each cause contributes to a pressure's band [Pa], the largest cause first.
 
-    Causes in `without_advice` get none, because they were measured.
+    Advice on how to reduce the uncertainty follows each cause. Causes in `without_advice` get none, because they were
+    measured.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []
@@ -68,18 +71,21 @@ class PumpMargin:
 
     pump: Pump
     band: Band
-    """Pressure that the line needs [Pa], with its band."""
+    """Pressure that the line needs at its start [Pa], with its uncertainty band."""
     flow: float
-    """Flow that is wanted [m3/s]."""
+    """Flow that the pump must deliver into the line [m3/s]."""
 
     @property
     def factor(self) -> float:
-        """Pressure of the pump divided by the pressure that the line needs."""
+        """Largest pressure of the pump, divided by the pressure that the line needs.
+
+        The value is infinity if the line needs no pressure.
+        """
         return self.pump.pressure / self.band.value if self.band.value > 0 else float("inf")
 
     @property
     def verdict(self) -> str:
-        """Answer in two or three words: 'strong enough', 'perhaps too weak' or 'too weak'."""
+        """Answer to whether the pump suffices for the line: 'strong enough', 'perhaps too weak' or 'too weak'."""
         value, high = ((x, x * self.flow / EFFICIENCY) for x in (self.band.value, self.band.high))
         limits = (self.pump.pressure, self.pump.power)
 
@@ -91,7 +97,7 @@ class PumpMargin:
         return "perhaps too weak" if over(high) else "strong enough"
 
     def sentence(self) -> str:
-        """Return the comparison in words."""
+        """Return a sentence that tells the user whether the pump suffices, with its pressure, power and flow."""
         if self.pump.flow is not None and self.flow > self.pump.flow:
             return (f"the pump is too weak: it delivers {3600 * self.pump.flow:.4g} m3/h at most, and "
                     f"{3600 * self.flow:.4g} m3/h are wanted")  # fmt: skip
@@ -110,7 +116,7 @@ class PumpMargin:
         return text
 
     def record(self) -> dict[str, Any]:
-        """Return the comparison as an entry of line.json."""
+        """Return the comparison of the line with its pump as an entry of the file line.json."""
         return {
             "pressure_limit": quantity(self.pump.pressure, "Pa"),
             "flow_limit": None if self.pump.flow is None else quantity(self.pump.flow, "m3/s"),

@@ -1,4 +1,4 @@
-"""Probability that the narrowest part of a line is blocked: one run of discrete elements for each of many seeds.
+"""Probability that the narrowest part of a pump line is blocked, from one discrete element run for each of many seeds.
 
 Each seed packs the stones differently. On a GPU all runs form one batch, on a CPU each process runs one at a time. The
 runs are a study in the line's folder, so an interrupted command continues with the seeds that are missing.
@@ -23,49 +23,54 @@ from ...theory.bands import wilson_interval
 from ..cases import Case
 from ..study import resume_study, run_listed
 from ..study_result import Study
-from .elements import SCENE, Elements, part_parameters
+from .elements import SCENE, SIZE_PARAMETERS, Elements, part_parameters
 from .line_folder import PARTS
 
 FOLDER = "blocking"
-"""Name of the study's folder among the parts of a line."""
+"""Name of the folder with the runs for the probability of a blockage, next to the folders of the line's parts."""
 RECORD = "blocking-probability.json"
 STRAIGHT_DIAMETERS = 2.0
-"""Length of straight pipe before and behind the narrowest part [diameters]."""
+"""Length of straight pipe before and behind the line's narrowest part in a simulation, in diameters of its wider
+end."""
 TRAVEL_DIAMETERS = 4.0
-"""Travel of the piston [diameters]. A blockage shows after two diameters of standing still at most."""
+"""Travel of the piston [diameters]. It leaves room for the check for blockage, which needs up to two diameters of
+travel to recognise concrete that stands still."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
-"""Friction between stones, as of dry stones: an arch forms where the mortar has been squeezed out between them.
+"""Coefficient of friction between stones, as for dry stones.
 
-With this friction, stones of one size block a funnel if it is up to three times as wide as they are, which is the limit
-of ACI 304.2R for crushed stones. With the friction of 0.05 of Zhan et al. (2019), stones of half the bore passed.
+An arch forms where the mortar has been squeezed out between the stones. With this friction, stones of one size block a
+funnel that is up to three times as wide as the stones, which is the limit of ACI 304.2R for crushed stones. With the
+friction of 0.05 of Zhan et al. (2019), stones of half the width of the bore still passed.
 """
 MODULUS = 2e6
-"""Smallest elastic modulus of the stones [Pa], with which that funnel was simulated; softer ones squeeze through."""
+"""Smallest elastic modulus of the stones in simulations of blocking [Pa]; stones that the user made softer get this
+modulus. Softer stones squeeze through bores that would block. The modulus is that of the simulated funnels in which the
+friction between stones was checked."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
 @dataclass(frozen=True)
 class BlockingProbability:
-    """How many runs of the narrowest part of a line were blocked."""
+    """Result of simulating the narrowest part of a line with many seeds: how many of the runs were blocked."""
 
     part: Part
     runs: int
-    """Number of finished runs."""
+    """Number of runs that finished, blocked or not."""
     blocked: int
-    """Number of blocked runs."""
+    """Number of runs that ended because the part was blocked."""
     failed: int
     """Number of runs that ended with an error, and do not count."""
     short: int
     """Number of runs that were not blocked, but ended while part of the concrete stood still."""
     stones: int
-    """Number of stones in the first run."""
+    """Number of stones in the first simulation; the others have other random packings."""
     stone: float
-    """Largest stone as simulated [m]."""
+    """Size of the largest stone in the simulation, after stones were enlarged [m]."""
     coarse: float
-    """Factor by which the stones were enlarged."""
+    """Factor by which the stones were enlarged for the simulation; 1 if they kept their size."""
     friction: float
-    """Friction between the stones."""
+    """Coefficient of friction between the stones in the simulation."""
 
     @property
     def probability(self) -> float:
@@ -74,11 +79,11 @@ class BlockingProbability:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the probability (Wilson 1927)."""
+        """95 % confidence interval of the probability of a blockage (Wilson 1927)."""
         return wilson_interval(self.blocked, self.runs)
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of the JSON file."""
+        """Return the results as the contents of the file blocking-probability.json."""
         low, high = self.interval
         return {
             "part": {"number": self.part.number, "what": self.part.label, "bore": quantity(self.part.narrow, "m")},
@@ -90,7 +95,7 @@ class BlockingProbability:
 
     @property
     def lines(self) -> list[str]:
-        """The result as lines of text."""
+        """The probability of a blockage and its conditions as lines of text."""
         low, high = self.interval
         ratio = self.stone / self.part.narrow
         state = "was blocked in" if self.blocked else "not blocked:"
@@ -152,12 +157,23 @@ def run_blocking(
 def _parameters(
     part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters of a run, which ends once the part is blocked."""
+    """Return the scene parameters of one simulation.
+
+    The simulation ends as soon as the part is blocked. The friction and the modulus of the stones are raised to
+    :data:`FRICTION` and :data:`MODULUS` if they are smaller, because smoother or softer stones would pass bores that
+    block in reality. A contact law that belongs to the concrete stays unchanged.
+    """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)
     own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter,
             "stop_when_blocked": True}  # fmt: skip
     given = modules()[SCENE].scene.declared(own)
+    if line.largest_stone is not None and given.sizes in ("gaussian", "uniform"):
+        # The concrete states no sieve curve. The scene's default sizes are scaled such that the largest is the line's.
+        factor = (elements.coarse or 1.0) * line.largest_stone / given.size_max
+        own |= {name: factor * getattr(given, name) for name in SIZE_PARAMETERS if getattr(given, name) is not None}
+        own["plug_ball"] = factor * given.plug_ball
+        given = modules()[SCENE].scene.declared(own)
     if given.contact is not None:
         return own
     wall = given.friction if given.wall_friction is None else given.wall_friction

@@ -14,7 +14,7 @@ from ...geometry.pipe_line import Part, PipeLine
 from .run import GRAVITY
 
 STEPS = 50
-"""Number of steps in which the pressure is integrated along a part."""
+"""Number of intervals into which a part is divided to integrate the pressure along it."""
 
 
 @dataclass(frozen=True)
@@ -27,19 +27,21 @@ class WallLaw:
     diameter: float
     """Inner diameter of the pipe [m]."""
     start: float
-    """Wall stress at zero pressure [Pa]."""
+    """Wall stress at zero pressure [Pa], which is the share of the lubrication layer in the friction."""
     slope: float
-    """Increase of the wall stress per increase of pressure."""
+    """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
-    """Largest pressure at which the law was measured [Pa]."""
+    """Largest pressure in the measurements to which the law was fitted [Pa]."""
     largest: float
-    """Pressure above which the wall stress is assumed constant [Pa]."""
+    """Pressure from which on the wall stress is assumed constant [Pa], because overlaps of the elements become
+    large."""
 
     @classmethod
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
         """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
 
-        `columns` holds the arrays `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
+        The law is a straight line of the stress on the wall over the pressure. `columns` holds the arrays
+        `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
         """
         pressure, shear = columns["axial_stress"], columns["wall_stress"]
         here = np.isfinite(pressure)
@@ -56,7 +58,7 @@ class SeedResult:
     """Results of all simulated parts for one seed."""
 
     laws: Mapping[float, WallLaw]
-    """Friction laws of straight pipe, by its diameter [m]."""
+    """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
     ratios: Mapping[tuple[Any, ...], float]
     """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
     density: float
@@ -65,7 +67,7 @@ class SeedResult:
     """True for each kind of part whose simulation was blocked."""
 
     def is_blocked(self, part: Part) -> bool:
-        """Return whether the simulation of a part, or of straight pipe of its diameter, was blocked."""
+        """Return whether the simulation of the part, or of a straight pipe of its diameter, was blocked."""
         return any(found for key, found in self.blocked.items() if key[: len(part.loss_key)] == part.loss_key)
 
     def ratio(self, part: Part) -> float:
@@ -73,7 +75,7 @@ class SeedResult:
         return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
-        """Return the pressure losses (friction, weight) of each part of a line [Pa], from its start to its end."""
+        """Return the friction and the weight of each part of a line [Pa], as pairs from its start to its end."""
         pressure, found = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
@@ -98,17 +100,18 @@ class SeedResult:
 
 @dataclass(repr=False)
 class ElementLine:
-    """Pressure losses of a pump line, computed by discrete elements."""
+    """Pressure losses of a pump line, computed by the discrete element method."""
 
     line: PipeLine
     concrete: str
     flow: float
-    """Flow rate [m3/s]."""
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
     packed: list[SeedResult]
     """Results of the simulated parts, one entry for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation, which may share the device with others [s], by its folder's name."""
+    """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
+    time, their wall times overlap."""
     elapsed: float = 0.0
     """Wall time of all new simulations together, including packing [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
@@ -128,11 +131,11 @@ class ElementLine:
         return float(np.mean(self.pressures))
 
     def frictions(self) -> np.ndarray:
-        """Return the friction of each part, averaged over the seeds [Pa], shape (parts,)."""
+        """Return the pressure loss of each part due to friction, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
 
     def weights(self) -> np.ndarray:
-        """Return the pressure due to each part's weight, averaged over the seeds [Pa], shape (parts,)."""
+        """Return the pressure due to the concrete's weight in each part [Pa], a mean over the seeds, shape (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
     def blocked(self) -> list[int]:
@@ -163,9 +166,10 @@ class ElementLine:
 
 
 def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Return a headline and a table of the parts as lines of Markdown.
+    """Return a headline and a table of the parts of a pump line, as lines of Markdown.
 
-    `others` holds frictions of the parts from other methods [Pa], with one column of the table for each.
+    `others` maps the name of each other method, such as the closed form, to the friction [Pa] that it predicts for each
+    part. The table has one column for each of these methods.
     """
     low, high = min(found.pressures), max(found.pressures)
     span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""

@@ -31,29 +31,33 @@ from .run import folder_name
 
 SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
-"""Length of straight pipe before and behind a simulated bend or reducer [diameters]; straight pipe is twice as long."""
+"""Length of the straight pipe before a simulated bend or reducer, in diameters. The straight pipe behind it has the
+same length. If a straight pipe is simulated, it consists of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
-"""Fraction of the narrowest bore to which the largest stone is enlarged by default."""
+"""Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
+they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
-"""Default factor on the concrete's elastic modulus.
+"""Default factor on the elastic modulus of the concrete.
 
-Soft aggregates are still being compressed after they
-have travelled many pipe diameters, so that less concrete leaves a part than enters it.
-In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five
-times that modulus.
+Soft aggregates are still being compressed after they have travelled many pipe diameters, so that less concrete leaves a
+part of the line than enters it. The factor hardly changes the pressure. In straight pipe of 125 mm the loss is 9.48
+kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five times that modulus.
 """
 PRESSED_RUN = "pressed"
-"""Mark of the second simulation of straight pipe, in which a plug presses against the concrete.
+"""Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
-The plug of the first simulation hardly resists. A friction law fitted to its low pressures alone would overestimate
-the friction at high pressure.
+In this simulation, a plug at the outlet presses against the concrete. In the first simulation, the plug hardly resists,
+so that the pressure remains low. A friction law fitted to these low pressures alone would overestimate the friction at
+high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
+"""Pressure of the plug at the pipe's outlet in the second simulation of straight pipe, divided by the elastic modulus
+of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 MIN_FLUX_RATIO = 0.8
-"""Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
+"""Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
+compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -62,13 +66,15 @@ class Elements:
     """Settings for simulating the parts of a line by discrete elements."""
 
     shapes: str = "spheres"
-    """Shapes of the elements, as in the scene part-dem."""
+    """Shapes of the discrete elements, in the words of the parameter `shapes` of the scene part-dem."""
     coarse: float | None = None
-    """Factor on all stone sizes; None enlarges the largest stone to 0.3 times the narrowest bore."""
+    """Factor by which all stone sizes are multiplied. With None, stones are enlarged until the largest has 0.3 times
+    the narrowest bore; larger stones keep their size."""
     seeds: int = 1
-    """Number of random packings of each kind of part; their scatter gives the uncertainty band of the pressure."""
+    """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
+    results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor on the concrete's elastic modulus."""
+    """Factor by which the elastic modulus of the concrete is multiplied in the simulations."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -89,11 +95,11 @@ def run_elements(
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> ElementLine:
-    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` (name or file) by discrete elements.
+    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` by discrete elements.
 
-    Each kind of part is simulated without weight, and on a GPU all parts run together. Runs are stored in `out`,
-    where interrupted runs continue; finished runs in `known`, the folder of an earlier line, are reused. Raises
-    :class:`SceneError` for impossible settings, and the error of the first run that failed.
+    `concrete` is a name or a file. Each kind of part is simulated without weight, and on a GPU all parts run together.
+    The runs are stored in `out`, where interrupted runs continue. Finished runs in `known`, the folder of an earlier
+    line, are reused. Raises :class:`SceneError` for impossible settings, and the error of the first run that failed.
     """
     elements = elements or Elements()
     check_known(known)
@@ -131,7 +137,11 @@ def run_elements(
 
 
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
-    """Yield the kinds of parts that need a simulation, including straight pipe of every diameter."""
+    """Yield each kind of part that needs a simulation, as its key and an example part.
+
+    Straight pipe is needed at every diameter of the line, once with and once without a plug that presses on the
+    concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
+    """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:
             yield part.loss_key, part
@@ -144,7 +154,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters that simulate a kind of part without weight."""
+    """Return the parameters of the scene that simulates a part by discrete elements, without weight."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,
@@ -164,9 +174,10 @@ def part_parameters(
 
 
 def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
-    """Return a part's scene parameters with the stone sizes and the modulus scaled as `elements` says.
+    """Return the parameters for the scene of a line's part, with scaled stone sizes and a scaled elastic modulus.
 
-    `own` holds the parameters before scaling, and `narrowest` is the narrowest bore of the line [m].
+    `own` holds the parameters before scaling, `narrowest` is the narrowest bore of the pump line [m], and `elements`
+    states the factors.
     """
     given = modules()[SCENE].scene.declared(dict(own))
     whole = {**own, "modulus": elements.stiffer * given.modulus}
@@ -174,7 +185,8 @@ def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elemen
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
     factor = elements.coarse or max(1.0, LARGEST_STONE_RATIO * narrowest / most)
-    # Small plug balls would limit the time step, so they are enlarged together with the aggregate.
+    # The plug in the pipe consists of balls. They are enlarged together with the aggregate, because small balls would
+    # limit the time step.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
@@ -189,7 +201,10 @@ def _simulate(
     jobs: Sequence[tuple[Any, int, Any]], kinds: Mapping[Any, Part], runs: dict[tuple[Any, int], Any],
     out: Path | None, device: str | None, threads: int | None, progress: Callable[[str, float], None] | None,
 ) -> dict[str, float]:  # fmt: skip
-    """Run the simulations that are still missing, store them in `runs`, and return their wall times [s]."""
+    """Run the `jobs`, store their runs in the mapping `runs`, and return the wall times [s].
+
+    A key of `runs` is a pair of a kind of part and a seed. A key of the result is the name of a run's folder.
+    """
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:
         part = kinds[key]

@@ -24,37 +24,43 @@ from .losses import GRAVITY, straight_friction, with_layer_factor
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
 COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
-"""Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
-the number of the part before which the tap lies."""
+"""Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
+where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
+before which it sits."""
 SAME_FLOW = 0.02
-"""Relative difference up to which flows count as equal; they then do not tell yield stress from viscosity."""
+"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
+distinguish the yield stress of the slip layer from its viscosity."""
 DEPENDENT = 1e-3
-"""Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
+"""Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
+Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
-"""Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
+"""Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
+factor of bends. A fit with a constant that does not exceed its limit is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Slip yield [Pa] and factor of bends below which the points cannot tell the constant from nothing."""
+"""Smallest fitted values that differ from zero: yield stress of the slip layer [Pa] (index 1) and friction factor of
+bends (index 2). The measured points cannot distinguish a smaller value from zero; the constant then gets its default
+value."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
 
 @dataclass(frozen=True)
 class Tap:
-    """One measured pressure in a line."""
+    """Pressure that was measured at one place of a trial line."""
 
     place: float
-    """Distance from the pump along the line [m]."""
+    """Distance along the line from the pump to the place of the measurement [m]."""
     pressure: float
     """Measured pressure [Pa]."""
     flow: float
-    """Volume flow [m3/s]."""
+    """Volume flow in the line at which the pressure was measured [m3/s]."""
     row: int
-    """Line of the file."""
+    """Number of the line in the file from which the pressure was read, for messages."""
 
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """Constant of the fit with its 95 % confidence interval."""
+    """Constant of the slip layer or the bends that was fitted to a trial line, with its 95 % confidence interval."""
 
     name: str
     value: float
@@ -62,11 +68,11 @@ class FittedConstant:
     high: float
     unit: str
     fitted: bool
-    """False if the points do not determine the constant, which then keeps the value it had before."""
+    """True if the points determine the constant. Otherwise it keeps the value that it had before the fit."""
 
     @property
     def text(self) -> str:
-        """Value with its band in words."""
+        """Name, value and confidence interval of the constant as text, or a remark that it was not determined."""
         unit = f" {self.unit}" if self.unit else ""
         if not self.fitted:
             return f"{self.name} {self.value:.4g}{unit} (not determined by these points, kept)"
@@ -75,38 +81,46 @@ class FittedConstant:
 
 @dataclass(frozen=True)
 class LineFit:
-    """Fit of a line to its taps."""
+    """Slip layer and factor of bends that were fitted to the pressures at the taps of a line."""
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
-    """Slip viscosity, slip yield and, for a line with bends, their factor."""
+    """Fitted constants in this order: the viscosity of the slip layer, its yield stress and, if the line has bends, the
+    friction of bends divided by that of straight pipe."""
     pressures: tuple[float, ...]
-    """Fitted pressures at the taps [Pa]."""
+    """Pressures at the taps according to the fit [Pa], in the order of the taps."""
     uncertainty: float
-    """Half width of the 95 % confidence interval of the straight pipe's friction, relative to it."""
+    """Uncertainty of the friction of straight pipe: half the width of its 95 % confidence interval, divided by the
+    friction."""
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the measured from the fitted pressures [Pa]."""
+        """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
         off = self.deviations()
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 
     def deviations(self) -> np.ndarray:
-        """Return fitted less measured pressures [Pa], shape (taps,)."""
+        """Return the fitted pressures minus the measured ones [Pa], shape (taps,)."""
         return np.array(self.pressures) - [tap.pressure for tap in self.taps]
 
     def concrete(self, concrete: Concrete) -> Concrete:
-        """Return a concrete with the fitted slip layer."""
+        """Return a copy of a concrete that has the fitted slip layer."""
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return the concrete with the layer at both ends of its band, as the only cause of uncertainty."""
+        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its band.
+
+        The result maps the cause of uncertainty, 'slip layer', to this pair. After a fit there is no other cause.
+        """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         return {"slip layer": (low, high)}
 
     def line(self, line: PipeLine) -> PipeLine:
-        """Return the line whose bends have the fitted factor, unless their file states one."""
+        """Return the line whose bends have the fitted factor.
+
+        Bends whose factor the line's file states keep that factor.
+        """
         bends = self.constants[2] if len(self.constants) > 2 else None
         if bends is None or not bends.fitted:
             return line
@@ -117,7 +131,7 @@ class LineFit:
         return replace(line, parts=tuple(own(part) for part in line.parts))
 
     def record(self) -> dict[str, Any]:
-        """Return the fit as an entry of line.json."""
+        """Return the fit to the trial line as an entry of the file line.json."""
         return {
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
                           for x in self.constants},
@@ -171,7 +185,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
 
 
 def _is_free(part: Part) -> bool:
-    """Return whether the friction of a part is that of a bend whose factor is to be fitted."""
+    """Return True for a bend whose friction factor is fitted because the line's file states none."""
     return part.kind == "bend" and part.factor is None
 
 
@@ -182,9 +196,15 @@ class _Model:
         self.concrete, self.taps = concrete, taps
         starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
         self.kinds: dict[tuple[Any, ...], Part] = {}
-        """A part of each kind of straight pipe, whose friction per metre the others share."""
+        """For each kind of part, the first part of the pump line that is of this kind. A kind is a combination of bore,
+        outlet and slip layer. The friction per metre of the first part is calculated once and holds for all parts of
+        the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """For each tap, by kind: metres behind the tap that count as straight pipe, and metres of bends."""
+        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`.
+
+        The first length is that of straight pipe with the same friction as all parts whose factor is known. The second
+        length is that of the bends whose factor is fitted.
+        """
         self.rises: list[float] = []
         for tap in taps:
             own: dict[tuple[Any, ...], list[float]] = {}
@@ -194,7 +214,8 @@ class _Model:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                # Bends that are fitted start from straight pipe; all other parts weigh as in the prediction.
+                # A bend whose factor is fitted counts as straight pipe here, because the fit later multiplies its
+                # friction by the factor. All other parts have the same friction as in a prediction.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise
@@ -225,12 +246,16 @@ class _Model:
 
 
 def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
-    """Fit the slip layer, and the factor of bends, to pressures along a line by least squares.
+    """Fit the slip layer and the factor of bends to pressures along a line, by least squares.
 
-    `concrete` supplies density, viscosity and yield stress of the bulk, and values of constants that the points do not
-    determine. Pressures at a single flow do not tell the layer's yield stress from its viscosity, and taps with the
-    same proportion of bends behind them do not tell the factor of bends. All pressures have the same weight. Raises
-    :class:`SceneError` for too few points or an impossible result.
+    All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
+    It also supplies the fitted constants that the pressures do not determine:
+
+    - The yield stress of the layer, if all pressures were measured at a single flow. Such pressures do not distinguish
+      it from the layer's viscosity.
+    - The factor of bends, if bends have the same share in the line behind each gauge.
+
+    Raises :class:`SceneError` for too few measured points or an impossible result.
     """
     model = _Model(line, concrete, taps)
     measured = np.array([tap.pressure for tap in taps])
@@ -256,7 +281,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     found = _least_squares(model, measured, start, free)
     for place, value in ((2, 1.0), (1, 0.0)):
         if place in free and found[place] < NOTHING[place]:
-            # The points cannot tell this constant from nothing, so it gets a plain value and the others are fitted.
+            # The points cannot distinguish this constant from zero. Give it a default value, and fit the others again.
             free.remove(place)
             start[place] = value
             if place == 2:
@@ -275,7 +300,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
         value, wide = float(found[place]), float(widths.get(place, 0.0))
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths))  # fmt: skip
-    # The error of straight pipe's friction follows from those of the layer's constants, which depend on each other.
+    # The errors of the slip layer's two constants are correlated. The error of a straight pipe's friction therefore
+    # follows from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
@@ -285,13 +311,17 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
 
 
 def _metre(line: PipeLine) -> PipeLine:
-    """Return a metre of level pipe of the line's first diameter."""
+    """Return a line that consists of one metre of level pipe with the first diameter of the given line."""
     first = line.parts[0].diameter
     return replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the constants that the points determine; `slopes` are the sensitivities to the constants `free`."""
+    """Return the first constants of `free`, as many as the measured points determine.
+
+    `slopes` are the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). The
+    last constant is dropped as long as the columns of `slopes` are linearly dependent.
+    """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
         if np.linalg.matrix_rank(scaled, tol=DEPENDENT) == len(free):
@@ -301,7 +331,7 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
 
 
 def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
-    """Refuse points that are too few to determine the free constants with a band."""
+    """Refuse measured points that are too few to determine the free constants and their uncertainty."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
         counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
@@ -310,7 +340,7 @@ def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
 
 
 def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
-    """Refuse constants that are impossible."""
+    """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
     for place in free:
         if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
             unit = f" {UNITS[place]}" if UNITS[place] else ""
@@ -321,7 +351,7 @@ def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
 
 
 def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
-    """Return the constants that minimise the squared deviations, by damped Gauss-Newton steps."""
+    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps."""
     own, places = start.copy(), list(free)
     off = model.pressures(own) - measured
     for _ in range(ITERATIONS):
@@ -346,7 +376,11 @@ def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free:
 
 
 def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
-    """Return the fit as lines of Markdown: constants, quality, what to write into the files, and the taps."""
+    """Return a report on the fit as lines of Markdown.
+
+    The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
+    the files of the concrete and of the line, and a table of the taps.
+    """
     eta, tau, *bends = fit.constants
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))

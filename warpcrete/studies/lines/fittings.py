@@ -1,4 +1,7 @@
-"""Friction of bends, reducers, hoses, valves and bores over that of straight pipe: its range, and who found it."""
+"""Factors of friction of bends, reducers, hoses, valves and changes of bore, relative to straight pipe.
+
+Each kind of part has a range of factors and the source of this range.
+"""
 
 from __future__ import annotations
 
@@ -18,28 +21,29 @@ PARK = "Park et al., ACI Mater. J. 117-3 (2020) 205 (133, 369 and 560 m, four co
 VALVE_PRESSURE = 0.8e6
 """Pressure loss of a stop valve [Pa] (JGJ/T 10)."""
 REDUCER_EXTRA_LOSS = ((0.0, 0.0208, 0.025, 0.0417, 0.05, 0.0833), (0.0, 0.047, 0.082, 0.117, 0.161, 0.452))
-"""Additional pressure loss of a reducer, relative to straight pipe of its bores and length (second row), by the change
-of its radius over its length (first row). Source: simulated flows of the concrete no1 at 20 and 30 m3/h through
-reducers from 150 to 125 mm and from 125 to 100 mm over 0.15 to 0.6 m, with 12 cells across. A pipe that widens from 100
-to 125 mm over 0.5 m has 0.993 times the friction."""
+"""Additional pressure loss of a reducer, as a fraction of the loss in straight pipe of the same bores and length. The
+first tuple holds changes of radius divided by the length of the reducer, the second the additional loss at each of
+them. Source: simulated flows of the concrete no1 at 20 and 30 m3/h through reducers from 150 to 125 mm and from 125 to
+100 mm over 0.15 to 0.6 m, with 12 cells across. In a pipe that widens from 100 to 125 mm over 0.5 m, the simulated loss
+is 0.993 times that of straight pipe."""
 METHODS_ON_BENDS = (
     "Simulated as a fluid, a bend of 90 degrees costs 2 to 13 % more than straight pipe of its length; simulated with "
     "stones, it costs the same for a radius of 0.5 m or more, and half as much again for 0.25 m; therefore count it "
     "by its length, and allow for three times that."
 )
-"""One sentence for site engineers about what flows and discrete elements find in pipes of 150 mm."""
+"""Sentence for site engineers on the friction of bends in pipes of 150 mm, by flows and by discrete elements."""
 
 
 @dataclass(frozen=True)
 class ModelError:
-    """Range of the friction of one kind of part, relative to straight pipe of its length."""
+    """Lowest and highest friction of one kind of part, relative to straight pipe of the same length."""
 
     cause: str
-    """Name of this cause of uncertainty, such as 'bends'."""
+    """Name under which this kind of part appears among the causes of a pressure's uncertainty, such as 'bends'."""
     low: float
     high: float
     source: str
-    """Publications and rules from which the ends of the range come."""
+    """Publications and rules that gave the lower and the upper end of the range."""
 
 
 MODEL_ERRORS = {
@@ -49,14 +53,20 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Ranges of friction by kind of part; the upper end of a valve's range is :data:`VALVE_PRESSURE`."""
+"""Range of a part's friction divided by that of straight pipe, by kind of part. For a valve, the upper end follows from
+the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of straight pipe."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
-    """Return the range of a part's friction relative to that of straight pipe of its length and bores.
+    """Return the range of a part's friction, divided by the friction of straight pipe, or None without a range.
 
-    `straight` is the friction of this straight pipe [Pa]. The result is None for straight pipe and for a part whose
-    friction the line's file states; a fitted factor has the range of the fit.
+    The range consists of the lowest and the highest value. The straight pipe has the same length and bores as the part,
+    and `straight` is its friction [Pa]. The range depends on the part:
+
+    - If the line's file states a factor for the part, or a fit to a trial line determined the factor, the result is
+      what is stored with the factor: a range or None.
+    - For all other parts, it is the range of the model for this kind of part. Straight pipe needs no model, so the
+      result is None.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:
@@ -67,7 +77,7 @@ def range_of(part: Part, straight: float) -> tuple[float, float] | None:
 
 
 def uncertain_kinds(parts: Iterable[Part]) -> tuple[str, ...]:
-    """Return the kinds of parts in a line whose friction is uncertain, in the order of the line."""
+    """Return the kinds of parts with uncertain friction, such as 'bend', in the order in which they occur in a line."""
     return tuple(dict.fromkeys(p.kind for p in parts if p.kind in MODEL_ERRORS and _is_uncertain(p)))
 
 
@@ -76,22 +86,29 @@ def _is_uncertain(part: Part) -> bool:
 
 
 def library_factor(part: Part) -> float:
-    """Return the friction of a bend or reducer relative to straight pipe by simulated flows of similar parts.
+    """Return the friction of a bend or reducer, divided by that of straight pipe of the same length and bores.
 
-    The result is 1 for other parts, and for a part whose friction the line's file states.
+    The factor is interpolated between those of simulated flows through bends and reducers of other sharpness. The
+    result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
     """
     if part.factor is not None:
         return 1.0
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # A pipe that widens costs what straight pipe of its bores costs.
+        # A pipe that widens has the friction of straight pipe with the same bores, because the interpolation is
+        # constant outside the table.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 
 
 def is_in_library(part: Part) -> bool:
-    """Return whether parts as sharp as this one were simulated for the library."""
+    """Return whether the friction of a pipe part can be found without a simulation.
+
+    This is so if the line's file states the part's factor, and for all kinds of parts other than bends and reducers.
+    The friction of a bend or reducer is in the table of simulated ones, unless the part is sharper than the sharpest of
+    these.
+    """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True
     if part.kind == "bend":

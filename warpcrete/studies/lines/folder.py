@@ -1,4 +1,4 @@
-"""Folder of a simulated line: it holds one run for each kind of part, and an interrupted line continues in it."""
+"""Folder of a simulated pump line, with one run for each kind of part; an interrupted simulation continues in it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ def check_known(known: Path | None) -> None:
 
 
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
-    """Return the folder of a finished run of the same scene in the folders of several lines; None if there is none.
+    """Return the folder of a finished run of the same scene, or None if there is none.
 
-    `digest` identifies a mesh file and must be part of the folder's name.
+    The folders of several pump `lines` are searched. If the simulated part has a mesh, `digest` is the checksum of the
+    mesh file. Then only folders whose name contains this checksum are considered.
     """
     parts = [line / PARTS for line in lines if line is not None]
     return next((path for each in parts for path, finished in _same(each, scene, digest) if finished), None)
@@ -34,9 +35,10 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
 def part_simulation(
     scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a part and the checkpoint from which it continues; the checkpoint may be None.
+    """Return the simulation of a part of a pump line, and the checkpoint from which it continues (None at a new start).
 
-    The run folder is the interrupted one of the same scene in `out`, or else a new one called `called`.
+    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues in the folder
+    of that run. Otherwise, it starts in a new folder with the name `called`.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None
@@ -49,7 +51,7 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield each folder with a run of the same scene, and whether that run is complete."""
+    """Yield each folder in `folder` that holds a run of the given scene, and True if that run is complete."""
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():
@@ -62,7 +64,10 @@ def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _free_folder(folder: Path) -> Path:
-    """Return `folder`, or a numbered variant of it if it exists; names of similar parts may agree after rounding."""
+    """Return the path `folder`, or this path with a number appended if it exists.
+
+    A folder's name contains rounded dimensions of a part of a pump line, so similar parts may have the same name.
+    """
     count, free = 1, folder
     while free.exists():
         count += 1

@@ -1,4 +1,4 @@
-"""Lock of a line's folder: an interrupted line continues in it, and another line is refused."""
+"""Lock of the folder of a simulated line; it admits the same line after an interruption, and refuses another one."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from ...core.run.files import read_json, write_json
 from ...core.run.folders import locked_folder, new_folder
 
 LINE_RECORD = "asked.json"
-"""Name of the file that describes the folder's line until all its runs are finished."""
+"""Name of the file with the inputs of the simulated line; the file exists until all runs of the line are finished."""
 PARTS = "parts"
-"""Name of the folder that holds the runs of the parts."""
+"""Name of the folder that holds the simulation runs of the line's parts."""
 
 
 @contextmanager
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
-    """Lock the folder of a line during a `with` block: a new folder, or that of the same interrupted line.
+    """Lock the folder of a line during a `with` block.
 
-    `asked` holds everything on which the line's runs depend, as JSON; `out` may be None for no folder. A block that
-    fails before any run leaves no folder. Raises :class:`RunFolderError` if the folder exists and is complete or
-    belongs to another line.
+    The folder is new, or it is that of an interrupted line, which continues. `asked` holds all inputs on which the
+    line's runs depend, as JSON. With None for `out`, the function does nothing. A folder in which the block has not
+    begun any run is removed if the block fails. Raises :class:`RunFolderError` if the folder exists and holds a
+    finished line, or an interrupted line with other inputs.
     """
     if out is None:
         yield

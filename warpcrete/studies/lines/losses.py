@@ -1,4 +1,4 @@
-"""Closed-form pressure losses of the parts of a pump line."""
+"""Friction of the parts of a pump line by closed forms, and its dependence on the slip layer."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ __all__ = [
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
 PLACES, WEIGHTS = np.polynomial.legendre.leggauss(8)
-"""Places between -1 and 1 along a tapered part at which the friction is evaluated, and their weights (Gauss)."""
+"""Places between -1 and 1 along a tapered part at which the friction is evaluated, and the weights with which the
+values are summed (Gauss-Legendre quadrature)."""
 
 
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
     """Return a part's friction [Pa] by the closed form for a straight pipe of the same bore and length.
 
-    The result is multiplied by the factor that the line's file states for the part, or by that of a hose.
+    The closed form is multiplied by the factor that the line's file states for the part. A hose without a stated factor
+    is multiplied by the factor of the program's model of hoses.
     """
     return straight_friction(part, concrete, flow) * part.relative
 
@@ -48,7 +50,8 @@ def straight_friction(part: Part, concrete: Concrete, flow: float) -> float:
 def _friction_per_metre(concrete: Concrete, diameter: float, outlet: float, flow: float) -> float:
     """Return the mean friction per metre [Pa/m] of a pipe whose bore changes evenly from `diameter` to `outlet` [m].
 
-    Most parts of a line share their bores, and the band evaluates each of them for many concretes.
+    The results are cached, because most parts of a line have the same bores, and because the uncertainty band needs the
+    friction of the same parts for many concretes.
     """
 
     def per_metre(bore: float) -> float:

@@ -24,9 +24,11 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
 
 
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
-    """Refuse scenes to which Zhan's Eq. 13 does not apply, and an unsuitable `other` result, read from `source`.
+    """Refuse a scene to which Eq. 13 of Zhan et al. (2019) does not apply, or a second result that does not suit it.
 
-    Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
+    Eq. 13 combines results of vertical and horizontal pipe. `other` is the result of a run with pipe in the other
+    direction, and `source` the place from which it was read, for error messages. Raises :class:`SceneError` for the
+    scene and :class:`RunFolderError` for the result.
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
@@ -55,12 +57,12 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
 def pipeline_estimate(
     run: Run, height: float, distance: float, other: dict[str, Any] | None = None
 ) -> dict[str, Any] | None:
-    """Return a pipeline's pressure by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
+    """Return the pressure of a pipeline by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
 
-    `height` and `distance` are the lengths of vertical and horizontal pipe [m]. The run gives the pressure per metre in
-    its own direction. `other`, the result.json of a run of the other straight unit, gives the pressure per metre in the
-    other direction. Without `other`, the weight of the concrete is subtracted or added, and the result states this
-    assumption.
+    `height` and `distance` are the lengths of vertical and horizontal pipe in the pipeline [m]. The run pumps through a
+    vertical or a horizontal pipe and gives the pressure per metre in this direction. `other` is the content of the
+    result.json of a run in the other direction, and gives the pressure per metre in that direction. Without `other`,
+    the weight of the concrete is subtracted or added instead, and the result states this assumption.
     """
     if "plateau_pressure" not in run.result:
         return None

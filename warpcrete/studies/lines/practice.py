@@ -1,7 +1,8 @@
-"""Rules of practice for the pressure of a pump line (AIJ, JSCE and JGJ/T 10), beside the program's result.
+"""Rules of practice (AIJ, JSCE, JGJ/T 10) for the pressure of a pump line, for comparison with the program's result.
 
-AIJ and JSCE count parts as straight pipe, whose friction they take from a measurement; here it is the program's.
-JGJ/T 10 gives pressures for parts, whatever the concrete and the flow.
+AIJ and JSCE convert bends, reducers and hoses to lengths of straight pipe, and take the friction of straight pipe from
+a measurement. Here, the friction that the program calculates replaces the measurement. JGJ/T 10 states the pressure
+losses themselves, which depend neither on the concrete nor on the flow.
 """
 
 from __future__ import annotations
@@ -17,28 +18,34 @@ from .fittings import AIJ, JGJ, JSCE
 
 GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "hose": "hoses", "valve": "valves",
           "bore": "bores"}  # fmt: skip
-"""Columns of the comparison, by kind of part."""
+"""Headings of the columns in the table of rules, by the kind of part that a column sums up."""
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
-"""Friction relative to straight pipe of a part's length (AIJ)."""
+"""Friction of a kind of part divided by that of a straight pipe of the same length, by a rule of the Architectural
+Institute of Japan (AIJ). Kinds that are not listed have the factor 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
-"""Diameters [m], and metres of level pipe that stand for one metre of rise, weight included (JSCE)."""
+"""Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
+diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
+includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
-"""Metres of level pipe that stand for a bend of 90 degrees, a reducer, and a hose of 5 to 8 m (JSCE)."""
+"""Rule of the JSCE: lengths of level pipe [m] with the same friction as a bend of 90 degrees, a reducer, and a hose of
+5 to 8 m. JSCE_HOSE_LENGTH is the greatest length of such a hose [m]."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
-"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10)."""
+"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10).
+JGJ_HOSE_LENGTH is the greatest length of such a hose [m]."""
 
 
 @dataclass(frozen=True)
 class PracticeRow:
-    """Pressure of a line by one rule, split by kind of part."""
+    """Pressure of a line by one rule of practice, split by kind of part."""
 
     rule: str
     pressures: dict[str, float]
-    """Pressures [Pa] by kind of part; weight counts with the part that rises."""
+    """Pressure losses in the pump line [Pa], summed over the parts of each kind. The weight of rising concrete counts
+    for the kind of the part in which the concrete rises."""
     implies: str
-    """Friction and weight that the rule implies, in words."""
+    """Sentence on the friction, and the pressure of rising concrete, that the rule assumes."""
     source: str = ""
 
     @property
@@ -48,12 +55,12 @@ class PracticeRow:
 
 
 def _level(part: Part) -> float:
-    """Return the level length of a straight part [m], which may slope."""
+    """Return the horizontal length of a straight part that may slope [m]."""
     return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
 
 
 def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, float]:
-    """Return the sums of a pressure loss over the parts of each kind [Pa]."""
+    """Sum the pressure `loss` of the parts [Pa]; return one sum for each kind of part, such as bends."""
     found: dict[str, float] = {}
     for part in parts:
         found[part.kind] = found.get(part.kind, 0.0) + loss(part)
@@ -61,10 +68,10 @@ def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, f
 
 
 def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
-    """Return the pressure of a line by each rule.
+    """Return the pressure of a pump line by each rule of practice, with the assumptions of the rule.
 
-    `straight` is the friction [Pa] of straight pipe with the length and bores of each part, by the part's number, and
-    `weight` the pressure of a metre of rise [Pa/m].
+    `straight` maps the number of each part of the line to the friction [Pa] of a straight pipe with the length and
+    bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m].
     """
 
     def per_metre(part: Part) -> float:
@@ -108,7 +115,10 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
 
 
 def practice_lines(ours: PracticeRow, rows: list[PracticeRow]) -> list[str]:
-    """Return a table of pressures [bar] by rule and kind of part as lines of Markdown, with what the rules imply."""
+    """Return a table of pressures [bar] as lines of Markdown, followed by what each rule assumes.
+
+    The table has one row for each rule and for this result, and one column for each kind of part.
+    """
     kinds = [kind for kind in GROUPS if any(kind in row.pressures for row in (ours, *rows))]
     found = [f"| | pressure [bar] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]
     for row in (ours, *rows):

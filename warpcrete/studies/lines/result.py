@@ -23,17 +23,22 @@ from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, is_in_library, range_of, u
 from .losses import GRAVITY, friction, straight_friction, with_layer_factor
 from .practice import PracticeRow, practice_lines, practice_rows
 
+HIGHEST_PUMP = 400e5
+"""Highest pressure of concrete that a pump is known to deliver [Pa]: the pump of Burj Khalifa
+(https://www.khl.com/news/world-record-pump-height/1006787.article)."""
+
 
 @dataclass(frozen=True)
 class Loss:
-    """Pressure losses of one part of a line."""
+    """Pressure losses of one part of a line, by friction and by weight."""
 
     part: Part
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction by the closed form [Pa]: that of straight pipe of the same bore and length, times the part's stated
-    factor or the model of hoses and valves."""
+    """Friction of the part by the closed form [Pa]: the friction of straight pipe of the same bore and length,
+    multiplied by a factor. The factor is the one that the line's file states. If the file states none, a hose gets the
+    factor of its model, and other parts get 1."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
@@ -44,11 +49,18 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of the friction relative to straight pipe, by the model error of the part; None without an error."""
+        """Range of the friction of a part due to the error of the part's model, divided by that of straight pipe.
+
+        The value is None for parts without such an error, such as straight pipe.
+        """
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
-        """Return the friction at the lower (0) or upper (1) end of its range [Pa], which includes the friction."""
+        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
+
+        The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
+        outside these limits, it replaces the nearer one. Without a range, both limits equal the computed friction.
+        """
         if self.range is None:
             return self.friction
         return (min, max)[end](self.range[end] * self.straight, self.friction)
@@ -59,11 +71,11 @@ class Stop:
     """Time for which a full line stands still, and the growth of the concrete's yield stresses meanwhile."""
 
     rest: float
-    """Duration [s]."""
+    """Duration of the pump's stop [s]."""
     growth: float
-    """Growth rate of the yield stresses [Pa/s]."""
+    """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
-    """Smallest and largest growth rate [Pa/s]; None if `growth` is certain."""
+    """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
 
 
 @dataclass(repr=False)
@@ -73,25 +85,27 @@ class LineResult:
     line: PipeLine
     concrete: Concrete
     flow: float
-    """Flow rate [m3/s]."""
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
     losses: list[Loss]
-    """Losses of the parts, from the start of the line to its end."""
+    """Pressure losses of each part, in the order from the start of the line to its end."""
     layer_factor: float
-    """Factor by which the resistance of the slip layer may be wrong, in both directions."""
+    """Factor of the uncertainty of the slip layer: its resistance may be larger or smaller by this factor."""
     simulated: bool
     """True if friction comes from simulations and not from the closed form."""
     folder: Path | None = None
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation [s], by its folder's name."""
+    """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
-    """Pairs of concretes by the cause of their uncertainty; None if only the slip layer is uncertain, by
-    `layer_factor`."""
+    """Pairs of concretes; the keys are the causes of uncertainty. In each pair, the properties of one cause are at the
+    lower and at the upper end of their band. None means that only the resistance of the slip layer is uncertain, by the
+    factor `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None
-    """Fit of the slip layer and of the bends to a trial line; None if the concrete's own constants hold."""
+    """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
+    None if no trial line was given."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -132,7 +146,7 @@ class LineResult:
 
     @property
     def motor_power(self) -> float:
-        """Power of the pump's motor [W], by the efficiency of practice."""
+        """Power of the pump's motor [W], with the efficiency that a rule of practice assumes."""
         return motor_power(self.pressure, self.flow)
 
     @property
@@ -147,25 +161,29 @@ class LineResult:
 
     @property
     def margin(self) -> PumpMargin | None:
-        """Comparison with the data sheet of the line's pump; None if the line names no pump."""
+        """Comparison of the line's needs with the data sheet of its pump; None if the line names no pump."""
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def band(self) -> Band:
-        """Return the pressure at the start of the line [Pa] with its band and the share of each cause of the band."""
+        """Return the pressure at the start of the line [Pa], its uncertainty band, and each cause's share of it."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Return places along the line between its parts [m], and the pressure there with its band [Pa].
+        """Return positions along the pump line [m], and the pressure there with its uncertainty band [Pa].
 
-        For each cause, the pressure is calculated with this cause alone at both ends of its own band. Causes are the
-        concrete and the model errors of fittings; all bends of a line deviate in the same direction. Simulated friction
-        of another concrete is scaled in proportion to the closed form.
+        The positions are the start of the line and the end of each part, and both results have parts + 1 entries. The
+        uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
+        friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
+        calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
+        changed together. The friction of a simulated part was found with one concrete only. For changed constants, it
+        is multiplied by a ratio: the closed form's friction with the changed constants over that with the original
+        ones.
         """
         return self._bands
 
     @functools.cached_property
     def _bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Places and bands as :meth:`bands` returns them, calculated once."""
+        """Result of :meth:`bands`, calculated at the first use and then stored."""
         places, ours = self.course(lambda loss: loss.friction + loss.weight)
         ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
         for kind in uncertain_kinds(self.line.parts):
@@ -181,10 +199,11 @@ class LineResult:
         return places, found
 
     def restart(self, flow: float = 0.0) -> Band:
-        """Return the pressure at the pump that sets the line in motion after the stop [Pa], by the closed form.
+        """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
 
-        With a `flow` of 0 [m3/s], the result is the pressure at which motion begins; with a larger `flow`, it is the
-        pressure for restarting at that flow at once. Fittings have their friction relative to straight pipe.
+        With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
+        `flow`, it is the pressure for restarting at that flow at once. Straight pipe follows from the closed form, and
+        fittings keep the ratio of their friction to that of straight pipe.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"
@@ -215,7 +234,7 @@ class LineResult:
         return combined(value, ends)
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
-        """Return the pressure of the line, split by kind of part, by this result and by rules of practice."""
+        """Return the pressure of the line by this result, and by each rule of practice, both split by kind of part."""
         ours: dict[str, float] = {}
         for x in self.losses:
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
@@ -224,7 +243,7 @@ class LineResult:
         return PracticeRow("this result", ours, ""), rows
 
     def _restart_record(self) -> dict[str, Any] | None:
-        """Return the restart after the stop as an entry of line.json."""
+        """Return the pressures that restart the line after a stop, as an entry of line.json; None without a stop."""
         if self.stop is None:
             return None
         record: dict[str, Any] = {"rest": quantity(self.stop.rest, "s"), "growth": quantity(self.stop.growth, "Pa/s")}
@@ -240,7 +259,7 @@ class LineResult:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressure between the parts [Pa] if the line is filled with another concrete."""
+        """Return the pressures at the line's start and its parts' ends [Pa], if another concrete fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory
@@ -250,14 +269,14 @@ class LineResult:
 
     @property
     def band_text(self) -> str:
-        """Description of the uncertainty band of the pressure, for the user."""
+        """Sentences for the user that split the uncertainty of the line's pressure by its causes."""
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
+        """Return the ends of all parts along the pump line [m] and the pressures there [Pa], shape (parts + 1,).
 
-        `of` gives the pressure loss of a part. The pressure never falls below zero: where concrete runs down faster
-        than it is pumped, the column breaks and transmits no tension.
+        The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
+        where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
         found = [0.0]
@@ -272,6 +291,9 @@ class LineResult:
         found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts of the library of simulated parts; "
                   "--simulate computes it" for x in self.losses
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
+        if self.pressure > HIGHEST_PUMP:
+            found.append(f"no concrete pump is known to deliver more than {HIGHEST_PUMP / 1e5:.0f} bar; use a wider "
+                         "pipe, a smaller flow, concrete with less friction, or a second pump on the way")  # fmt: skip
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
@@ -280,7 +302,7 @@ class LineResult:
         return found
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of line.json."""
+        """Return the results of the line as the contents of the file line.json."""
         places, bands = self.bands()
         band, margin = bands[0], self.margin
         return {
@@ -328,9 +350,9 @@ class LineResult:
 
 
 def lines_of(result: LineResult, practice: bool = False) -> list[str]:
-    """Return a headline, answers and a table of the parts as lines of Markdown.
+    """Return the result of a pump line as lines of Markdown: a headline, answers, and a table of the line's parts.
 
-    With `practice`, a table compares the result with rules of practice.
+    With `practice`, a further table compares the result with rules of practice.
     """
     band = result.band()
     fitted = () if result.fit is None else ("slip layer", "bends")

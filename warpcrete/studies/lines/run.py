@@ -15,6 +15,7 @@ from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
+from .fittings import is_in_library, library_factor
 from .folder import check_known, part_simulation, previous_run
 from .line_folder import LINE_RECORD
 from .losses import GRAVITY, friction, with_layer_factor
@@ -22,13 +23,13 @@ from .result import LineResult, Loss, Stop
 from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_result
 
 CELLS = 12
-"""Default number of cells across the narrowest bore of a bend or reducer. With 12 cells, the pressure loss of straight
-stretches in parts of 125 mm deviates from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
-"""
+"""Default number of cells across the narrowest bore of a bend or reducer. In parts of 125 mm, the pressure loss of
+straight stretches deviates from theory by -0.7 to 1.7 % with 12 cells, and by 1.6 % with 8 cells."""
 TUBE_CELLS = 20
-"""Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
+"""Number of particles across the bore of a simulated straight pipe. It may be larger than in bends and reducers because
+a periodic pipe is short and cheap to simulate."""
 STRAIGHT_DIAMETERS = 2.5
-"""Length of straight pipe before and behind a simulated bend or reducer [diameters]."""
+"""Length of straight pipe before and behind a simulated bend or reducer, in pipe diameters."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -40,6 +41,7 @@ def run_line(
     out: Path | None = None,
     known: Path | None = None,
     simulate: bool = False,
+    unless_known: bool = False,
     cells: int = CELLS,
     layer_factor: float = LAYER_FACTOR,
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None,
@@ -51,14 +53,19 @@ def run_line(
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
     By default, the answer is that of :func:`line_by_theory`. With `simulate`, each kind of part is simulated once,
-    without weight. Straight pipe is periodic. A bend or reducer lies between straight stretches with `cells` cells
-    across the narrowest bore, and its loss excludes that of these stretches. The band of the pressure belongs to a
-    slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, as
-    :attr:`warpcrete.mix.mix.Mix.variants` gives them, and to the model errors of fittings. After a `stop`, the line
-    starts again. Runs are stored in the new folder `out`, or in one locked by
-    :func:`warpcrete.studies.lines.line_folder.line_folder`, where interrupted runs continue; finished runs in `known`,
-    the folder of an earlier line, are reused. Raises :class:`SceneError` for an
-    impossible flow or setting.
+    without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
+    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. With `unless_known` as well,
+    only parts that the table of simulated parts does not cover are simulated, and the others are answered by theory.
+
+    The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
+    `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see
+    :attr:`warpcrete.mix.mix.Mix.variants`). With a `stop`, the result includes the pressure that starts the line again
+    after the pump has rested.
+
+    Runs are stored in the folder `out`. It must be new, or be locked by
+    :func:`warpcrete.studies.lines.line_folder.line_folder`; in the latter case, interrupted runs continue. Finished
+    runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an impossible flow or
+    setting.
     """
     check_settings(flow, layer_factor)
     between("cells", cells, 8, math.inf)
@@ -68,7 +75,9 @@ def run_line(
     if not simulate:
         return line_by_theory(line, concrete, flow, out=out, layer_factor=layer_factor, variants=variants, stop=stop)
     tell = progress or (lambda phase, fraction, figures: None)
-    kinds = {part.loss_key: part for part in line.parts if part.factor is None}
+    kinds = {
+        part.loss_key: part for part in line.parts if part.factor is None and not (unless_known and is_in_library(part))
+    }
     cases = {key: _scene_of_part(part, concrete, flow, cells) for key, part in kinds.items()}
     # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
@@ -101,11 +110,10 @@ def run_line(
     losses = []
     for part in line.parts:
         theory = friction(part, concrete, flow)
-        ours = (
-            theory
-            if part.factor is not None
-            else found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
-        )
+        if part.loss_key in found and part.factor is None:
+            ours = found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
+        else:
+            ours = theory * library_factor(part)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(line, concrete, flow, losses, layer_factor, True, out, took, failed, variants, stop)
     if out is not None:
@@ -114,7 +122,7 @@ def run_line(
 
 
 def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
-    """Return the scene's name and the parameters that simulate a kind of part without weight."""
+    """Return the name of the scene and the parameters with which it simulates a part without gravity."""
     concrete = with_layer_factor(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONCRETE_CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
@@ -134,7 +142,7 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
 
 
 def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
-    """Return the friction of a bend or reducer [Pa], or of a straight pipe per metre [Pa/m], from its run."""
+    """Return the friction of a bend or reducer [Pa], or of a metre of straight pipe [Pa/m], from its run's result."""
     if part.is_by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)

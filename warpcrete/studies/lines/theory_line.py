@@ -1,6 +1,8 @@
-"""Pressure of a pump line by closed forms and by factors of simulated fittings, within a tenth of a second.
+"""Pressure of a pump line, calculated in a tenth of a second without any simulation.
 
-This module must not import the simulations, because Warp alone takes longer to import than the answer takes.
+Straight pipe follows from closed forms. Bends and reducers have the friction, relative to straight pipe, that earlier
+simulations of such parts gave. This module must not import the simulations, because importing Warp alone takes longer
+than the calculation.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ LAYER_FACTOR = 2.0
 
 
 def check_settings(flow: float, layer_factor: float) -> None:
-    """Refuse an impossible flow [m3/s] or factor of the slip layer's band."""
+    """Refuse a flow [m3/s] that is not positive, and a factor of the slip layer's uncertainty below 1."""
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
 
@@ -41,10 +43,17 @@ def line_by_theory(
 ) -> LineResult:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` without any simulation.
 
-    Straight pipe follows the closed form, and bends and reducers have the factors of earlier simulations. The band
-    belongs to a slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, and
-    to the model errors of fittings. After a `stop`, the line starts again. `fit` is the
-    fit from which line and concrete come. With a folder `out`, the result is written
+    The pressure of straight pipe follows from the closed form. For bends and reducers, the pressure of straight pipe is
+    multiplied by factors from earlier simulations.
+
+    The uncertainty band has two causes:
+
+    - the error of these factors,
+    - the concrete: the resistance of the slip layer is multiplied and divided by `layer_factor`, or the pairs of
+      concretes in `variants` are used.
+
+    With a `stop`, the result includes the pressures that restart the line. If `line` and `concrete` come from a fit to
+    measured pressures, `fit` is this fit, which the report then describes. With a folder `out`, the result is written
     there. Raises :class:`SceneError` for an impossible flow or setting.
     """
     check_settings(flow, layer_factor)

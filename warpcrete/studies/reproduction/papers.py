@@ -16,8 +16,8 @@ MIN_GROWTH = 0.03
 """Relative growth of a pressure above which it counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
-"""Function that judges a claim of the paper from the values of a parameter and the pressures at these values [Pa]. It
-returns whether the claim holds, and a short text on what was found."""
+"""Function that judges a claim of a paper. Its arguments are the values of a parameter and the pressure at each value
+[Pa]. It returns whether the claim holds, and a short text on what was found."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,10 @@ def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether pressures are equal from the third diameter on but far higher in the narrowest pipe.
+    """Return whether the narrowest pipe needs a far higher pressure than all pipes from the third diameter on.
 
-    The second result is a short text that describes the pressures.
+    The pressures from the third diameter on must also be equal. The second result is a short text that describes the
+    pressures.
     """
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
@@ -86,9 +87,9 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether the first two pressures are nearly equal and the pressures grow from the second one on.
+    """Return whether pressures first stay nearly equal and then grow, and a short text that describes them.
 
-    The second result is a short text that describes the pressures.
+    The first two pressures must be nearly equal, and the pressures must grow from the second one on.
     """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])
@@ -96,8 +97,8 @@ def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tu
 
 
 NEEDS_ALL_VALUES = (judge_narrow, judge_late_growth)
-"""Functions that can judge a claim only from the pressures at all values of the parameter. A single missing run leaves
-the claim undecided."""
+"""Functions that judge a claim of the paper and need the pressures at all values of the varied parameter. If a single
+run is missing, such a function leaves the claim undecided."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -137,9 +138,12 @@ CONCRETES: dict[str, dict[str, Any]] = {
     "calibrated": {"concrete": "zhan"},
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
-"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same concrete with a wall layer and wall
-friction calibrated on vertical and horizontal pipe (units A and B); and loosely packed stones with a modulus of 1e7 Pa,
-the same friction and another layer.
+"""Parameters of the concretes in the reproduction.
+
+- "literal" is the concrete of Table 1 of Zhan et al. as printed.
+- "calibrated" is the same concrete with a wall layer and wall friction that were calibrated on vertical and horizontal
+  pipe (units A and B).
+- "stiff stones" has loosely packed stones with a modulus of 1e7 Pa, the same wall friction and another layer.
 """
 
 OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
@@ -153,10 +157,10 @@ OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets instead of the exact one"),
     "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls instead of two (six in bends)"),
 }  # fmt: skip
-"""Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
-concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the
-pressures of the pipe units used for calibration (A and B) may change.
-"""
+"""Assumptions about details that Zhan et al. (2019) leave open. Each entry has three elements: parameters that are
+added to those of the calibrated concrete, the groups of runs that are made with them, and a description. The
+calibration is not repeated with the added parameters. The pressures of the pipe units A and B, to which the concrete
+was calibrated, may therefore change."""
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 
@@ -171,9 +175,9 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def column_parameters(name: str) -> dict[str, Any]:
-    """Return the parameters of a report column.
+    """Return the parameters of the concrete to which a column of the report belongs.
 
-    A column stands for one of the concretes, or for the calibrated concrete with one of the open assumptions.
+    This is one of the named concretes, or the calibrated concrete with one of the open assumptions.
     """
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN_ASSUMPTIONS[name][0]}
 
@@ -193,15 +197,14 @@ XU_SPACINGS = (20e-3, 10e-3, 5e-3)
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
 """Thicknesses of the slip layer in the study of Xu, Li & Jiang 2021 [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
-"""Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
-form gives 9.43e3 Pa and 0.186 m/s.
-"""
+"""Pressure [Pa] and slip velocity [m/s] of concrete no. 1 at the reference flow, as printed in Xu, Li & Jiang (2021).
+The closed form in the same paper gives 9.43e3 Pa and 0.186 m/s."""
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
-    """Return, for each group of Xu's cases, the scenes and parameters of the cases.
+    """Return, for each group of the cases of Xu, Li & Jiang (2021), the scenes and parameters of the cases.
 
-    The paper computes flow between planes (scene `channel`); the round pipe (scene `tube`) is our addition.
+    The paper computes flow between planes (scene `channel`); the cases in a round pipe (scene `tube`) are an addition.
     """
     column = {"length": 0.3, "diameter": 0.1}
     flows = XU_FLOWS[1::2] if quick else XU_FLOWS

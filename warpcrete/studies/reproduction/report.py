@@ -168,7 +168,8 @@ def _with_scatter(values: list[float]) -> str:
 def _pipelines(found: Reproduction) -> Iterator[str]:
     """Yield a table with the pressures of whole pipelines, line by line.
 
-    The pressures follow from Eq. 13 of the paper and the final pressures of the straight pipe units (A and B).
+    Eq. 13 of Zhan et al. (2019) computes these pressures from the final pressures of the simulated vertical and
+    horizontal pipe (units A and B).
     """
     yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""

@@ -105,9 +105,10 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the columns and rows of the report on Zhan et al. that `only` names; an empty list stands for all of them.
+    """Return the columns and rows of the report on Zhan et al. that `only` names.
 
-    Columns are concretes and open assumptions. Rows are the pipe units and the varied parameters.
+    Columns stand for concretes and for alternatives to uncertain assumptions. Rows are the pipe units and the varied
+    parameters. An empty list of columns or rows stands for all of them.
     """
     columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
@@ -151,10 +152,10 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
 
 
 def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
-    """Return the parameters of a report column's cases that have no result yet, for all seeds.
+    """Return the parameters of all runs in one column of the report that have no result yet, for all seeds.
 
-    With `hydrated` these are the variations of parameters of hydrated bonds, otherwise the pipe units and all other
-    variations.
+    A column stands for a concrete, or for an alternative to an uncertain assumption. With `hydrated`, the runs vary
+    parameters of hydrated bonds. Otherwise they are the runs of the pipe units and those that vary other parameters.
     """
     asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
     units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []

@@ -26,8 +26,8 @@ class Reproduction:
     columns: tuple[str, ...] = ()
     """Concretes and open assumptions to run; an empty tuple stands for all of them."""
     rows: tuple[str, ...] = ()
-    """Groups of runs for each column of the report: `units`, or the name of a varied parameter. An empty tuple stands
-    for all groups."""
+    """Groups of runs to repeat, in each column of the report. `units` stands for the runs of the pipe units, and the
+    name of a parameter for the runs that vary it. An empty tuple stands for all groups."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)
@@ -63,9 +63,9 @@ def unit_case(unit: str, quick: bool) -> dict[str, Any]:
 
 
 def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
-    """Return the peak pressures [Pa] at each value of a varied parameter, one number for every seed that ran.
+    """Return the peak pressures [Pa] at each value of a varied parameter, one pressure for every seed that ran.
 
-    `name` is the report column, which determines the concrete.
+    `name` is the column of the report, which determines the concrete.
     """
     group = f"{name}, hydrated" if row.is_hydrated else name
     return [found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")
@@ -75,8 +75,8 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
     """Return the mean peak pressure [Pa] at each value of a varied parameter, and a verdict in words.
 
-    The mean pressure is NaN where no run has a result. The verdict states whether the paper's claim about the parameter
-    holds. It is empty if no value of the parameter has a result.
+    The mean pressure is NaN for values at which no run has a result. The verdict states whether the paper's claim about
+    the parameter holds. It is empty if no run has a result.
     """
     means = [float(np.mean(values)) if values else math.nan for values in pressures(found, row, name)]
     there = [k for k, mean in enumerate(means) if math.isfinite(mean)]

@@ -51,9 +51,13 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered. They are ranked by whether both scenes agree in having a
-    closed form, then by how few knobs (accuracy parameters) exist in only one of them, then by how few parameters
-    differ, then by the kind of machine (GPU or CPU).
+    Only records of the scene function `name` are considered. They are ranked by four criteria, the most important
+    first:
+
+    - whether both scenes agree in having a closed form,
+    - how few knobs (accuracy parameters) exist in only one of them,
+    - how few parameters differ,
+    - whether the kind of machine is the same (GPU or CPU).
     """
     own = module.scene.resolved(given)
     found = []
@@ -79,12 +83,13 @@ def compact(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
-    """Return the cheapest settings whose promised relative error is at most `accuracy`, a fraction between 0 and 1.
+    """Return the cheapest accuracy settings whose relative error is at most `accuracy`, a fraction between 0 and 1.
 
-    `trade` is the folder of a trade-off study, or the file of a shipped record. `given` holds the parameters that the
-    user chose for the scene `name` of `module`. The advice never replaces a chosen value, unless it belongs to the
-    concrete itself: coarser aggregate, for example, replaces the grain sizes. Raises :class:`SceneError` if `accuracy`
-    is outside the interval or was not reached, and :class:`RunFolderError` if `trade` holds no record of this scene.
+    `trade` is the folder of a trade-off study, or the file of a shipped record; it states an error bound for each
+    setting. `given` holds the parameters that the user chose for the scene `name` of `module`. The advice never
+    replaces a chosen value, unless it belongs to the concrete itself: coarser aggregate, for example, replaces the
+    grain sizes. Raises :class:`SceneError` if `accuracy` is outside the interval or was not reached, and
+    :class:`RunFolderError` if `trade` holds no record of this scene.
     """
     if not 0 < accuracy < 1:
         refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")

@@ -68,12 +68,12 @@ def explain(
     trade: Path | str | None = None,
     cache: bool = True,
 ) -> Explanation:
-    """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
+    """Forecast memory, time step and wall time of a scene on a device, from measurements of a few seconds.
 
-    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
-    measured errors are listed with the savings (default: the most similar shipped record). With `cache`, results are
-    kept in the user's cache folder. Raises the same errors as a run of the scene
-    before its first step.
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study. The
+    errors that this study measured are listed with the savings in time. The default is the most similar shipped record.
+    With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene before its
+    first step.
     """
     found = find_device(device)
     threads = checked_threads(threads)
@@ -148,9 +148,10 @@ def _knobs_of(scene: Any) -> set[str]:
 
 
 def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
-    """Yield a saving for every point of a trade-off record that changes one knob and shortens the run.
+    """Yield a saving for each value of an accuracy parameter that shortened the run in a trade-off study.
 
-    The first point of a record is the scene as given.
+    `points` contains the settings of the study with their run times and errors. The first one is the scene as given.
+    Only settings in which a single parameter differs from the scene as given are used.
     """
     for point in points[1:]:
         given, alone = points[0], point["origin"] in knobs and point["errors"] and not point["suspect"]

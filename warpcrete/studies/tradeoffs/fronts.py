@@ -26,6 +26,7 @@ class Error:
 
     @property
     def size(self) -> float:
+        """Magnitude of the error."""
         return abs(self.shift)
 
     @property
@@ -77,8 +78,8 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
 def prediction_bound(shifts: Sequence[float]) -> float:
     """Return the bound of the next error with 95 % probability, for normally distributed errors.
 
-    This is the prediction interval |mean| + t s sqrt(1 + 1/n) of n errors with the standard deviation s. A single error
-    is its own bound.
+    The bound is |mean| + t s sqrt(1 + 1/n), the prediction interval of n errors. Here s is their standard deviation and
+    t the 95 % quantile of Student's distribution. A single error is its own bound.
     """
     values = np.asarray(shifts, float)
     if len(values) < 2:
@@ -101,11 +102,12 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 def cheapest_within(
     knobs: Mapping[str, Sequence[tuple[float, float]]], target: float, limit: int = 2_000_000
 ) -> dict[str, int] | None:
-    """Return the cheapest combination of knob levels whose errors add up to at most `target`; None if there is none.
+    """Return the cheapest combination of levels whose errors add up to at most `target`; None if there is none.
 
-    `knobs` holds (cost factor, error) for the levels of each knob; the cost of a combination is the product of its
-    factors. Errors are added without regard to sign, because signs that cancel in one scene do not cancel in the next.
-    Raises ValueError for more than `limit` combinations.
+    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. A combination has
+    one level of each knob. `knobs` holds the pair (cost factor, error) of each level. The cost of a combination is the
+    product of its factors. Errors are added without regard to sign, because errors that cancel in one scene need not
+    cancel in the next. Raises ValueError for more than `limit` combinations.
     """
     names = list(knobs)
     if math.prod(len(knobs[name]) for name in names) > limit:

@@ -16,9 +16,9 @@ from .fronts import Error, worst
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
-"""Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
-allows, a combination of knob levels, and a setting that is repeated in a variant of the scene.
-"""
+"""Origins of the settings of a trade-off study in which not just one accuracy parameter is changed. In this order, they
+are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and a
+setting that is repeated in a variant of the scene."""
 
 
 @dataclass
@@ -26,9 +26,9 @@ class Setting:
     """One setting of the scene and the results of its runs."""
 
     origin: str
-    """Origin of the setting: the name of the knob that alone differs from the scene as given, or one of the words "as
-    given", "finest", "combined" and "carried". The word "carried" marks a setting that was repeated in a variant of the
-    scene."""
+    """Origin of the setting. If only one accuracy parameter (knob) differs from the scene as given, this is the knob's
+    name. Otherwise it is one of the words "as given", "finest", "combined" and "carried". The word "carried" marks a
+    setting that was repeated in a variant of the scene."""
     levels: dict[str, int]
     """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
     parameters: dict[str, Any]
@@ -41,8 +41,9 @@ class Setting:
     """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions, by name, for quantities that mean something else at this setting than in the scene as given. A
-    conversion is a pair (offset, factor); see :class:`Level`."""
+    """Conversions of result quantities, by name. In a run with this setting, a quantity may mean something else than in
+    the scene as given; the conversion makes both comparable. A conversion is a pair (offset, factor); see
+    :class:`Level`."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""
@@ -50,9 +51,10 @@ class Setting:
     """All parameters that have an effect on the scene, including those with default values."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
-        """Return the values of a quantity in the runs with these seeds.
+        """Return the values of a result quantity in the runs with the given seeds.
 
-        A quantity that means something else at this setting is converted to its meaning in the scene as given.
+        The runs may use other accuracy parameters than the scene as given, such as another element size. If this
+        changes the meaning of a quantity, its values are converted to the meaning in the scene as given.
         """
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))
@@ -72,7 +74,7 @@ class Setting:
 
     @property
     def work(self) -> float:
-        """Median number of steps times number of spheres (or particles) of a run; NaN without a run.
+        """Median cost of a run: number of time steps times number of spheres (or particles); NaN without a run.
 
         This measure of cost does not depend on the machine.
         """

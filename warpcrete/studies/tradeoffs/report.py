@@ -175,9 +175,10 @@ NEAR = 0.05  # labels closer than this fraction of the figure would overlap
 
 
 def draw(trade: Trade) -> Any:
-    """Return a Matplotlib figure of error against wall time, with a point for every setting and the Pareto front.
+    """Return a Matplotlib figure of error against wall time for all measured settings, with the Pareto front.
 
-    A band shows the scatter between seeds. Settings with a failed check have hollow markers.
+    A setting is a choice of values for all parameters that trade accuracy for run time, and it is drawn as a point. A
+    band shows the scatter between seeds. Settings with a failed check have hollow markers.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -230,9 +231,9 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Write the level of the knob next to each setting that varies a single knob.
+    """Label the points of the figure that change only one accuracy parameter with the value of this parameter.
 
-    A label that would overlap another one is left out, because the table lists all levels.
+    A label that would overlap another one is left out, because the table lists all values.
     """
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()

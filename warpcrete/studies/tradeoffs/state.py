@@ -124,9 +124,9 @@ class Trade:
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the names of a setting's knob levels, by the knob's name.
+        """Return the name of the level that each knob has in a setting, by the name of the knob.
 
-        The names of the levels are valid in other scenes, too.
+        A knob is a parameter that trades accuracy for run time. The names of its levels are valid in other scenes, too.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
@@ -148,9 +148,11 @@ class Trade:
         return self.points[-1]
 
     def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
-        """Apply the knob levels of a setting to a variant of the scene, and return the setting of the variant.
+        """Return the setting of a variant of the scene in which every knob has the level that it has in `point`.
 
-        A level is found by its name, because the numbers behind the name may differ in the variant.
+        A knob is a parameter that trades accuracy for run time, and a level is one of its values. `changes` are the
+        parameters in which the variant differs from the scene. A level is found by its name, because the value behind
+        the name may differ in the variant.
         """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
@@ -178,9 +180,10 @@ class Trade:
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time of the scene with one knob at a level, divided by that of the scene as given.
+        """Return the wall time of the scene with `knob` at one level, divided by that of the scene as given.
 
-        The ratio is measured if the level was run alone, and otherwise estimated.
+        A knob is a parameter that trades accuracy for run time, and a level is one of its values. The ratio is measured
+        if there was a run in which only this knob was changed to this level. Otherwise it is estimated.
         """
         alone = self._alone(knob, level)
         if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
@@ -191,9 +194,10 @@ class Trade:
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of the level at which a knob agrees with the scene as given.
+        """Return the index of the level at which a knob has the same value as in the scene as given.
 
-        If no level agrees, the result is the index of the finest level.
+        A knob is an accuracy parameter, and its levels are the values to choose from. If no level agrees, the result is
+        the index of the finest level.
         """
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
@@ -206,7 +210,7 @@ class Trade:
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
     def run(self, point: Setting, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
-        """Run the missing seeds of a setting; return whether all of them are complete.
+        """Run a setting with those `seeds` that have not run yet; return whether all of them are complete.
 
         A run does not start if it is expected to exceed the fraction `until` of the budget.
         """
@@ -214,7 +218,7 @@ class Trade:
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run the missing seeds of settings in order, on all workers.
+        """Run each setting with those `seeds` that have not run yet, in order, on all workers.
 
         A run does not start if it is expected to exceed the fraction `until` of the budget.
         """
@@ -241,11 +245,11 @@ class Trade:
     def _due(
         self, lacking: Sequence[tuple[Setting, list[int]]], tell: Tell, until: float
     ) -> Iterator[tuple[Setting, list[int], float]]:
-        """Yield the next job: a setting, some of its seeds, and the time that is left for them [s].
+        """Yield the next job: values of accuracy parameters, some seeds, and the time left for them [s].
 
         The caller requests a job when a processor is free, so each decision uses the results available at that moment.
-        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
-        once.
+        If there are enough settings for all workers, one worker takes all seeds of one setting (the values of all
+        accuracy parameters) and loads its kernels only once.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
         for number, (point, seeds) in enumerate(points):
@@ -381,8 +385,9 @@ class Trade:
     def shift(self, knob: Knob, level: int) -> float:
         """Return the largest error of a knob's level against the finest level that was measured; infinity on failure.
 
-        A difference that the scatter between seeds explains counts as zero. The knob does not cause such a
-        difference, and the differences would accumulate over all knobs.
+        A knob is an accuracy parameter such as the time step, and a level is one of its values. A difference that the
+        scatter between seeds explains counts as zero. The knob does not cause such a difference, and the differences of
+        all knobs would add up.
         """
         point = self._alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None
@@ -399,9 +404,11 @@ class Trade:
         return max(found)
 
     def promised(self, point: Setting) -> float:
-        """Return the error bound of a setting: the measured error with its interval, or the sum of its knobs' errors.
+        """Return an upper bound for the error of a setting.
 
-        The function returns the larger value, because errors that cancel in this scene need not cancel in another one.
+        The bound is the larger of two values. The first is the measured error with its confidence interval. The second
+        is the sum of the errors that each changed knob (accuracy parameter) causes alone. Errors that cancel in this
+        scene need not cancel in another one.
         """
         if point.worst is None:
             return math.inf
@@ -410,10 +417,10 @@ class Trade:
         return max(point.worst.bound, alone)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return a bound for the errors of a setting in a further scene, which differs as much as the variants do.
+        """Return a bound for the errors of a setting in a further scene that is as different as the `variants` are.
 
-        For each quantity, the 95 % prediction interval is computed from the errors of the setting and its variants. The
-        result is the largest bound.
+        For each quantity, the errors of the setting in the original scene and in its variants give a 95 % prediction
+        interval. The result is the largest bound of these intervals.
         """
         found = []
         for each in self.quantities:

@@ -34,8 +34,7 @@ from .state import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH_SEEDS = 3
-"""Number of fresh seeds with which a promised error is tested, in addition to the seeds from which the error was
-computed."""
+"""Number of new random seeds with which a promised error is tested. None of them was used to compute the error."""
 SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
@@ -71,12 +70,13 @@ def run_trade(
     """Measure speed against accuracy of the scene `module.scene` with parameters `base`.
 
     Results go to the new folder `out`. `budget` is the wall time [s]. `quantities` names the result quantities whose
-    errors are measured, `knobs` the knobs that are varied (default: all of the scene), and `repeat` the number of seeds
-    of each setting (default 3, or 1 if nothing is random). With a `scheduler`, runs are distributed over the `workers`
-    of :func:`warpcrete.studies.cluster.open_cluster`. Each worker runs one simulation at a time and has a GPU, or
-    `threads` cores (default 1), to itself; the budget remains wall time, so more workers measure more settings. Raises
-    :class:`SceneError` before anything is written if the settings are impossible, and after the first run if the
-    budget is too short for a second.
+    errors are measured. `knobs` names the parameters that are varied because they trade accuracy for run time (default:
+    all that the scene has). `repeat` is the number of seeds of each setting (default 3, or 1 if nothing is random).
+
+    With a `scheduler`, runs are distributed over the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Each
+    worker runs one simulation at a time. It has a GPU, or `threads` cores (default 1), to itself. The budget remains
+    wall time, so more workers measure more settings. Raises :class:`SceneError` before anything is written if the
+    settings are impossible, and after the first run if the budget is too short for a second.
     """
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
@@ -247,7 +247,8 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    # If the study was resumed and nothing was run in this call, `spent` is 0. A few further runs may then be enough.
+    # `spent` is the time that this call has spent on runs. It is 0 if the study was resumed and has not run anything
+    # yet. A few further runs may then be enough, so the budget is not refused.
     if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
@@ -279,10 +280,11 @@ def _one_at_a_time(trade: Trade, tell: Tell) -> None:
 
 
 def _run_reference(trade: Trade, tell: Tell) -> None:
-    """Run the reference setting: all accuracy knobs at their finest level, or as fine as the budget allows.
+    """Run the reference setting: every knob at its finest level, or as fine as the budget allows.
 
-    If the budget is too short, the function coarsens the knob that saves most time per error, one level at a time. No
-    knob becomes coarser than in the scene as given.
+    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. If the budget is
+    too short, the function moves one knob at a time to its next coarser level. It chooses the knob that saves most time
+    for the error that this adds. No knob becomes coarser than in the scene as given.
     """
     levels = {}
     for knob in trade.chosen_knobs:
@@ -299,8 +301,9 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         # An earlier call had a larger budget and already ran this setting, so keep it.
         if top == trade.record.get("finest"):
             break
-        # For each knob, compute the logarithm of the factor by which the next coarser level shortens the run, divided
-        # by the error that this level adds.
+        # A knob is a parameter that trades accuracy for run time, and its levels are the values to choose from. For
+        # each knob, compare the present level with the next coarser one: take the logarithm of the factor by which the
+        # coarser level shortens the run, and divide it by the error that the coarser level adds.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
@@ -333,9 +336,10 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
 
 
 def _find_promises(trade: Trade, tell: Tell) -> None:
-    """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
+    """For each wanted error, find and test the cheapest setting (values of accuracy parameters) that stays within it.
 
-    If a setting fails in a test or exceeds the wanted error, the next cheapest setting is tested.
+    The tests are runs with other random seeds and runs of variants of the scene. If a test run fails, or if its error
+    exceeds the wanted error, the next cheapest setting is tested.
     """
     variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -359,7 +363,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 def _test_variants(
     trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Return the largest error of a setting in each variant of the scene, and the setting's promised error bound.
+    """Return a setting's largest error in each variant of the scene, and an upper bound of its error.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """

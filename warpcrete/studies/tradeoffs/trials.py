@@ -16,8 +16,8 @@ from ..cluster import hardware
 from ..running import previous_outcome, run_cases, simulation_of, stop_callback
 
 MIN_RUNS_FOR_MEDIAN = 3
-"""Number of runs from which on the median of their wall times is not affected by a single run that also loaded
-kernels."""
+"""Minimum number of runs at which the median of their wall times is reliable: a single run that took longer, because it
+also loaded kernels, does not affect it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Comparison of the rules against blocking with concretes that blocked or did not block."""
+"""Test of the rules against blocking on measured concretes, some of which blocked."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from .cases import Case
 from .predictions import mix_of_case
 
 BAD = ("risky", "blocks")
-"""Verdicts of a rule that warn of blocking."""
+"""Verdicts by which a rule warns of blocking."""
 
 
 @dataclass(frozen=True)
 class BlockingComparison:
-    """Verdict of the rules on one concrete in one bore, and whether the concrete blocked there."""
+    """Verdict of the rules against blocking on one concrete in one bore, and whether the concrete blocked there."""
 
     case: Case
     held_out: bool
-    """True if no limit of a rule may be chosen with this case in view."""
+    """True if the case only tests the rules, so that the limits of the rules must not be adjusted to it."""
     blocked: bool
-    """True if the concrete blocked."""
+    """True if the concrete blocked in the test."""
     verdict: str
-    """Worst verdict of all rules that could be evaluated."""
+    """Worst verdict among the rules for which the case has all entries."""
     rules: str
-    """Names of the rules that warn of blocking."""
+    """Names of the rules whose verdict on this case is 'risky' or 'blocks', as text."""
 
     @property
     def agrees(self) -> bool:
-        """True if the rules warn of a concrete that blocked, or do not warn of one that did not block."""
+        """True if the rules judged the case correctly: they warn exactly if the concrete blocked."""
         return (self.verdict in BAD) == self.blocked
 
 

@@ -17,40 +17,43 @@ SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
 KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "scatter", "uncertainty", "note",
         "test")  # fmt: skip
-"""Entries of a case. `mix` and `test` are the inputs of the prediction, `flow` and `measured` belong together."""
+"""Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. If `flow` lists several
+values, `measured` lists one measured value for each of them."""
 SCATTER_KEYS = ("concretes", "from", "to")
 """Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""One in this number of groups is held out."""
+"""Number of groups of cases, of which one group is held out. No fit of a constant uses a held-out group. With the value
+3, a third of the groups is held out."""
 FITTED = {
     "slump": ("yeh-2007",),
     "fitting": ("park-2020", "calibe"),
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm"),
 }
-"""Groups from which a constant of the program was taken before cases were held out, by kind. The constants are the
-height of the centre of a heap, the range of the friction of bends, the factor of a viscosity-modifying admixture, and
-limits of rules against blocking. These groups are never held out."""
+"""Groups of cases from which constants of the program were taken before any groups were held out, by kind. These groups
+are therefore never held out. The constants are the height of the centre of a heap, the range of the friction of bends,
+the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Measurement with everything that a user would have known before it."""
+    """Measured case: the measured values, and the inputs that a user would have known before the measurement."""
 
     name: str
     kind: str
     group: str
-    """Mix, line or laboratory that several cases share; they are fitted or held out together."""
+    """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
+    together."""
     source: str
-    """Publication and the table, figure or section in it."""
+    """Publication from which the measurement comes, and the table, figure or section in it."""
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
-    """Dimensions of the pipe, part, line or apparatus."""
+    """Dimensions of the test: of the pipe, the part, the line or the apparatus in which the case was measured."""
     flows: tuple[float, ...]
-    """Flow rates [m3/s]; one for each measured value, or empty."""
+    """Flow rates at which the values were measured [m3/s], one for each value; empty if the kind needs no flow."""
     measured: tuple[float, ...]
     """Measured values in the SI unit of the case's kind."""
     concretes: int = 1
@@ -59,15 +62,15 @@ class Case:
     """Smallest and largest value of these concretes, in the SI unit of the case's kind; None for a single concrete."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """Pump lines of the case's file by name."""
+    """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
     folder: Path = SHIPPED
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
-    """Return the groups, as pairs of kind and group, to which no constant of the program may be fitted.
+    """Return the groups of cases that no fit of a constant uses, as pairs of kind and group.
 
-    They are a third of the groups of each kind, rounded; of two groups one is held out. The order follows from a hash
-    of the names, so that nobody can choose after seeing the results.
+    About a third of the groups of each kind are held out in this way; if a kind has two groups, one is held out. The
+    choice follows from a hash of the groups' names, so that nobody can make it after seeing the results.
     """
     found = set()
     for kind in {case.kind for case in cases}:
@@ -84,7 +87,7 @@ def shipped_cases() -> list[Case]:
 
 
 def read_cases(path: Path) -> list[Case]:
-    """Read the cases of a file.
+    """Read the measured cases in a file.
 
     Raises :class:`SceneError` if an entry is unknown or missing, or if two cases have the same name.
     """
@@ -180,5 +183,5 @@ def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _listed(given: Any) -> Sequence[Any]:
-    """Return a list as it is, and a single value as a list of one."""
+    """Return a list of values as it is, and a single value as a list with one entry."""
     return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]

@@ -14,7 +14,10 @@ from .predictions import PREDICTORS, line_weight
 
 @dataclass(frozen=True)
 class Comparison:
-    """Prediction of one case next to its measurement; several flows are averaged geometrically."""
+    """Predicted and measured value of one case.
+
+    If the case was measured at several flows, both values are geometric means over the flows.
+    """
 
     case: Case
     held_out: bool
@@ -27,14 +30,14 @@ class Comparison:
 
     @property
     def ratio(self) -> float:
-        """Prediction divided by measurement."""
+        """Predicted value divided by the measured one."""
         return self.band.value / self.measured
 
     @property
     def inside(self) -> float:
-        """Share of the case's concretes that lie in the band: 0 or 1 for a single concrete.
+        """Fraction of the case's concretes whose measured values lie in the predicted band; 0 or 1 for one concrete.
 
-        Of several concretes, only the smallest and the largest value are known. The others are assumed to lie evenly
+        For several concretes, only the smallest and the largest value are known. The others are assumed to lie evenly
         between these two on a logarithmic scale.
         """
         if self.case.ends is None:

@@ -1,4 +1,4 @@
-"""Figure of predictions over measurements, with the bands of the predictions, on logarithmic axes."""
+"""Figure of predictions over measurements on logarithmic axes, with the uncertainty bands of the predictions."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ STYLES = (
     (True, False, {"marker": "o", "color": "C0", "label": "held out, with band"}),
     (False, True, {"marker": "s", "color": "C1", "label": "simulated as a flow"}),
 )
-"""Looks of held-out, other and simulated cases: held out, simulated, and keywords of Matplotlib."""
+"""Markers of the three groups of cases in the figure. Each entry has three elements: True if the cases are held out
+(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
-"""Factor and unit in which the figure shows a kind of measurement; by default the SI unit."""
+"""Displayed unit for each kind of measurement: the factor from the SI unit to this unit, and its name. Kinds that are
+not listed are shown in SI units."""
 
 
 def draw(comparisons: Sequence[Comparison]) -> Any:
@@ -38,7 +40,7 @@ def draw(comparisons: Sequence[Comparison]) -> Any:
 
 
 def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
-    """Draw the comparisons of one kind into a panel."""
+    """Draw all comparisons of one kind of measurement into one panel of the figure."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     factor, unit = SHOWN.get(kind, (1.0, KINDS[kind].unit))

@@ -1,4 +1,4 @@
-"""Kinds of measurements that predictions are compared with: what is measured, and its SI unit."""
+"""Kinds of measurements with which predictions are compared, each with its quantity and SI unit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of measurement."""
+    """Kind of measurement: what is measured, in words, and its SI unit."""
 
     label: str
     unit: str
@@ -24,8 +24,8 @@ KINDS = {
     "spread": Kind("spread", "m"),
     "funnel": Kind("time of the V-funnel", "s"),
 }
-"""Kinds of measured quantities by name."""
+"""Kinds of measurements whose value is compared with a prediction, by the name that a case states."""
 BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}
-"""SI units of the measured values, by kind of case."""
+"""SI unit of the measured values for each kind of case."""

@@ -20,13 +20,14 @@ from ..lines.run import run_line
 from .cases import Case
 
 LEAST_SLUMP = 0.005
-"""Smallest slump that is predicted [m]; a cone's slump is read to 10 mm."""
+"""Smallest predicted slump [m]: half of the 10 mm to which the slump of a cone is read."""
 LINE_DENSITY = "2400 kg/m3"
-"""Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
+"""Density assumed for a mix that states none [kg/m3]. Predictions of weight and slump depend on the density, and those
+of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
-    """Return the mix of a case, with an assumed density if the publication states none."""
+    """Return the mix of a case; a density of 2400 kg/m3 is assumed if the publication states none."""
     given = dict(section or case.mix)
     if "density" not in given and "parts" not in given:
         given["density"] = LINE_DENSITY
@@ -39,7 +40,7 @@ def _number(case: Case, key: str, unit: str) -> float:
 
 
 def _entry(case: Case, key: str) -> Any:
-    """Return an entry of a case's section `test`; raise :class:`SceneError` if it is missing."""
+    """Return the value of an entry in a case's section `test`; raise :class:`SceneError` if the entry is missing."""
     if key not in case.test:
         refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...'")
     return case.test[key]
@@ -82,7 +83,7 @@ def _ratio(case: Case) -> list[Band]:
 
 
 def _line(case: Case) -> list[Band]:
-    """Predict the pressure at the pump less the weight of the concrete, both for the line's own density."""
+    """Predict the friction of a whole line [Pa]: its pressure at the pump less that due to the concrete's weight."""
     mix = mix_of_case(case)
     line = _line_of(case)
     found = []
@@ -94,7 +95,7 @@ def _line(case: Case) -> list[Band]:
 
 
 def _fitting(case: Case) -> list[Band]:
-    """Predict the friction of a part divided by that of straight pipe of its length."""
+    """Predict the friction of a part, divided by that of straight pipe of the same length."""
     line = line_of({"diameter": _entry(case, "diameter"), "parts": [_entry(case, "part")]}, case.name, case.folder)
     found = []
     for q in case.flows:
@@ -117,16 +118,17 @@ def _layer(case: Case) -> list[Band]:
 
 
 def _layer_share(case: Case) -> list[Band]:
-    """Predict the share of the largest velocity in a pipe that the slip layer contributes."""
+    """Predict the slip velocity at the wall of a pipe, as a share of the largest velocity in the cross-section."""
     mix, line = mix_of_case(case), Line(radius=_number(case, "diameter", "m") / 2, length=1.0, rise=0.0)
     return [_banded(mix, lambda c, q=q: layer_share(c, line, q)) for q in case.flows]
 
 
 def _slump(case: Case) -> list[Band]:
-    """Predict the slump [m] from the yield stress of the mix, or from its spread.
+    """Predict the slump [m] from the mix's yield stress, which may itself follow from the spread.
 
-    A heap that spreads wider than twice its height is described by the theory of wide heaps, a stiffer one by that of
-    tall cones. Aggregate that piles up in the centre raises it by up to 100 mm (:data:`HEAP_CENTRE`).
+    The theory of wide heaps and the theory of tall cones each predict a slump, and the smaller one counts. This is the
+    slump of a homogeneous heap. In a real heap, aggregate piles up in the centre and reduces the slump by up to 100 mm
+    (:data:`HEAP_CENTRE`).
     """
     mix = mix_of_case(case)
 
@@ -143,7 +145,9 @@ def _slump(case: Case) -> list[Band]:
 def _spread(case: Case) -> list[Band]:
     """Predict the spread [m] from the yield stress of the mix.
 
-    The band includes the reading error and the difference between a heap that resists its stretch and a long one.
+    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The theory
+    resists stretching (:func:`heap_at_rest`); the error of the theory is the difference from a long heap without this
+    resistance.
     """
     mix = mix_of_case(case)
     own = mix.concrete
@@ -165,10 +169,11 @@ FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
 
 
 def _funnel(case: Case) -> list[Band]:
-    """Predict the time of the V-funnel [s].
+    """Predict the time in which concrete flows out of the V-funnel [s].
 
-    Concrete neither sticks to the funnel's wet steel nor slips on it as in a pipe. The prediction is the geometric mean
-    of both times, and its band reaches from one to the other.
+    Concrete slips on the funnel's wet steel less than in a pipe, but does not stick to it. One time is computed with
+    slip and one without. The prediction is the geometric mean of these two times, and its band reaches at least from
+    one to the other.
     """
     mix = mix_of_case(case)
 
@@ -198,4 +203,5 @@ PREDICTORS = {
     "spread": _spread,
     "funnel": _funnel,
 }
-"""Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""
+"""Prediction functions, by the kind of the case. Each of them takes a case and returns the predicted value with its
+uncertainty band for each measured value of the case."""

@@ -30,29 +30,30 @@ class Summary:
 
     kind: str
     chosen: str
-    """Cases in the statistics: "all", "held out", "others" or "simulated"."""
+    """Name of the set of cases that the statistics cover: "all", "held out", "others" or "simulated"."""
     count: int
     groups: int
-    """Number of independent groups among the cases."""
+    """Number of groups (mixes, lines or laboratories) to which the cases belong; groups are independent of each
+    other."""
     ratio: float
-    """Median of prediction over measurement."""
+    """Median of the ratio of prediction to measurement."""
     error: float
-    """Median factor between prediction and measurement, less 1."""
+    """Median over the cases of the factor between prediction and measurement, less 1; 0.2 means a factor of 1.2."""
     inside: float
     """Share of the concretes inside the bands of their cases."""
     factor: float
-    """Median factor from a prediction to the ends of its band."""
+    """Median over the cases of the factor f of a band that reaches from prediction / f to prediction * f."""
 
 
 @dataclass(repr=False)
 class Validation:
-    """All comparisons, with their statistics, table and figure."""
+    """Comparisons of all cases with their predictions, as statistics, table and figure."""
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Verdicts of the rules against blocking."""
+    """Comparison of the rules against blocking with observations, for each concrete that blocked or did not block."""
     refused: dict[str, str]
-    """Cases that the program refuses to predict, with the reason."""
+    """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
     def __repr__(self) -> str:
         return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
@@ -61,7 +62,12 @@ class Validation:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
 
     def summaries(self) -> list[Summary]:
-        """Return the statistics of each kind, for all cases and for held-out and other cases apart."""
+        """Return statistics of the comparisons, in up to four rows for each kind of measurement.
+
+        The first row covers all cases that were not simulated. The second row covers those of them that are held out,
+        that is, never used to fit a constant. The third row covers the others, and the last row the simulated cases. A
+        row without cases, or with the same cases as the first row, is left out.
+        """
         found = []
         for kind in KINDS:
             own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
@@ -85,7 +91,10 @@ class Validation:
         return "\n".join(lines)
 
     def blocking_lines(self) -> list[str]:
-        """Return the verdicts of the rules against blocking as a Markdown table below its summary."""
+        """Return the comparison of the rules against blocking with observations, as lines of Markdown.
+
+        A sentence states how many verdicts agree with the observations. A table of all cases follows.
+        """
         right = sum(each.agrees for each in self.blocking)
         rows = [(x.case.name, "yes" if x.held_out else "no", "blocked" if x.blocked else "not blocked", x.verdict,
                  x.rules or "-", "yes" if x.agrees else "no") for x in self.blocking]  # fmt: skip
@@ -93,7 +102,7 @@ class Validation:
                 *markdown(BLOCKING_COLUMNS, rows)]  # fmt: skip
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of validation.json, in SI units."""
+        """Return the contents of the file validation.json, with all values in SI units."""
         return {
             "summaries": [vars(each) for each in self.summaries()],
             "cases": [
@@ -191,6 +200,7 @@ def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
 
 
 def summary_cells(x: Summary) -> tuple[str, ...]:
+    """Return the cells of a summary's row, as texts."""
     return (KINDS[x.kind].label, x.chosen, str(x.count), str(x.groups), f"{x.ratio:.2f}", f"{100 * x.error:.0f} %",
             f"{100 * x.inside:.0f} %", f"{x.factor:.2f}")  # fmt: skip
 
@@ -203,4 +213,5 @@ def _case_cells(x: Comparison) -> tuple[str, ...]:
 
 
 def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a Markdown table."""
     return [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *(f"| {' | '.join(row)} |" for row in rows)]

@@ -1,0 +1,111 @@
+"""Threads that share a flow on a grid, and solves that skip the rows without concrete."""
+
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from test_free_flows import slump
+from test_grid_flows import periodic
+
+from warpcrete import scenes
+from warpcrete.core.device.cores import CoreContention
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
+from warpcrete.core.run.provenance import arrays_hash
+from warpcrete.mps.free.layout import free_layout
+from warpcrete.mps.grid import flow as grid_flow
+from warpcrete.mps.grid.flow import GridFlow
+from warpcrete.mps.grid.layout import pipe_layout
+from warpcrete.mps.grid.stages import CHUNKS
+from warpcrete.mps.grid.state import GridState
+
+SCENES = {
+    "about an axis": lambda: slump(lift_time=1.0),
+    "pipe": lambda: periodic("tube", concrete="no1", rest=60.0, thixotropy=0.5, spacing=10e-3, length=0.08),
+    "in space": lambda: scenes.lbox(spacing=0.025, column_height=0.3, length=0.4, column_width=0.1, width=0.2),
+}
+
+
+@pytest.fixture(autouse=True)
+def threads_of_few_cells(monkeypatch):
+    monkeypatch.setattr(grid_flow, "CELLS_PER_THREAD", 1)
+
+
+def flow_of(kind, threads, device="cpu"):
+    scene = SCENES[kind]()
+    layout = pipe_layout(scene) if kind == "pipe" else free_layout(scene)
+    return GridFlow(GridState(scene, layout, find_device(device), "float32"), threads=threads)
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_any_number_of_threads_gives_the_same_bits(kind):
+    hashes = set()
+    for threads in (1, 2, 3):
+        flow = flow_of(kind, threads)
+        assert flow.threads == threads == len(flow.step)
+        flow.take(12)
+        hashes.add(arrays_hash(flow.state_arrays()))
+    assert len(hashes) == 1
+
+
+def test_one_thread_that_does_the_work_of_all_computes_the_same(monkeypatch):
+    """While other processes want the cores; to the bit, whenever it begins and ends."""
+    hashes, used = set(), set()
+    for contended in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
+        asked = iter(range(10**9))
+
+        def use_one_thread(self, contended=contended, asked=asked):
+            used.add(contended_now := contended(next(asked)))
+            return contended_now
+
+        monkeypatch.setattr(CoreContention, "use_one_thread", use_one_thread)
+        flow = flow_of("about an axis", 2)
+        flow.take(40)
+        hashes.add(arrays_hash(flow.state_arrays()))
+    assert len(hashes) == 1 and used == {False, True}
+
+
+def test_threads_are_limited_by_cells_and_chunks(monkeypatch):
+    flow = flow_of("about an axis", 100)
+    assert flow.threads == CHUNKS
+    monkeypatch.setattr(grid_flow, "CELLS_PER_THREAD", flow.state.slots // 2)
+    assert flow_of("about an axis", 100).threads == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "way"),
+    [("about an axis", nullcontext), ("in space", nullcontext), ("about an axis", divide_work_like_gpu)],
+)
+def test_solves_skip_rows_without_concrete(device, kind, way):
+    """What such rows hold does not matter, so not-a-number in them changes no bit of the flow."""
+    hashes = []
+    for spoilt in (False, True):
+        with way():
+            flow = one_step(flow_of(kind, 1, device), spoilt)
+        assert all(each["iterations"] > 0 for name, each in flow.outcomes().items() if name != "density")
+        hashes.append(arrays_hash(flow.state_arrays()))
+    assert hashes[0] == hashes[1] and np.isfinite(flow.mesh.velocity.numpy()).all()
+
+
+def one_step(flow, spoilt):
+    """Take one step of a new flow; if `spoilt`, rows without an unknown hold not-a-number when the solves begin."""
+    for stage in flow.step[0]:
+        stage()
+        if spoilt and stage.name in ("momentum", "divergence"):
+            system = flow.viscous if stage.name == "momentum" else flow.projection
+            unused = system.matrix.free.numpy() != 0
+            assert 0.05 < unused.mean() < 0.95
+            for name in ("residual", "product", "direction", "preconditioned"):
+                values = getattr(system.arrays, name).numpy()
+                if len(values):
+                    values[np.resize(unused, len(values))] = np.nan
+                    getattr(system.arrays, name).assign(values)
+    return flow
+
+
+def test_solves_list_the_rows_with_concrete():
+    flow = flow_of("in space", 1)
+    flow.take(3)
+    for system in (flow.viscous, flow.projection):
+        rows = np.flatnonzero(system.matrix.free.numpy() == 0)
+        assert system.matrix.used_count.numpy()[0] == len(rows) > 100
+        assert np.array_equal(system.matrix.used.numpy()[: len(rows)], rows)

@@ -1,0 +1,197 @@
+"""One time step of a flow on a grid, as a list of stages for each thread.
+
+1. Sort particles into cells, find how full the cells are, and gather velocities on the faces.
+2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
+3. Solve for the pressure increment, and remove the divergence of the velocities.
+4. Adapt the driving force, measure the speed, break the structure, and move crowded particles apart.
+5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from ...core.device.launching import Stage, parameter_names
+from ...kernels.common.reductions import BLOCK
+from ...kernels.mps.conjugate_gradient import serial_solver, used_rows_kernel
+from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
+from ...kernels.mps.grid.cells import STRIP
+from ...kernels.mps.grid.filling import fill_kernel
+from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
+from ...kernels.mps.grid.pace import speed_kernels
+from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
+from ...kernels.mps.grid.structure import break_kernel
+from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
+from ...kernels.mps.grid.walls import side_kernel, wall_kernel
+from ...kernels.mps.resident_solver import resident_blocks, resident_solver
+from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
+
+CHUNKS = 32
+"""Number of chunks into which a CPU divides the rows of a linear system.
+
+Each chunk forms one partial sum. Sums therefore have the same bits for all numbers of threads, which is at most CHUNKS.
+"""
+EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
+# Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
+# second is relative to the residual that displaces the volume of a whole cell in one step.
+DISPERSION_TOLERANCES = 0.1, 1e-5
+
+
+class GridStep:
+    """Part of a time step that one CPU thread does, or the whole step on a GPU.
+
+    The thread does the work of the threads with the numbers `parts`. The first thread also does what is not divided
+    among threads. All threads meet after each stage.
+    """
+
+    def __init__(self, flow: Any, parts: range) -> None:
+        self.flow, self.parts = flow, parts
+        self.layout, self.scalar, self.slots = flow.state.layout, flow.scalar, flow.state.slots
+        self.kind = self.layout.kind
+        self.barrier = flow.barrier() if len(parts) < flow.threads else []
+
+    def stages(self) -> list[Any]:
+        """Return all stages of the step."""
+        flow, layout, kind, scalar = self.flow, self.layout, self.kind, self.scalar
+        bins, serial = bin_kernels(scalar, kind), not flow.parallel
+        viscosity, pressure = viscosity_kernels(scalar, kind), pressure_kernels(scalar, serial, kind)
+        velocity, increment = flow.mesh.velocity, flow.mesh.increment
+        viscous, projection = flow.viscous, flow.projection
+        return [
+            *self._alone(bins.clear, self.slots),
+            *(self._cells(lift_kernel(scalar, kind), slots=self.slots, after=flow.state.opened)
+              if len(layout.opens) else []),
+            *self._alone(bins.tally, flow.count),
+            *self._alone(bins.allot, self.slots),
+            *self._shared(bins.sort, flow.count),
+            *self._cells(bins.order),
+            *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
+            *self._cells(gather_kernel(scalar, kind)),
+            *self._cells(viscosity.rates),
+            *self._cells(viscosity.viscosity),
+            *self._cells((wall_kernel if kind.cut else side_kernel)(scalar, kind)),
+            *self._cells(momentum_kernel(scalar, serial, kind), matrix=viscous.matrix, viscous=viscous.arrays),
+            *self._used_rows(viscous),
+            *self._solve(viscous, VISCOSITY, velocity, 0.0),
+            *self._cells(pressure.divergence, matrix=projection.matrix, projection=projection.arrays),
+            *self._used_rows(projection),
+            *self._solve(projection, PRESSURE, increment, flow.scene.tolerance),
+            *self._cells(pressure.project),
+            *(self._drive() if layout.periodic and layout.mean_velocity_fixed else []),
+            *(self._speeds() if flow.adaptive else []),
+            *(self._break_structure() if kind.thixotropic else []),
+            *([] if flow.full else self._disperse()),
+            *self._extrapolate(),
+            *self._shared(
+                advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]
+            ),
+            *self._alone(flow.clock_kernels.tick, 1),
+        ]  # fmt: skip
+
+    # The following methods make stages from a kernel.
+
+    def _shared(self, kernel: Any, count: int, **named: Any) -> list[Stage]:
+        """Return stages in which the threads share the `count` items that a kernel processes."""
+        found, threads = [], self.flow.threads
+        for part in self.parts:
+            # This thread processes the strips of items with the numbers part, part + threads, part + 2 threads, ...
+            strips = len(range(part * STRIP, count, threads * STRIP))
+            last = (part + (strips - 1) * threads) * STRIP
+            tasks = (strips - 1) * STRIP + min(STRIP, count - last) if strips else 0
+            found.append(self.flow.stage(kernel, tasks, worker=part, workers=threads, **named))
+        return [*found, *self.barrier]
+
+    def _cells(self, kernel: Any, **named: Any) -> list[Stage]:
+        return self._shared(kernel, self.slots, **named)
+
+    def _alone(self, kernel: Any, tasks: int, **named: Any) -> list[Stage]:
+        """Return stages in which the first thread alone runs a kernel."""
+        return [*([self.flow.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier]
+
+    # The following methods return stages of a step.
+
+    def _break_structure(self) -> list[Stage]:
+        """Return stages in which shear and slip break the structure that the concrete gained at rest."""
+        scene = self.flow.scene
+        return self._cells(
+            break_kernel(self.scalar, self.kind), breakdown=scene.breakdown,
+            breakdown_strain=scene.breakdown_strain, rebuild_rate=scene.rebuild_rate,
+        )  # fmt: skip
+
+    def _extrapolate(self) -> list[Stage]:
+        """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
+
+        The launches alternate between two arrays. They begin with the array for which the last launch writes to the
+        first array.
+        """
+        flow, found = self.flow, []
+        for turn in range(EXTRAPOLATED_CELLS):
+            to = (EXTRAPOLATED_CELLS - 1 - turn) % 2
+            found += self._cells(
+                extend_kernel(self.scalar, self.kind), again=int(turn > 0), final=int(turn == EXTRAPOLATED_CELLS - 1),
+                before=flow.extended[1 - to], known_before=flow.known_faces[1 - to], after=flow.extended[to],
+                known_after=flow.known_faces[to],
+            )  # fmt: skip
+        return found
+
+    def _disperse(self) -> list[Any]:
+        """Return stages that move crowded particles apart; they solve a system with the pressure's matrix."""
+        kernels, flow = crowd_kernels(self.scalar, self.kind), self.flow
+        return [
+            *self._cells(kernels.source, projection=flow.dispersion.arrays),
+            *self._solve(flow.dispersion, DENSITY, flow.mesh.potential, DISPERSION_TOLERANCES[0]),
+            *self._cells(kernels.disperse),
+        ]
+
+    def _speeds(self) -> list[Stage]:
+        """Return stages that measure the speed of the concrete, from which the length of the next step follows."""
+        kernels, flow = speed_kernels(self.scalar, self.kind), self.flow
+        if not flow.parallel:
+            return self._alone(kernels.speeds, 1)
+        blocks, partial = -(-flow.viscous.rows // BLOCK), flow.viscous.arrays.partial
+        return [
+            flow.stage(kernels.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
+            flow.stage(kernels.speeds_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
+        ]
+
+    def _drive(self) -> list[Stage]:
+        """Return stages that apply the driving force which keeps the mean velocity of a periodic pipe constant."""
+        kernels, flow = drive_kernels(self.scalar, self.layout.axes), self.flow
+        correct = self._alone(kernels.correct, self.slots)
+        if not flow.parallel:
+            return [*self._alone(kernels.deficit, 1), *correct]
+        blocks, partial = -(-self.slots // BLOCK), flow.viscous.arrays.partial
+        return [
+            flow.stage(kernels.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
+            flow.stage(kernels.deficit_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
+            *correct,
+        ]
+
+    def _used_rows(self, system: Any) -> list[Stage]:
+        """Return the stages that list the rows with unknowns; a GPU skips the other rows without a list."""
+        if self.flow.parallel:
+            return []
+        return self._alone(used_rows_kernel(self.scalar, 2), 1, rows=system.rows, matrix=system.matrix)
+
+    def _solve(self, system: Any, what: int, x: wp.array, tolerance: float) -> list[Any]:
+        """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
+
+        The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
+        system.
+        """
+        flow, kind = self.flow, (self.scalar, 2, False)
+        lower, upper = (CHUNKS * part // flow.threads for part in (self.parts.start, self.parts.stop))
+        named = {
+            "flow": system.numbers, "what": what, "tolerance": tolerance, "maximum": flow.scene.maximum_iterations,
+            "matrix": system.matrix, "system": system.arrays, "x": x, "count": system.rows, "gate": flow.gate,
+            "flags": flow.flags, "parts": CHUNKS, "lower": lower, "upper": upper,
+            "workers": flow.threads // len(self.parts),
+        }  # fmt: skip
+        kernel, tasks, block = serial_solver(*kind, sparse=True), 1, None
+        if flow.parallel:
+            block, parties = resident_blocks(flow.device, system.rows, system.matrix.near_capacity, flow.abreast)
+            named["parties"] = parties
+            kernel, tasks = resident_solver(*kind, width=block, sparse=True), block * parties
+        return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, flow.device, block=block)]
