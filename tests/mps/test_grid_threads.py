@@ -14,9 +14,9 @@ from warpcrete.core.run.provenance import arrays_hash
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.grid import flow as grid_flow
 from warpcrete.mps.grid.flow import GridFlow
-from warpcrete.mps.grid.layout import pipe_layout
 from warpcrete.mps.grid.stages import CHUNKS
 from warpcrete.mps.grid.state import GridState
+from warpcrete.mps.pipe_grid import pipe_layout
 
 SCENES = {
     "about an axis": lambda: slump(lift_time=1.0),

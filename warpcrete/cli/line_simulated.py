@@ -30,8 +30,8 @@ def run(
     """Simulate a line, print its pressure, and return True if a simulated part failed a check.
 
     `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
-    the command. With `unless_known`, only parts that no table covers are simulated. The function calls `finish` after it
-    has printed the result, while the folder is still locked.
+    the command. With `unless_known`, only parts that no table covers are simulated. The function calls `finish` after
+    it has printed the result, while the folder is still locked.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None
