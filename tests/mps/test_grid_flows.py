@@ -17,6 +17,7 @@ from warpcrete.kernels.mps.grid.cells import LIQUID, GridKind, grid_parameters_s
 from warpcrete.kernels.mps.grid.forces import relaxed_viscosity_function
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.grid.flow import GridFlow
+from warpcrete.mps.grid.stages import GridStep
 from warpcrete.mps.grid.state import GridState
 from warpcrete.mps.pipe_grid import pipe_layout
 from warpcrete.mps.simulation import FluidSimulation
@@ -160,16 +161,18 @@ def test_start_up_follows_the_solution_in_one_dimension(device, kind):
 
 def grid_of(device, kind="channel", precision="float64", **given):
     scene = dataclasses.replace(periodic(kind, spacing=10e-3, length=0.1, **STICKING | given), precision=precision)
-    return GridFlow(GridState(scene, pipe_layout(scene), find_device(device), precision), threads=1)
+    return GridFlow(GridState(scene, pipe_layout(scene), find_device(device), precision))
 
 
 def stages_through(flow, name):
-    """Run the stages of a step up to that of this name."""
-    for stage in flow.step[0]:
-        stage()
-        if getattr(stage, "name", None) == name:
+    """Run the stages of a step up to that of this name, of which each thread has one."""
+    found = False
+    for stage in GridStep(flow, range(flow.threads)).stages():
+        if found and stage.name != name:
             return
-    raise AssertionError(f"no stage {name}")
+        stage()
+        found = found or stage.name == name
+    assert found, f"no stage {name}"
 
 
 def dense(flow, system):
