@@ -1,6 +1,8 @@
 """Runs as Python has them: read back from a folder, quantities by name, tables, plots, the viewer."""
 
+import copy
 import json
+import pickle
 import shutil
 import subprocess
 import sys
@@ -15,7 +17,9 @@ from pumping import alive, wait_until
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.cli.main import cli
+from warpcrete.core.run.quantities import Amount, Quantities
 from warpcrete.core.run.run import viewer
+from warpcrete.core.run.tables import Table
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 
@@ -103,6 +107,51 @@ def test_a_series_is_a_table(ran, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[notebook\]', or use the arrays in run\.series"):
         ran.table()
+
+
+def test_a_series_is_a_dataset(ran, tmp_path, monkeypatch):
+    pytest.importorskip("xarray")
+    found = ran.to_xarray()
+    assert set(found.data_vars) == set(ran.series) - {"time"} and found.sizes == {"time": len(ran.series["time"])}
+    for name, column in ran.series.items():
+        assert np.array_equal(found[name].to_numpy(), column, equal_nan=True)
+        assert found[name].attrs == {"units": ran.units[name], "long_name": name.replace("_", " ")}
+    assert found.attrs["scene"] == "channel"
+    assert json.loads(found.attrs["parameters"])["spacing"] == 0.01
+    assert json.loads(found.attrs["quantities"])["pressure"] == ran["pressure"]
+    table = Table({"place": np.array([0.0, 1.0]), "stress": np.array([3.0, 4.0])}, {"place": "m", "stress": "Pa"})
+    monkeypatch.setitem(ran.tables, "stations", table)
+    places = ran.to_xarray("stations")
+    assert places["stress"].sel(place=1.0) == 4.0 and places["place"].attrs["units"] == "m"
+    with pytest.raises(SceneError, match=r"^table = 'radius': must be one of stations"):
+        ran.to_xarray("radius")
+
+
+def test_a_dataset_needs_xarray(ran, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[xarray\]', or use the arrays in run\.series"):
+        ran.to_xarray()
+
+
+def test_quantities_know_their_units(ran):
+    pressure = ran["pressure"]
+    assert pressure == ran.result["pressure"]["value"] and type(pressure + 1) is float
+    assert repr(pressure) == str(pressure) == f"{ran.result['pressure']['value']:.6g} Pa"
+    assert (
+        f"{pressure:.1f}" == f"{ran.result['pressure']['value']:.1f}" and json.loads(json.dumps(pressure)) == pressure
+    )
+    assert pressure.to("bar") == pytest.approx(pressure / 1e5) and pressure.to("Pa") == pressure
+    assert pickle.loads(pickle.dumps(pressure)).unit == copy.copy(pressure).unit == "Pa"
+    with pytest.raises(SceneError, match=r"^unit = 'm': must be one of Pa, bar"):
+        pressure.to("m")
+    assert Amount(2.0, "J").to("J") == 2.0
+    assert type(ran["particles"]) is float
+    lines = repr(ran.quantities).splitlines()
+    assert len(lines) == len(ran.quantities) and any(
+        line.split() == ["pressure", *repr(pressure).split()] for line in lines
+    )
+    assert f"<td>{pressure!r}</td>" in ran.quantities._repr_html_()
+    assert repr(Quantities()) == "no quantities"
 
 
 def test_a_run_draws_its_columns(ran):

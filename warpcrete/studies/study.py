@@ -26,7 +26,8 @@ from ..core.run.files import atomic_file, check_new, is_full, read_record, write
 from ..core.run.folders import locked_folder, new_folder
 from ..core.run.method import Quantity
 from ..core.run.provenance import provenance
-from ..core.run.run import Run, dataframe
+from ..core.run.run import Run
+from ..core.run.tables import dataframe, dataset
 from ..core.units import number, shown
 from ..methods import method_of
 from ..record.checks import failed_checks
@@ -147,6 +148,14 @@ class Study:
         """
         columns, units = columns_of(self)
         return dataframe(columns, units, "case")
+
+    def to_xarray(self) -> Any:
+        """Return all cases and seeds as an xarray Dataset in SI units, with the dimension `case`.
+
+        Each variable has its unit in `attrs["units"]`. Raises :class:`WarpcreteError` if xarray is not installed.
+        """
+        columns, units = columns_of(self)
+        return dataset(columns, units, "case", {"scene": self.scene})
 
     def plot(self) -> Any:
         """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.errors import InstabilityError
 from ...core.run.method import results_of
-from ...core.run.run import Table
+from ...core.run.tables import Table
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.html import html_table
-from ...core.run.run import dataframe
+from ...core.run.tables import dataframe
 from ...core.units import quantity
 from ...mps.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band, combined
