@@ -2,6 +2,7 @@
 
 import copy
 import json
+import os
 import pickle
 import shutil
 import subprocess
@@ -11,12 +12,10 @@ import urllib.request
 import numpy as np
 import psutil
 import pytest
-from click.testing import CliRunner
 from pumping import alive, wait_until
 
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
-from warpcrete.cli.main import cli
 from warpcrete.core.run.quantities import Amount, Quantities
 from warpcrete.core.run.run import viewer
 from warpcrete.core.run.tables import Table
@@ -178,8 +177,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
         Simulation(scenes.channel(duration=0.001, spacing=0.01, length=0.1), device="cpu", threads=1).run().view()
     for name in ("run.rrd", "run-001.rrd"):
         (tmp_path / name).write_bytes(b"")
-    refused = CliRunner().invoke(cli, ["view", str(tmp_path)])
-    assert "no screen was found (DISPLAY is not set); use --web" in str(refused.exception)
+    assert viewer(tmp_path).in_browser  # without a screen, a browser shows the recording
     served = viewer(tmp_path, web=True)
     place = served.command.index(str(tmp_path / "run.rrd"))
     assert served.command[place + 1 :][:4] == [str(tmp_path / "run-001.rrd"), "--serve-web", "--bind", "127.0.0.1"]
@@ -188,6 +186,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
         with pytest.raises(SceneError, match=f"^bind = '{bind}': {words}"):
             viewer(tmp_path, web=True, bind=bind)
     monkeypatch.setenv("DISPLAY", ":0")
+    assert not viewer(tmp_path).in_browser
     command = viewer(tmp_path, bind="::1").command
     assert "--serve-web" not in command and command[command.index("--bind") + 1] == "::1"
 
@@ -199,13 +198,16 @@ def listeners(process: psutil.Process) -> set[str]:
 
 
 @pytest.mark.thorough
-def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path):
+@pytest.mark.parametrize("option", [["--web"], []], ids=["asked for", "no screen"])
+def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path, option):
     """One line with the address, nothing of the server's log; the server ends with the command."""
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    environment = {name: value for name, value in os.environ.items() if name not in screens}
     Simulation(ran.scene, device="cpu", threads=1, recorders=[RerunRecorder(tmp_path / "run.rrd")]).run()
     code = "from warpcrete.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-uc", code, "view", str(tmp_path), "--web"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True,
+        [sys.executable, "-uc", code, "view", str(tmp_path), *option], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env=environment,
     )  # fmt: skip
     try:
         address = process.stdout.readline().strip()
@@ -214,5 +216,7 @@ def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path):
         assert servers and listeners(psutil.Process(process.pid)) == {"127.0.0.1"}
     finally:
         process.kill()
-    assert process.communicate()[0] == ""
+    said = process.communicate()
+    assert said[0] == "" and len(said[1].splitlines()) == (not option)
+    assert option or "has no screen (DISPLAY is not set); open the following address" in said[1]
     assert wait_until(lambda: not any(map(alive, servers)), 10)

@@ -187,9 +187,9 @@ class Run:
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
         """Open the recording in the run's folder in Rerun's viewer, without waiting for the viewer to close.
 
-        With `web`, a server shows the recording in a browser while this program runs, and its address is printed. The
-        server listens on the IP address `bind`, which by default only this machine can reach. Raises
-        :class:`RunFolderError` if there is no recording or no screen.
+        With `web`, and on a machine without a screen, a server shows the recording in a browser while this program
+        runs, and its address is printed. The server listens on the IP address `bind`, which by default only this
+        machine can reach. Raises :class:`RunFolderError` if there is no recording.
         """
         if self.folder is None:
             raise RunFolderError(
@@ -198,7 +198,7 @@ class Run:
             )
         opened = viewer(self.folder, web, bind)
         process = opened.start()
-        if web:
+        if opened.in_browser:
             print(opened.address)
         return process
 
@@ -236,20 +236,17 @@ def _copy_folder(source: Path, target: Path) -> None:
 def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """Return Rerun's viewer for the recording in the folder `run`, or for the recording file `run`.
 
-    With `web`, the viewer is a server for browsers, which listens on the IP address `bind`; otherwise it is a window.
-    Raises :class:`RunFolderError` if there is no recording or no screen.
+    With `web`, and on a machine without a screen, the viewer is a server for browsers, which listens on the IP address
+    `bind`; otherwise it is a window. Raises :class:`RunFolderError` if there is no recording.
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
         raise RunFolderError(
             f"'{run}': contains no recording (run.rrd); record a new run with 'warpcrete run SCENE --out FOLDER'"
         )
-    if not web and not has_screen():
-        raise RunFolderError(f"'{run}': no screen was found (DISPLAY is not set); use --web to show the recording in "
-                             f"a browser, or open {recording} elsewhere with 'rerun {recording.name}'")  # fmt: skip
     # The recording of an unfinished run has several files, which the viewer shows as one recording.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
-    return (web_viewer if web else screen_viewer)([recording, *parts], bind)
+    return (web_viewer if web or not has_screen() else screen_viewer)([recording, *parts], bind)
 
 
 def _column_title(column: str) -> str:
