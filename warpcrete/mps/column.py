@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from ..core.errors import positive, refuse
-from ..core.inputs.concretes import is_file
+from ..core.inputs.concretes import is_file, shipped_flows
 from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity
-from ..core.inputs.parameters import Above, Alias, FileIf, Needs, OneOf, Within
+from ..core.inputs.parameters import Above, Alias, FileIf, Needs, OneOf, Suggests, Within
 from ..core.run.checks import with_cures
 from ..core.run.run_loop import Run
 from ..core.units import number
@@ -44,15 +44,30 @@ def diameter_of_radius(radius: Any) -> Any:
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
 
 
+def concrete_names() -> tuple[str, ...]:
+    """Return the names that the parameter `concrete` of a flow accepts, apart from files."""
+    return *shipped_flows(), "own"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConcreteParameters:
     """Concrete and its slip layer."""
+
+    common: ClassVar[tuple[str, ...]] = (
+        "concrete",
+        "density",
+        "viscosity",
+        "yield_stress",
+        "slip_viscosity",
+        "slip_yield",
+    )
 
     concrete: Annotated[
         str,
         "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the next five constants",
         Alias("mix"),
         FileIf(is_file),
+        Suggests(concrete_names),
     ] = "no1"
     density: Annotated[
         float | None,
@@ -131,6 +146,8 @@ class ColumnParameters:
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
     """Parameters of the coarse aggregate in the two-phase model."""
+
+    common: ClassVar[tuple[str, ...]] = ("aggregates",)
 
     aggregates: Annotated[bool, "Simulate two phases: coarse aggregate as rigid groups of particles in mortar"] = False
     aggregate_fraction: Annotated[

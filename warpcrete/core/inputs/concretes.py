@@ -68,6 +68,11 @@ def shipped() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
 
 
+def shipped_flows() -> tuple[str, ...]:
+    """Return the names of the shipped concretes that flows accept: those with a section `flow` or `mix`."""
+    return tuple(name for name in shipped() if concrete(name).flow or concrete(name).mix)
+
+
 def is_file(name: str) -> bool:
     """Return whether the name of a concrete is the path of a YAML or JSON file."""
     return Path(name).suffix.lower() in FILES

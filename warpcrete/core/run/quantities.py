@@ -27,8 +27,8 @@ class Amount(float):
         made.unit = unit
         return made
 
-    def __getnewargs__(self) -> tuple[float, str]:
-        return float(self), self.unit
+    def __reduce__(self) -> tuple[type[Amount], tuple[float, str]]:
+        return Amount, (float(self), self.unit)
 
     def __repr__(self) -> str:
         return f"{float(self):.6g} {self.unit}"
