@@ -1,5 +1,6 @@
 """Run folders that Python writes: the same files as those of the command, at once or after the run."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from test_recordings import columns
 import warpcrete
 from warpcrete import RunFolder, RunFolderError, SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.cli.main import cli
+from warpcrete.core.errors import DiskFullError
 from warpcrete.core.run import run_loop
 from warpcrete.core.run.files import LOCK
 from warpcrete.core.run.folders import FolderLock
@@ -154,6 +156,20 @@ def test_an_interrupted_run_is_saved_without_a_checkpoint(tmp_path):
     run.save(tmp_path / "run")
     assert run.interrupted and "checkpoint.npz" not in files(tmp_path / "run")
     assert len(warpcrete.load(tmp_path / "run").series["time"]) == 3
+
+
+def test_a_save_that_failed_can_be_repeated(tmp_path, monkeypatch):
+    run = Simulation(scenes.channel(**FLOW), **SETTINGS).run()
+
+    def full(recorder, simulation, row):
+        raise OSError(errno.ENOSPC, "no space")
+
+    with monkeypatch.context() as patched, pytest.raises(DiskFullError, match=r"no space.*no checkpoint was saved"):
+        patched.setattr("warpcrete.record.run_folder.TableRecorder.sample", full)
+        run.save(tmp_path / "full")
+    assert run.folder is None and run.finished and run.result["finished"]
+    run.save(tmp_path / "run")
+    assert warpcrete.load(tmp_path / "run").finished and LOCK not in files(tmp_path / "full")
 
 
 def test_a_run_without_a_state_cannot_be_saved(tmp_path, monkeypatch):

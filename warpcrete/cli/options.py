@@ -60,8 +60,7 @@ class GroupedCommand(click.Command):
             with formatter.section(title.rstrip(".")):
                 formatter.write_dl(records)
         if left_out:
-            formatter.write_paragraph()
-            formatter.write_text(f"{left_out} further options: {ctx.command_path} --help-all")
+            formatter.write(f"\n{left_out} further options: {ctx.command_path} --help-all\n")
 
 
 class SceneCommand(GroupedCommand):

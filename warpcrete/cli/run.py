@@ -77,13 +77,13 @@ def run(
     source = settings["pipeline_other"] and str(Path(settings["pipeline_other"]).resolve())
     out = RunFolder(
         folder,
-        [kind.name for kind in RECORDERS if settings[kind.name]],
-        settings["colour"],
-        settings["network"],
-        True if settings["live"] == "spawn" else settings["live"] or False,
-        settings["bind"],
-        {key: settings[key] if key != "pipeline_other" else source for key in PIPELINE},
-        going_on,
+        recordings=[kind.name for kind in RECORDERS if settings[kind.name]],
+        colour=settings["colour"],
+        network=settings["network"],
+        live=True if settings["live"] == "spawn" else settings["live"] or False,
+        bind=settings["bind"],
+        pipeline={name: settings[name] for name in PIPELINE} | {"pipeline_other": source},
+        resumed=going_on,
     )
     precision = settings["precision"]
     if "precision" in declared_fields(module.scene.parameters):

@@ -28,14 +28,14 @@ SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Run folder at `path`, with settings for its recordings; pass it as `out` to a simulation or to `run.save`.
+    """Run folder at the path `folder`, with settings for its recordings; pass it to a simulation or to `run.save`.
 
     The folder holds the same files as that of `warpcrete run --out`, whose options have the names of these settings. A
     folder that holds the same run, unfinished, continues this run. Raises :class:`RunFolderError` for a folder that
     holds something else, and :class:`SceneError` for a wrong setting.
     """
 
-    path: Path
+    folder: str | Path
     recordings: Sequence[str] | None = None
     """Names of the recordings to write: `rerun`, `usd` or `paraview`; None selects those that the command writes."""
     colour: str | None = None
@@ -52,13 +52,17 @@ class RunFolder:
     """True if the settings come from the scene.json of the folder itself."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "path", Path(self.path))
         if isinstance(self.recordings, str):
             object.__setattr__(self, "recordings", (self.recordings,))
         for name in self.recordings or ():
             one_of("recordings", name, tuple(kind.name for kind in RECORDERS))
         if not self._holds_run():
             check_new(self.path)
+
+    @property
+    def path(self) -> Path:
+        """Path of the folder."""
+        return Path(self.folder)
 
     def _holds_run(self) -> bool:
         return (self.path / "scene.json").is_file()

@@ -179,8 +179,12 @@ class Run:
                 "has no samples; run it again with warpcrete.Simulation(scene, out=FOLDER)"
             )
         else:
-            final = self.final_state
-            final.simulation(self.scene, out=output, **final.settings).write_run(self, final.contents)
+            final, finished = self.final_state, self.finished
+            try:
+                final.simulation(self.scene, out=output, **final.settings).write_run(self, final.contents)
+            except BaseException:
+                self.folder, self.finished, self.result["finished"] = None, finished, finished
+                raise
             self.final_state = None
         return output.path
 

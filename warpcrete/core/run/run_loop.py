@@ -412,7 +412,7 @@ class Simulation:
         self._has_run = True
         self._recording = Recording(self, self.recorders)
         self._started = wall_clock.perf_counter()
-        if self._resumed is not None:
+        if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
         finished = interrupted = False
         full: list[Exception] = []  # These errors were caused by a full disk.
