@@ -387,7 +387,10 @@ class Simulation:
         with report_compiling(self.tell):
             if not self.prepared:
                 self.begin()
-            return run_coroutine(self.running(), self.stepper.advance)
+            run: Run = run_coroutine(self.running(), self.stepper.advance)
+        if run.folder is None and self.rows:
+            self._keep_final_state(run)
+        return run
 
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
         """Write the run folder of a `run` that has ended, from its state at the end, instead of running the scene.
@@ -475,8 +478,6 @@ class Simulation:
             recording.mark_incomplete()
         if run.finished and path is not None:
             checkpoint.remove(path)
-        if run.folder is None and self.rows and (finished or interrupted or self.stop_requested):
-            self._keep_final_state(run)
         recording.close()
         if isinstance(self._progress, ProgressBar):
             self._progress.close()
