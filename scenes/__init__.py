@@ -1,10 +1,11 @@
 """Scenes, one file for each: the function `scene(**parameters)` builds a scene, and `check(run)` judges its runs.
 
 Every file in this folder is a scene, which `modules` finds by the file's name with hyphens; the scene functions are
-also attributes of this package. If both a flow and discrete elements can simulate a test, there are two scenes, NAME
-and NAME-dem. The second one has a file of its own, NAME_dem.py, or it is in the same file as `scene_dem`, `check_dem`
-and `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or
-records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test for both methods in one file.
+also attributes of this package, and `dir` lists only them. If both a flow and discrete elements can simulate a test,
+there are two scenes, NAME and NAME-dem. The second one has a file of its own, NAME_dem.py, or it is in the same file as
+`scene_dem`, `check_dem` and `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and `mps`,
+and never what runs or records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test for both
+methods in one file.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def by_method(name: str, method: str) -> str:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(name.replace("-", "_") for name in modules())
 
 
 globals().update({name.replace("-", "_"): module.scene for name, module in modules().items()})

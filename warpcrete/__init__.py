@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from . import scenes
     from .core.run.recorder import Recorder
     from .dem.scene.scene import Scene
-    from .methods import Simulation
+    from .record.output import RunFolder, Simulation
     from .studies.api import study
     from .studies.calibration.calibrate import calibrate
     from .studies.loading import load
@@ -39,6 +39,7 @@ __all__ = [
     "DeviceError",
     "InstabilityError",
     "Recorder",
+    "RunFolder",
     "RunFolderError",
     "Scene",
     "SceneError",
@@ -53,8 +54,12 @@ __all__ = [
     "trade",
 ]
 
-_LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene.scene", "FluidScene": "mps.scene"}
-_LAZY |= {
+_LAZY = {
+    "Simulation": "record.output",
+    "RunFolder": "record.output",
+    "Run": "methods",
+    "Scene": "dem.scene.scene",
+    "FluidScene": "mps.scene",
     "Recorder": "core.run.recorder",
     "load": "studies.loading",
     "study": "studies.api",

@@ -16,7 +16,6 @@ from pumping import TINY, alive, wait_until
 
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.cli.run import KEPT
 from warpcrete.core.device.interrupts import StopAtSample, defer_interrupts
 from warpcrete.core.errors import DiskFullError, SceneError
 from warpcrete.core.run import checkpoint, folders
@@ -27,6 +26,7 @@ from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.record.checks import CheckRecorder
 from warpcrete.record.loading import is_finished
+from warpcrete.record.output import SETTINGS
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 from warpcrete.studies.calibration.calibrate import resume_calibration
@@ -196,7 +196,7 @@ def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, whole)
                 assert is_finished(tmp_path / "run") is False  # readers need no lock
 
     first = flow(tmp_path / "run", Second())
-    first.recorders[0].command = {key: {"threads": 1, "checkpoint_every": 1.0}.get(key) for key in KEPT}
+    first.recorders[0].command = {key: {"threads": 1, "checkpoint_every": 1.0}.get(key) for key in SETTINGS}
     first.run()
     assert "exists already" in seen[0]
     assert f"is in use by process {os.getpid()}" in seen[1] and "is in use by process" in seen[2]

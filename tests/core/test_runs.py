@@ -1,6 +1,9 @@
 """Runs as Python has them: read back from a folder, quantities by name, tables, plots, the viewer."""
 
+import copy
 import json
+import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -9,13 +12,13 @@ import urllib.request
 import numpy as np
 import psutil
 import pytest
-from click.testing import CliRunner
 from pumping import alive, wait_until
 
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
-from warpcrete.cli.main import cli
+from warpcrete.core.run.quantities import Amount, Quantities
 from warpcrete.core.run.run import viewer
+from warpcrete.core.run.tables import Table
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 
@@ -105,6 +108,51 @@ def test_a_series_is_a_table(ran, monkeypatch):
         ran.table()
 
 
+def test_a_series_is_a_dataset(ran, tmp_path, monkeypatch):
+    pytest.importorskip("xarray")
+    found = ran.to_xarray()
+    assert set(found.data_vars) == set(ran.series) - {"time"} and found.sizes == {"time": len(ran.series["time"])}
+    for name, column in ran.series.items():
+        assert np.array_equal(found[name].to_numpy(), column, equal_nan=True)
+        assert found[name].attrs == {"units": ran.units[name], "long_name": name.replace("_", " ")}
+    assert found.attrs["scene"] == "channel"
+    assert json.loads(found.attrs["parameters"])["spacing"] == 0.01
+    assert json.loads(found.attrs["quantities"])["pressure"] == ran["pressure"]
+    table = Table({"place": np.array([0.0, 1.0]), "stress": np.array([3.0, 4.0])}, {"place": "m", "stress": "Pa"})
+    monkeypatch.setitem(ran.tables, "stations", table)
+    places = ran.to_xarray("stations")
+    assert places["stress"].sel(place=1.0) == 4.0 and places["place"].attrs["units"] == "m"
+    with pytest.raises(SceneError, match=r"^table = 'radius': must be one of stations"):
+        ran.to_xarray("radius")
+
+
+def test_a_dataset_needs_xarray(ran, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[xarray\]', or use the arrays in run\.series"):
+        ran.to_xarray()
+
+
+def test_quantities_know_their_units(ran):
+    pressure = ran["pressure"]
+    assert pressure == ran.result["pressure"]["value"] and type(pressure + 1) is float
+    assert repr(pressure) == str(pressure) == f"{ran.result['pressure']['value']:.6g} Pa"
+    assert (
+        f"{pressure:.1f}" == f"{ran.result['pressure']['value']:.1f}" and json.loads(json.dumps(pressure)) == pressure
+    )
+    assert pressure.to("bar") == pytest.approx(pressure / 1e5) and pressure.to("Pa") == pressure
+    assert pickle.loads(pickle.dumps(pressure)).unit == copy.copy(pressure).unit == "Pa"
+    with pytest.raises(SceneError, match=r"^unit = 'm': must be one of Pa, bar"):
+        pressure.to("m")
+    assert Amount(2.0, "J").to("J") == 2.0
+    assert type(ran["particles"]) is float
+    lines = repr(ran.quantities).splitlines()
+    assert len(lines) == len(ran.quantities) and any(
+        line.split() == ["pressure", *repr(pressure).split()] for line in lines
+    )
+    assert f"<td>{pressure!r}</td>" in ran.quantities._repr_html_()
+    assert repr(Quantities()) == "no quantities"
+
+
 def test_a_run_draws_its_columns(ran):
     """In the units that people read; columns of one unit share an axis."""
     (axes,) = ran.plot().axes
@@ -129,8 +177,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
         Simulation(scenes.channel(duration=0.001, spacing=0.01, length=0.1), device="cpu", threads=1).run().view()
     for name in ("run.rrd", "run-001.rrd"):
         (tmp_path / name).write_bytes(b"")
-    refused = CliRunner().invoke(cli, ["view", str(tmp_path)])
-    assert "no screen was found (DISPLAY is not set); use --web" in str(refused.exception)
+    assert viewer(tmp_path).in_browser  # without a screen, a browser shows the recording
     served = viewer(tmp_path, web=True)
     place = served.command.index(str(tmp_path / "run.rrd"))
     assert served.command[place + 1 :][:4] == [str(tmp_path / "run-001.rrd"), "--serve-web", "--bind", "127.0.0.1"]
@@ -139,6 +186,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
         with pytest.raises(SceneError, match=f"^bind = '{bind}': {words}"):
             viewer(tmp_path, web=True, bind=bind)
     monkeypatch.setenv("DISPLAY", ":0")
+    assert not viewer(tmp_path).in_browser
     command = viewer(tmp_path, bind="::1").command
     assert "--serve-web" not in command and command[command.index("--bind") + 1] == "::1"
 
@@ -150,13 +198,16 @@ def listeners(process: psutil.Process) -> set[str]:
 
 
 @pytest.mark.thorough
-def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path):
+@pytest.mark.parametrize("option", [["--web"], []], ids=["asked for", "no screen"])
+def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path, option):
     """One line with the address, nothing of the server's log; the server ends with the command."""
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    environment = {name: value for name, value in os.environ.items() if name not in screens}
     Simulation(ran.scene, device="cpu", threads=1, recorders=[RerunRecorder(tmp_path / "run.rrd")]).run()
     code = "from warpcrete.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-uc", code, "view", str(tmp_path), "--web"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True,
+        [sys.executable, "-uc", code, "view", str(tmp_path), *option], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env=environment,
     )  # fmt: skip
     try:
         address = process.stdout.readline().strip()
@@ -165,5 +216,7 @@ def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path):
         assert servers and listeners(psutil.Process(process.pid)) == {"127.0.0.1"}
     finally:
         process.kill()
-    assert process.communicate()[0] == ""
+    said = process.communicate()
+    assert said[0] == "" and len(said[1].splitlines()) == (not option)
+    assert option or "has no screen (DISPLAY is not set); open the following address" in said[1]
     assert wait_until(lambda: not any(map(alive, servers)), 10)

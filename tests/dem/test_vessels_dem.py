@@ -396,7 +396,7 @@ def test_a_scene_has_a_name_by_method():
 def test_the_command_takes_a_method():
     from warpcrete.cli.main import cli
 
-    helped = CliRunner().invoke(cli, ["run", "slump", "--method", "dem", "--help"])
+    helped = CliRunner().invoke(cli, ["run", "slump", "--method", "dem", "--help-all"])
     assert helped.exit_code == 0 and "--rolling-friction" in helped.output
-    helped = CliRunner().invoke(cli, ["run", "slump", "--method=mps", "--help"])
+    helped = CliRunner().invoke(cli, ["run", "slump", "--method=mps", "--help-all"])
     assert helped.exit_code == 0 and "--regularisation" in helped.output

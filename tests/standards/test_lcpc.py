@@ -33,7 +33,7 @@ def test_one_file_holds_the_scenes_of_both_methods():
     told = CliRunner().invoke(cli, ["list"]).output.splitlines()
     assert sum("LCPC" in line for line in told if line.startswith("lcpc")) == 2
     for method, option in (("mps", "--surfaces"), ("dem", "--shell-modulus")):
-        helped = CliRunner().invoke(cli, ["run", "lcpc", "--method", method, "--help"])
+        helped = CliRunner().invoke(cli, ["run", "lcpc", "--method", method, "--help-all"])
         assert helped.exit_code == 0 and option in helped.output and "--column-length" in helped.output
 
 

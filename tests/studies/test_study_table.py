@@ -52,6 +52,15 @@ def test_a_row_is_a_case_with_every_number_it_came_to(study):
     }
 
 
+def test_a_dataset_has_every_case_with_units(study):
+    pytest.importorskip("xarray")
+    found = study.to_xarray()
+    columns, units = columns_of(study)
+    assert found["case"].to_numpy().tolist() == columns["case"] and set(found.data_vars) == set(columns) - {"case"}
+    assert {name: each.attrs["units"] for name, each in found.data_vars.items() if each.attrs["units"]} == units
+    assert np.array_equal(found["peak_pressure"], [2e4, 3e4, np.nan, np.nan], equal_nan=True)
+
+
 def test_parquet_keeps_units_and_what_has_no_one_type(study):
     from pyarrow import parquet
 

@@ -15,7 +15,8 @@ import click
 
 from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
 from .console import prepare_streams
-from .scene_commands import LazyGroup, by_method, load, scenes
+from .option_types import DEVICE, FLOW, GROWTH, LENGTH, POWER, PRESSURE, TIME, Completed
+from .scene_commands import LazyGroup, WordCommand, by_method, load, scenes
 from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
 
 EXIT_TIMEOUT = 3.0
@@ -81,11 +82,13 @@ class TheoryCommand(click.Command):
 @cli.command("theory", cls=TheoryCommand)
 @click.option(
     "--flow",
+    type=FLOW,
     multiple=True,
     help="Volume flow [m3/s], or with a unit such as '35 m3/h'; may be repeated  [default: 0.0015]",
 )
 @click.option(
     "--pressure",
+    type=PRESSURE,
     multiple=True,
     help="Pressure [Pa], or with a unit such as '50 bar', for which the flow is computed; may be repeated",
 )
@@ -93,10 +96,11 @@ class TheoryCommand(click.Command):
               "with a first line such as 'flow [m3/h],pressure [bar]', to which the slip layer is fitted")  # fmt: skip
 @click.option(
     "--rest",
+    type=TIME,
     help="Time that the concrete has stood still [s], or with a unit such as '10 min'; adds the "
     "pressure of the restart",
 )
-@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
+@click.option("--thixotropy", type=GROWTH, help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
 @click.option("--segregation", multiple=True, help="Difference of the aggregate's share between the outer "
               "and the inner half of the radius, divided by its mean share; adds its effect on the pressure; may be "
               "repeated")  # fmt: skip
@@ -128,7 +132,8 @@ def theory(
 
 @cli.command("view")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--web", is_flag=True, help="Show it in a browser, at the printed address, until Ctrl-C")
+@click.option("--web", is_flag=True, help="Show it in a browser, at the printed address, until Ctrl-C; the default "
+              "on a machine without a screen")  # fmt: skip
 @click.option("--bind", default="127.0.0.1", show_default=True, help="IP address that the viewer listens on; 0.0.0.0 "
               "lets every machine connect that can reach this one")  # fmt: skip
 def view_run(run: Path, web: bool, bind: str) -> None:
@@ -137,13 +142,16 @@ def view_run(run: Path, web: bool, bind: str) -> None:
 
     opened = viewer(run, web, bind)
     process = opened.start()
-    if web:
+    if opened.in_browser and not web:
+        click.echo("note: this machine has no screen (DISPLAY is not set); open the following address in a browser",
+                   err=True)  # fmt: skip
+    if opened.in_browser:
         click.echo(opened.address)
     raise SystemExit(process.wait())
 
 
 @cli.command("verify")
-@click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @click.option("--only", default="", help="Run only the cases whose name or group contains this text")
 @click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
@@ -158,13 +166,20 @@ def verify(**settings: Any) -> None:
 
 
 @cli.command("validate")
-@click.option("--kind", multiple=True, help="Compare only this kind of measurement, such as pipe or slump; repeatable")
+@click.option(
+    "--kind",
+    type=Completed("kinds"),
+    multiple=True,
+    help="Compare only this kind of measurement, such as pipe or slump; repeatable",
+)
 @click.option("--quick", is_flag=True, help="Use closed forms only, and simulate no flow")
 @click.option(
     "--cases", type=click.Path(path_type=Path), help="File of your own measured cases  [default: the shipped ones]"
 )
 @click.option("--every", is_flag=True, help="Also print the table of all cases")
-@click.option("--device", help="Device of the simulations: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option(
+    "--device", type=DEVICE, help="Device of the simulations: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"
+)
 @click.option("--out", type=click.Path(path_type=Path), help="New folder for the tables and validation.png")
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def validate_command(**settings: Any) -> None:
@@ -179,7 +194,7 @@ def validate_command(**settings: Any) -> None:
 
 
 @cli.command("reproduce")
-@click.argument("paper", required=False)
+@click.argument("paper", type=Completed("papers"), required=False)
 @click.option(
     "--quick", is_flag=True, help="Use coarse spheres instead of clumps, and fewer cases; takes minutes on a CPU"
 )
@@ -194,7 +209,7 @@ def validate_command(**settings: Any) -> None:
 @click.option(
     "--resume", type=click.Path(path_type=Path), help="Continue the reproduction in this folder; finished runs are kept"
 )
-@click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option(
     "--processes", type=click.IntRange(1, 1024), help="Number of parallel processes on a CPU  [default: one per core]"
 )
@@ -209,16 +224,16 @@ def reproduce_command(**settings: Any) -> None:
 
 
 @cli.command("line", help=LINE_HELP)
-@click.argument("line", type=str, required=False)
-@click.option("--diameter", help="Inner diameter of a straight line without a file, such as '125 mm'")
-@click.option("--length", help="Length of a straight line without a file, such as '190 m'")
-@click.option("--rise", help="Height of the end of a line without a file above its start  [default: 0 m]")
-@click.option("--slump", help="Slump of a concrete of which nothing else is known, such as '180 mm'")
-@click.option("--spread", help="Spread of a concrete of which nothing else is known, such as '600 mm'")
-@click.option("--stone", help="Size of the largest stone, such as '20 mm'")
-@click.option("--concrete", help="Concrete, instead of the line's: no1, no2, no3, or a file with a section 'flow'; "
-              "with --method dem, zhan or another concrete of the scene 'pipe'")  # fmt: skip
-@click.option("--flow", help="Volume flow, instead of the line's, such as '30 m3/h'")
+@click.argument("line", type=Completed("lines"), required=False)
+@click.option("--diameter", type=LENGTH, help="Inner diameter of a straight line without a file, such as '125 mm'")
+@click.option("--length", type=LENGTH, help="Length of a straight line without a file, such as '190 m'")
+@click.option("--rise", type=LENGTH, help="Height of the end of a line without a file above its start  [default: 0 m]")
+@click.option("--slump", type=LENGTH, help="Slump of a concrete of which nothing else is known, such as '180 mm'")
+@click.option("--spread", type=LENGTH, help="Spread of a concrete of which nothing else is known, such as '600 mm'")
+@click.option("--stone", type=LENGTH, help="Size of the largest stone, such as '20 mm'")
+@click.option("--concrete", type=Completed("concretes"), help="Concrete, instead of the line's: no1, no2, no3, or a "
+              "file with a section 'flow'; with --method dem, zhan or another concrete of 'pipe'")  # fmt: skip
+@click.option("--flow", type=FLOW, help="Volume flow, instead of the line's, such as '30 m3/h'")
 @click.option(
     "--simulate",
     is_flag=True,
@@ -255,19 +270,20 @@ def reproduce_command(**settings: Any) -> None:
               "a simulation, none for an answer by theory]")  # fmt: skip
 @click.option("--known", type=click.Path(path_type=Path), help="Folder of an earlier line, finished or interrupted, "
               "whose runs of the same parts are reused")  # fmt: skip
-@click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="Number of threads on a CPU  [default: all cores]")
 @click.option(
     "--rest",
+    type=TIME,
     help="Time that the full line has stood still [s], or with a unit such as '10 min'; adds the "
     "theoretical pressure of the restart",
 )
-@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5, and a band "
-              "of 0.1 to 1]")  # fmt: skip
-@click.option("--pump-pressure", help="Largest pressure of the pump on the concrete, from its data sheet, such as "
-              "'85 bar'; shows the margin")  # fmt: skip
-@click.option("--pump-flow", help="Largest flow of the pump, such as '90 m3/h'")
-@click.option("--pump-power", help="Power of the pump's motor, such as '110 kW'")
+@click.option("--thixotropy", type=GROWTH, help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5, "
+              "and a band of 0.1 to 1]")  # fmt: skip
+@click.option("--pump-pressure", type=PRESSURE, help="Largest pressure of the pump on the concrete, from its data "
+              "sheet, such as '85 bar'; shows the margin")  # fmt: skip
+@click.option("--pump-flow", type=FLOW, help="Largest flow of the pump, such as '90 m3/h'")
+@click.option("--pump-power", type=POWER, help="Power of the pump's motor, such as '110 kW'")
 @click.option("--practice", is_flag=True, help="Compare the result with the rules of AIJ, JSCE and JGJ/T 10")
 @click.option("--blocking", type=click.IntRange(1, 10_000), help="Simulate the narrowest part with this number of "
               "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
@@ -278,18 +294,18 @@ def line_command(line: str | None, **settings: Any) -> None:
 
 
 @cli.command("mix", help=MIX_HELP)
-@click.argument("name", metavar="MIX", type=str)
+@click.argument("name", metavar="MIX", type=Completed("mixes"))
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Write the resulting concrete to this new file, for --concrete"
 )
-@click.option("--bore", help="Narrowest bore through which the concrete is pumped, such as '100 mm', for the rule on "
-              "the largest stone")  # fmt: skip
+@click.option("--bore", type=LENGTH, help="Narrowest bore through which the concrete is pumped, such as '100 mm', "
+              "for the rule on the largest stone")  # fmt: skip
 def mix_command(name: str, out: Path | None, bore: str | None) -> None:
     load("mix").run(name, out, bore)
 
 
 @cli.command("schema")
-@click.argument("kind", required=False)
+@click.argument("kind", type=Completed("schemas"), required=False)
 @click.option("--path", is_flag=True, help="Print the path of the schema instead")
 def schema_command(kind: str | None, path: bool) -> None:
     """Print the JSON schema of a kind of file: concrete, mix, line or targets.
@@ -306,8 +322,7 @@ def schema_command(kind: str | None, path: bool) -> None:
 def _add_command(name: str, text: str, words_of: Callable[[list[str]], list[str]]) -> None:
     """Add a command with the help `text` that parses its own words, because its options depend on the scene."""
 
-    @cli.command(name, context_settings={"ignore_unknown_options": True}, add_help_option=False, help=text)
-    @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+    @cli.command(name, cls=WordCommand, help=text)
     def command(arguments: tuple[str, ...]) -> None:
         if not arguments or "--help" in arguments:
             click.echo(text.replace("\b\n", ""))

@@ -8,33 +8,59 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from ..core.errors import suggested
 from ..core.inputs.amounts import amount
-from ..core.inputs.parameters import Alias, CompositeRule, Field, OneOf
+from ..core.inputs.parameters import Alias, CompositeRule, Field, FileIf, OneOf, Suggests
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
+from . import completion
+
+COMMON = ("out", "device", "live", "colour", "accuracy", "resume", "quiet", "help", "help_all")
+"""Names of the options of a run that the short help shows."""
+FULL_HELP = "warpcrete.full_help"
+"""Key under which a context notes that its help shows all options."""
 
 
 class ParameterOption(click.Option):
     """Command-line option of a scene's parameter, with the group under which help pages list the option."""
 
     group = ""
+    common = True
+
+
+def _show_full_help(context: click.Context, option: click.Parameter, asked: bool) -> None:
+    if asked and not context.resilient_parsing:
+        context.meta[FULL_HELP] = True
+        click.echo(context.get_help())
+        context.exit()
 
 
 class GroupedCommand(click.Command):
-    """Command whose help page has one section for each group of its options."""
+    """Command whose help page has one section for each group of its options.
+
+    `--help` shows the common options, `--help-all` all of them.
+    """
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {}
+        left_out = 0
         for option in self.get_params(ctx):
             record = option.get_help_record(ctx)
-            if record is not None:
-                group = option.group if isinstance(option, ParameterOption) else "Recording and running."
-                sections.setdefault(group, []).append(record)
+            if record is None:
+                continue
+            common = option.common if isinstance(option, ParameterOption) else option.name in COMMON
+            if not common and not ctx.meta.get(FULL_HELP):
+                left_out += 1
+                continue
+            group = option.group if isinstance(option, ParameterOption) else "Recording and running."
+            sections.setdefault(group, []).append(record)
         for title, records in sections.items():
             with formatter.section(title.rstrip(".")):
                 formatter.write_dl(records)
+        if left_out:
+            formatter.write(f"\n{left_out} further options: {ctx.command_path} --help-all\n")
 
 
 class SceneCommand(GroupedCommand):
@@ -84,8 +110,8 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
             if field.kind is bool:
                 option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
             else:
-                option = ParameterOption([flag(name), name], type=_kind(field, name), **settings)
-            option.group = field.group
+                option = ParameterOption([flag(name), name], type=kind_of(field, name), **settings)
+            option.group, option.common = field.group, field.common
             found.append(option)
     return found
 
@@ -102,6 +128,10 @@ class Quantity(click.ParamType):
         """Return the option's value as a number in the unit of its parameter."""
         return quantity_of(value, self.field, self.called)
 
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the typed number with each unit that the parameter accepts."""
+        return completion.amounts(self.field.units, incomplete)
+
 
 NO_NUMBERS = ("nan", "inf", "infinity")
 
@@ -116,12 +146,30 @@ def quantity_of(value: Any, field: Field, called: str) -> float:
     return amount(called, value, field.units)
 
 
-def _kind(field: Field, called: str) -> Any:
+class Word(click.ParamType):
+    """Option type of a text whose usual values, and paths of files if it may be one, are completed by the shell."""
+
+    name = "text"
+
+    def __init__(self, field: Field) -> None:
+        self.field = field
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the usual values that begin with the typed text."""
+        usual = [value for rule in self.field.of_kind(Suggests) for value in rule.values()]
+        usual += [name for rule in self.field.of_kind(CompositeRule) for name in rule.short_names()]
+        return completion.names(usual, incomplete, files=any(self.field.of_kind(FileIf)))
+
+
+def kind_of(field: Field, called: str) -> Any:
+    """Return the option type of a parameter; `called` is the name of the option in error messages."""
     if any(field.of_kind(CompositeRule)):
-        return str
+        return Word(field)
     choices = next((rule.choices for rule in field.of_kind(OneOf)), None)
     if choices and field.kind is str:
         return click.Choice(list(choices))
+    if field.kind is str:
+        return Word(field)
     return Quantity(field, called) if field.kind is float else field.kind
 
 
@@ -147,11 +195,12 @@ def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") ->
 
 
 def run_options() -> list[click.Parameter]:
-    """Return the options that every run has, whatever its scene."""
+    """Return the options that every run of a scene has, whatever the scene."""
     colourings = list(dict.fromkeys(colour for method in METHODS for colour in method.display.colourings))
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="New run folder  [default: runs/SCENE-NNN]"),
-        click.Option(["--device"], help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
+        click.Option(["--device"], help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]",
+                     shell_complete=lambda ctx, param, incomplete: completion.devices(incomplete)),
         click.Option(["--precision"], type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
                      help="Precision of positions and forces"),
         click.Option(["--threads"], type=click.IntRange(1, 1024),
@@ -187,4 +236,6 @@ def run_options() -> list[click.Parameter]:
         click.Option(["--resume"], type=click.Path(path_type=Path),
                      help="Continue the interrupted run in this folder with its own settings"),
         click.Option(["--quiet"], is_flag=True, help="Show no progress bar"),
+        click.Option(["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_full_help,
+                     help="Show this message with all options"),
     ]  # fmt: skip

@@ -13,22 +13,19 @@ from ..core.device.interrupts import StopAtSample
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
-from ..core.run.files import check_new, next_folder, read_json
+from ..core.run.files import next_folder, read_json
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar
 from ..core.run.run_loop import Recorder, Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.units import number
-from ..methods import Simulation, method_of
+from ..methods import method_of
 from ..record.checks import failed_checks
 from ..record.loading import is_finished, repeatable_scene
-from ..record.recorders import RECORDERS, DrawSettings, recorders_of
+from ..record.output import PIPELINE, SETTINGS, RunFolder, Simulation
+from ..record.recorders import RECORDERS
 from ..studies.lines.pipeline import check_pipeline, pipeline_estimate
 from .exits import CHECK_FAILED, INTERRUPTED
-
-KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
-        "pipeline_other", "checkpoint_every", "threads")  # fmt: skip
-"""Names of the command's settings that are stored in scene.json, so that a resumed run uses them again."""
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
@@ -46,7 +43,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
     settings = dict(record.get("command", {}))
     # Recorders that the interrupted run did not use must stay off, even if they are on by default.
     settings = {kind.name: False for kind in RECORDERS} | settings
-    if set(settings) != set(KEPT):
+    if set(settings) != set(SETTINGS):
         raise RunFolderError(
             f"'{folder / 'scene.json'}': was not written by 'warpcrete run', which therefore cannot continue the run; "
             "continue a case of a study with 'warpcrete study --resume'"
@@ -71,57 +68,46 @@ def run(
     already holds the run.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
-    there = going_on or (folder / "scene.json").is_file()
-    if not there:
-        check_new(folder)
+    there = (folder / "scene.json").is_file()
     frames, every = settings["frames"], settings["checkpoint_every"]
     if frames is not None:
         positive("frames", frames, "1/s")
         check_limit("frames", frames, "1/s")
     between("checkpoint_every", every, 0, float("inf"), "s")
     check_limit("checkpoint_every", every, "s")
+    source = settings["pipeline_other"] and str(Path(settings["pipeline_other"]).resolve())
+    out = RunFolder(
+        folder,
+        recordings=[kind.name for kind in RECORDERS if settings[kind.name]],
+        colour=settings["colour"],
+        network=settings["network"],
+        live=True if settings["live"] == "spawn" else settings["live"] or False,
+        bind=settings["bind"],
+        pipeline={name: settings[name] for name in PIPELINE} | {"pipeline_other": source},
+        resumed=going_on,
+    )
     precision = settings["precision"]
     if "precision" in declared_fields(module.scene.parameters):
         parameters = parameters | {"precision": precision}
     scene = module.scene(**parameters)
     other = _pipeline_checked(scene, settings)
-    display = method_of(scene).display
-    live = True if settings["live"] == "spawn" else settings["live"] or False
-    look = DrawSettings(settings["colour"], settings["network"], live, settings["bind"])
-    if look.colouring is not None and look.colouring not in display.colourings:
-        refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
-    if look.network and not display.has_network:
-        refuse(
-            "network",
-            True,
-            f"needs contacts between bodies, which a scene of {display.noun} does not have",
-            "leave out --network",
-        )
-    settings = settings | {"threads": settings["threads"] or default_threads()}
-    if settings["pipeline_other"] is not None:
-        settings["pipeline_other"] = str(Path(settings["pipeline_other"]).resolve())
-    kept = {key: settings[key] for key in KEPT}
     progress = ProgressBar()
-    checkpoint = folder / "checkpoint.npz"
     simulation = Simulation(
         scene,
         device=settings["device"],
         precision=precision,
         threads=settings["threads"],
-        recorders=[
-            *recorders_of(folder, module.check, settings, look, kept, going_on=there, again=not going_on),
-            PipelineRecorder(settings["pipeline_vertical"], settings["pipeline_horizontal"], other),
-        ],
+        out=out,
+        recorders=[PipelineRecorder(settings["pipeline_vertical"], settings["pipeline_horizontal"], other)],
         frame_interval=None if frames is None else 1.0 / frames,
         progress=False if settings["quiet"] else progress,
-        checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,
     )
     for line in scene.remarks:
         click.echo(f"note: {line}", err=True)
     try:
         try:
-            simulation.begin(checkpoint)
+            simulation.begin()
         except KeyboardInterrupt:
             if there:
                 raise RunFolderError(

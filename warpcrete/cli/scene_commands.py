@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
@@ -70,10 +71,27 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
 
+class WordCommand(click.Command):
+    """Command that takes a scene, its parameters and its own options as plain words, all of which shells complete."""
+
+    def __init__(self, name: str, **settings: Any) -> None:
+        words = click.Argument(["arguments"], nargs=-1, type=click.UNPROCESSED, shell_complete=_complete_word)
+        context = {"ignore_unknown_options": True}
+        super().__init__(name, **settings | {"params": [words], "context_settings": context, "add_help_option": False})
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Return the scenes, options or values that begin with the typed text."""
+        return load("word_completion").words(self.name, ctx.params.get("arguments") or (), incomplete, ctx)
+
+
+def _complete_word(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    return context.command.shell_complete(context, incomplete)
+
+
 def _scene_command(name: str, module: ModuleType) -> click.Command:
     options = load("options")
     fields = importlib.import_module("warpcrete.core.inputs.parameters").declared_fields(module.scene.parameters)
-    common = {option.name for option in options.run_options()}
+    common = {option.name for option in options.run_options() if option.expose_value}
 
     def callback(**values: Any) -> None:
         given = options.given(values)
@@ -136,4 +154,6 @@ def _repeat_command(path: Path) -> click.Command:
             kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)
         job.run(record["scene"], module, record["parameters"], settings | kept | options.given(settings))
 
-    return click.Command(str(path), params=options.run_options(), callback=callback, help="Repeat a saved run.")
+    return options.GroupedCommand(
+        str(path), params=options.run_options(), callback=callback, help="Repeat a saved run."
+    )

@@ -200,7 +200,7 @@ def _new_study(
     )
 
 
-def _fields(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
+def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
     """Return a scene's parameters by name and alias, with those of the contact laws that the options name."""
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
@@ -211,7 +211,7 @@ def _fields(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
 
 
 def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
-    known = _fields(module, options)
+    known = fields_of(module, options)
     found: dict[str, list[Any]] = {}
     for option, words in options.items():
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
@@ -220,7 +220,7 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
             meant = suggested(name, known).replace("_", "-").replace("'", "")
             raise click.UsageError(
                 f"--{option}: is not a parameter of this scene; "
-                + (meant or "'warpcrete run SCENE --help' lists its parameters").replace("you mean ", "you mean --")
+                + (meant or "'warpcrete run SCENE --help-all' lists its parameters").replace("you mean ", "you mean --")
             )
         kind = known[name].kind
         if negative and (words or kind is not bool):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from ..core.device.footprint import footprint
 from ..core.run.method import results_of
 from ..core.run.provenance import provenance
-from ..core.run.run import Table
 from ..core.run.run_loop import Coroutine, Run, Simulation, Until, run_coroutine
+from ..core.run.tables import Table
 from ..core.units import quantity
 from .engine.bonding import bond_kinds
 from .engine.memory import check_memory

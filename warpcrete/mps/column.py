@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -69,6 +69,8 @@ class ColumnParameters:
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
     """Parameters of the coarse aggregate in the two-phase model."""
+
+    common: ClassVar[tuple[str, ...]] = ("aggregates",)
 
     aggregates: Annotated[bool, "Simulate two phases: coarse aggregate as rigid groups of particles in mortar"] = False
     aggregate_fraction: Annotated[

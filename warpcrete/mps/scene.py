@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class FlowWatch(Declared):
 @dataclass(frozen=True, kw_only=True)
 class FlowSettings(Declared):
     """Settings of the flow simulation."""
+
+    common: ClassVar[tuple[str, ...]] = ("duration", "rest")
 
     duration: Annotated[float | None, "Simulated time [s]; default: until the flow is steady"] = None
     ends: Annotated[

@@ -16,7 +16,8 @@ from ..core.inputs.by_name import names_from_file
 from ..core.inputs.origin import changed_files, check_files
 from ..core.inputs.text_files import saved_text
 from ..core.run.files import read_json, read_record
-from ..core.run.run import Run, Table
+from ..core.run.run import Run
+from ..core.run.tables import Table
 from ..scenes import modules
 
 TABLES = ("stations",)

@@ -54,7 +54,7 @@ RECORDERS = (
 
 def recorders_of(
     folder: Path,
-    check: Check,
+    check: Check | None,
     chosen: Mapping[str, Any],
     look: DrawSettings | None = None,
     command: dict[str, Any] | None = None,
@@ -64,13 +64,15 @@ def recorders_of(
 ) -> list[Recorder]:
     """Return the recorders of a run folder.
 
-    Table, checks and picture are always included, the others if they have a true entry in `chosen`. `check` is the
-    scene's acceptance check, and `command` holds settings that are stored for a resumed run. With `going_on`, the
-    folder must be that of the same, interrupted run. With `again`, the scene.json of an existing folder must describe
-    exactly this run.
+    Table and picture are always included, the others if they have a true entry in `chosen`. `check` is the scene's
+    acceptance check, or None if the scene has none. `command` holds settings that are stored for a resumed run. With
+    `going_on`, the folder must be that of the same, interrupted run. With `again`, the scene.json of an existing folder
+    must describe exactly this run.
     """
     look = look or DrawSettings()
-    found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again), CheckRecorder(check)]
+    found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again)]
+    if check is not None:
+        found.append(CheckRecorder(check))
     found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
     if look.live and not chosen.get("rerun"):
         found.append(

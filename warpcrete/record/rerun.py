@@ -148,7 +148,9 @@ class RerunRecorder(Recorder):
     def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
         """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
-        time, steps = simulation.stepper.time, simulation.stepper.steps
+        time = row["time"]
+        # The folder of a run that has ended is written from its rows, whose numbers of steps are unknown.
+        steps = simulation.stepper.steps if time == simulation.stepper.time else None
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
         }
@@ -320,10 +322,13 @@ class RerunRecorder(Recorder):
         pose = self._rr.Transform3D(translation=position, quaternion=self._rr.Quaternion(xyzw=orientation))
         self._log(path, pose, static=static)
 
-    def _set_time(self, time: float, steps: int) -> None:
-        """Set the simulated time and the number of steps under which this thread records further data."""
+    def _set_time(self, time: float, steps: int | None) -> None:
+        """Set the simulated time and, if it is known, the step under which this thread records further data."""
         self._recording.set_time("time", duration=time)
-        self._recording.set_time("step", sequence=steps)
+        if steps is None:
+            self._recording.disable_timeline("step")
+        else:
+            self._recording.set_time("step", sequence=steps)
 
     def _blueprint(self, simulation: RecordedSimulation, display: Display) -> Any:
         network = self.network and display.has_network

@@ -14,7 +14,8 @@ import numpy as np
 from ..core.drawing.html import html_table
 from ..core.run.files import atomic_file
 from ..core.run.method import Quantity
-from ..core.run.run import Run, dataframe
+from ..core.run.run import Run
+from ..core.run.tables import dataframe, dataset
 from ..core.units import number, shown
 from ..record.checks import failed_checks
 from ..record.loading import load as load_run
@@ -128,6 +129,14 @@ class Study:
         """
         columns, units = columns_of(self)
         return dataframe(columns, units, "case")
+
+    def to_xarray(self) -> Any:
+        """Return all cases and seeds as an xarray Dataset in SI units, with the dimension `case`.
+
+        Each variable has its unit in `attrs["units"]`. Raises :class:`WarpcreteError` if xarray is not installed.
+        """
+        columns, units = columns_of(self)
+        return dataset(columns, units, "case", {"scene": self.scene})
 
     def plot(self) -> Any:
         """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""

@@ -86,6 +86,10 @@ class ByName(CompositeRule):
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
+    def short_names(self) -> tuple[str, ...]:
+        """Return the short names of the classes."""
+        return tuple(self.classes)
+
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return parameters with an object in place of its class name and of the object's own parameters.
 

@@ -14,7 +14,7 @@ import math
 import os
 import re
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -102,6 +102,13 @@ class FileIf:
 
 
 @dataclass(frozen=True)
+class Suggests:
+    """Rule that lists usual values of a text, which shells complete; every other value remains allowed."""
+
+    values: Callable[[], Iterable[str]]
+
+
+@dataclass(frozen=True)
 class Alias:
     """Another name of a parameter; `convert` turns a value given under this name into the parameter's value."""
 
@@ -119,6 +126,10 @@ class CompositeRule:
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
         """Return the parameters of the object `value` by name, such as `contact_FIELD` for the field `contact`."""
+        raise NotImplementedError
+
+    def short_names(self) -> tuple[str, ...]:
+        """Return the names of classes whose objects the parameter accepts."""
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
@@ -151,6 +162,8 @@ class Field:
     """Default value of the parameter; `dataclasses.MISSING` if the parameter is required."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
+    common: bool = True
+    """True if the short help of the command shows the parameter."""
 
     @property
     def unit(self) -> str:
@@ -162,6 +175,19 @@ class Field:
     def units(self) -> str:
         """Unit of the field as a key of :data:`UNITS`, which lists the units that a user may write."""
         return self.unit.strip() if self.unit.strip() in UNITS else "1"
+
+    @property
+    def described(self) -> str:
+        """Help text, followed by those choices and other names of the parameter that the text does not mention."""
+        choices = [str(choice) for rule in self.of_kind(OneOf) for choice in rule.choices]
+        words = re.findall(r"[\w.-]+", self.help)
+        missing = [choice for choice in choices if choice not in words]
+        others = [alias.name for alias in self.of_kind(Alias)]
+        return (
+            self.help
+            + (f"; one of {', '.join(choices)}" if missing else "")
+            + (f"; also {', '.join(others)}" if others else "")
+        )
 
     def of_kind(self, kind: type[T]) -> Iterator[T]:
         """Return those rules of the field that are instances of `kind`."""
@@ -220,7 +246,11 @@ class Field:
 
 @functools.cache
 def declared_fields(owner: type) -> dict[str, Field]:
-    """Return the annotated fields of a dataclass by name, first those of its bases, each in order of definition."""
+    """Return the annotated fields of a dataclass by name, first those of its bases, each in order of definition.
+
+    A dataclass may have an attribute `common` with the names of those of its own fields that the short help of the
+    command shows; without it, the help shows all of them.
+    """
     hints = get_type_hints(owner, include_extras=True)
     own = [base for base in owner.__mro__ if dataclasses.is_dataclass(base)]
     found: dict[str, Field] = {}
@@ -233,7 +263,8 @@ def declared_fields(owner: type) -> dict[str, Field]:
                 optional = get_origin(kind) in (Union, types.UnionType)
                 if optional:
                     kind = next(k for k in get_args(kind) if k is not type(None))
-                found[name] = Field(name, kind, optional, text, tuple(rules), defaults[name], group)
+                common = name in base.__dict__.get("common", (name,))
+                found[name] = Field(name, kind, optional, text, tuple(rules), defaults[name], group, common)
     return found
 
 

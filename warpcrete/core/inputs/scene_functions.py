@@ -27,24 +27,35 @@ def _listed(fields: Iterable[Field]) -> str:
         if field.group != group:
             group = field.group
             lines += ["", group.rstrip(".")]
-        kind = WORDS.get(field.kind, field.kind.__name__)
-        default = "required" if field.default is dataclasses.MISSING else f"default {field.default!r}"
-        lines += [f"    {field.name}: {kind}, {default}", *textwrap.wrap(field.help, 100, initial_indent=8 * " ",
-                                                                         subsequent_indent=8 * " ")]  # fmt: skip
-    return "\n".join(["Parameters, all by name:", *lines])
+        lines += [f"    {field.name}: {_kind_of(field)}", *textwrap.wrap(
+            field.described, 100, initial_indent=8 * " ", subsequent_indent=8 * " ")]  # fmt: skip
+    return "\n".join(["Parameters, all by name; a number may be a text with its unit, such as '125 mm':", *lines])
+
+
+def _kind_of(field: Field) -> str:
+    """Return type and default of a parameter in words, such as "a number, default 0.15 m"."""
+    kind = WORDS.get(field.kind, f"a name or an object of {field.kind.__name__}")
+    if field.default is dataclasses.MISSING:
+        return f"{kind}, required"
+    if field.default is None:
+        return f"{kind}, optional"
+    unit = field.unit if field.kind is float and field.units != "1" else ""
+    return f"{kind}, default {field.default!r}{unit}"
 
 
 class SceneFunction(Generic[P, S]):
     """Function that makes a scene from keywords, which are the fields of the dataclass `parameters`.
 
-    The decorator :func:`scene_function` creates such functions.
+    The decorator :func:`scene_function` creates such functions. Name, signature and docstring, which `help` and editors
+    show, come from the declared parameters.
     """
 
     def __init__(self, parameters: type[Declared], build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
         self.description = inspect.getdoc(build) or ""
         self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
-        self.__name__ = getattr(build, "__name__", "scene")
+        self.__name__ = self.__qualname__ = self.name.replace("-", "_")
+        self.__module__ = build.__module__
         kind = inspect.Parameter.KEYWORD_ONLY
         self.__signature__ = inspect.Signature(
             [
@@ -52,6 +63,10 @@ class SceneFunction(Generic[P, S]):
                 for f in declared_fields(parameters).values()
             ]
         )
+
+    def __get__(self, instance: object, owner: type | None = None) -> SceneFunction[P, S]:
+        # With this method, `help` and documentation tools treat a scene function as a function and show its signature.
+        return self
 
     def __repr__(self) -> str:
         return f"<scene function {self.name}>"
@@ -68,7 +83,8 @@ class SceneFunction(Generic[P, S]):
         A file NAME.py may contain the functions `scene` and `scene_dem`, for two simulation methods. The package
         `scenes` then makes a second module NAME_dem for `scene_dem`.
         """
-        return self._build.__module__ + ("_dem" if self.__name__ == "scene_dem" else "")
+        second = getattr(self._build, "__name__", "") == "scene_dem"
+        return self._build.__module__ + ("_dem" if second else "")
 
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)

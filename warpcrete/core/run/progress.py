@@ -1,15 +1,23 @@
-"""Progress bar for terminals and notebooks."""
+"""Progress of long work: a bar in terminals and notebooks, and single lines in log files."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
     from tqdm.auto import tqdm
+
+REDRAW_INTERVAL = 0.2
+"""Shortest time between two updates of a bar [s]."""
+LINES_PER_PHASE = 10
+"""Number of lines that report a phase without a terminal, if the phase takes neither very short nor very long."""
+SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
+"""Shortest and longest time between two lines without a terminal [s]."""
 
 
 @contextmanager
@@ -23,33 +31,52 @@ def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
 
 
 class ProgressBar:
-    """Callback for `Simulation(progress=...)` that shows a tqdm bar with remaining time, pressure and speed."""
+    """Callback for `Simulation(progress=...)` that shows remaining time, pressure and speed.
+
+    In a terminal and in a notebook this is a tqdm bar. Elsewhere, for example in a log file, a line appears on standard
+    error after every tenth of the work, or after 30 s, but at most once a second.
+    """
 
     def __init__(self) -> None:
         self._bar: tqdm[NoReturn] | None = None
         self._phase = ""
+        self._as_lines = not (sys.stderr.isatty() or _in_notebook())
 
     def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
         """Show the fraction of a phase that is done, and current figures such as the pressure."""
-        from tqdm.auto import tqdm
-
+        now = time.monotonic()
         if phase != self._phase:
             self.close()
             self._phase = phase
-            layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
-            self._bar = tqdm(total=1.0, desc=phase, bar_format=layout)
-            self._shown = 0.0
-        if fraction < 1.0 and time.monotonic() - self._shown < 0.2:
+            self._start = self._shown = now
+            self._tenths = 0
+        if self._as_lines:
+            self._write_line(now, min(fraction, 1.0), figures)
+        else:
+            self._draw(now, min(fraction, 1.0), figures)
+
+    def _write_line(self, now: float, fraction: float, figures: Mapping[str, float]) -> None:
+        tenths, since = int(LINES_PER_PHASE * fraction + 1e-9), now - self._shown
+        due = tenths > self._tenths and since >= SHORTEST_LINE_INTERVAL
+        if not due and since < LONGEST_LINE_INTERVAL:
             return
-        self._shown = time.monotonic()
-        assert self._bar is not None
-        self._bar.n = min(fraction, 1.0)
-        shown: dict[str, str] = {}
-        if "pressure" in figures:
-            shown["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"
-        if "steps_per_s" in figures:
-            shown["steps/s"] = f"{figures['steps_per_s']:.0f}"
-        self._bar.set_postfix(shown, refresh=False)  # pyright: ignore[reportUnknownMemberType]
+        self._shown, self._tenths = now, tenths
+        elapsed = now - self._start
+        left = f"about {_clock(elapsed * (1 - fraction) / fraction)} left" if 0 < fraction < 1 else ""
+        parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
+        print(f"{self._phase}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
+
+    def _draw(self, now: float, fraction: float, figures: Mapping[str, float]) -> None:
+        if self._bar is None:
+            from tqdm.auto import tqdm
+
+            layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
+            self._bar = tqdm(total=1.0, desc=self._phase, bar_format=layout)
+        elif fraction < 1.0 and now - self._shown < REDRAW_INTERVAL:
+            return
+        self._shown = now
+        self._bar.n = fraction
+        self._bar.set_postfix(_texts(figures), refresh=False)  # pyright: ignore[reportUnknownMemberType]
         self._bar.refresh()
 
     def close(self) -> None:
@@ -57,4 +84,28 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.refresh()
             self._bar.close()
-            self._bar, self._phase = None, ""
+        self._bar, self._phase = None, ""
+
+
+def _texts(figures: Mapping[str, float]) -> dict[str, str]:
+    """Return current figures by name as text with units, as far as they are shown."""
+    found: dict[str, str] = {}
+    if "pressure" in figures:
+        found["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"
+    if "steps_per_s" in figures:
+        found["steps/s"] = f"{figures['steps_per_s']:.0f}"
+    return found
+
+
+def _clock(seconds: float) -> str:
+    """Return a duration as minutes and seconds, with hours if there are any."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes:02d}:{rest:02d}"
+
+
+def _in_notebook() -> bool:
+    """Return whether this process is the kernel of a notebook."""
+    ipython: Any = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return shell is not None and "IPKernelApp" in shell.config

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import json
+import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..drawing.html import html_table
-from ..errors import RunFolderError, WarpcreteError, refuse
+from ..errors import RunFolderError, WarpcreteError, one_of, refuse
+from ..inputs.origin import readable
 from ..narrowing import is_dict
-from ..units import number, shown
+from ..units import shown
+from .files import LOCK, PARTIAL, cannot_write, check_new
+from .folders import FolderLock, make_folder
+from .output import RunOutput, output_of
+from .quantities import Quantities
+from .tables import Table, dataframe, dataset
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 if TYPE_CHECKING:
@@ -26,11 +34,15 @@ DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 
 
 @dataclass(frozen=True)
-class Table:
-    """Table of a run's results over a coordinate: columns of equal length by name, and the unit of each column."""
+class FinalState:
+    """State at the end of a run without a folder, from which :meth:`Run.save` can write the folder."""
 
-    columns: dict[str, np.ndarray]
-    units: dict[str, str]
+    simulation: Callable[..., Any]
+    """Class of the simulation."""
+    settings: Mapping[str, Any]
+    """Keyword arguments of the simulation, such as its device and precision."""
+    contents: dict[str, Any]
+    """Contents of a checkpoint of the state, with arrays in host memory."""
 
 
 @dataclass(repr=False)
@@ -50,6 +62,8 @@ class Run:
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
     """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
+    final_state: FinalState | None = field(default=None, init=False, compare=False)
+    """Final state of a run without a folder; None for a run with a folder, or if the state takes much memory."""
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"
@@ -62,27 +76,24 @@ class Run:
         )
 
     def __getitem__(self, name: str) -> float:
-        """Return a quantity of the whole run in SI units; `run.result` has its unit.
+        """Return a quantity of the whole run in SI units, with its unit in the attribute `unit` if it has one.
 
         Raises :class:`KeyError`, with similar names, if the run does not have the quantity.
         """
-        if name not in self._numbers():
-            similar = difflib.get_close_matches(name, self._numbers(), 3)
-            what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(self._numbers())}"
+        quantities = self.quantities
+        if name not in quantities:
+            similar = difflib.get_close_matches(name, quantities, 3)
+            what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
-        return self._numbers()[name]
+        return quantities[name]
 
     def _ipython_key_completions_(self) -> list[str]:
-        return list(self._numbers())
+        return list(self.quantities)
 
-    def _numbers(self) -> dict[str, float]:
-        found: dict[str, float] = {}
-        for name, entry in self.result.items():
-            if is_dict(entry):
-                entry = entry["value"] if set(entry) == {"value", "unit"} else None
-            if isinstance(entry, int | float) and not isinstance(entry, bool):
-                found[name] = number(entry)
-        return found
+    @property
+    def quantities(self) -> Quantities:
+        """Quantities of the whole run by name, as numbers in SI units that know their unit."""
+        return Quantities.of(self.result)
 
     def table(self) -> DataFrame:
         """Return the series as a pandas DataFrame in SI units, with one row per sample and `time` [s] as index.
@@ -91,6 +102,26 @@ class Run:
         not installed.
         """
         return dataframe(self.series, self.units, "time")
+
+    def to_xarray(self, table: str | None = None) -> Any:
+        """Return the series as an xarray Dataset in SI units, with the dimension `time` [s].
+
+        `table` is the name of one of the run's `tables`, such as `stations`, which is returned instead; its first
+        column is the dimension. Each variable has its unit in `attrs["units"]`; the attributes of the Dataset are the
+        scene's name and, as JSON texts, its parameters and the run's quantities. Raises :class:`WarpcreteError` if
+        xarray is not installed, and :class:`SceneError` for a table that the run does not have.
+        """
+        columns, units, index = self.series, self.units, "time"
+        if table is not None:
+            one_of("table", table, tuple(self.tables))
+            columns, units = self.tables[table].columns, self.tables[table].units
+            index = next(iter(columns))
+        attributes = {
+            "scene": str(self.scene.name),
+            "parameters": json.dumps(readable(self.scene.parameters)),
+            "quantities": json.dumps(self.quantities),
+        }
+        return dataset(columns, units, index, attributes)
 
     def plot(self, *columns: str, against: str = "time") -> Figure:
         """Return a Matplotlib figure of columns of the series over another column; columns of one unit share an axis.
@@ -128,20 +159,50 @@ class Run:
         )
         return figure
 
+    def save(self, folder: str | Path | RunOutput) -> Path:
+        """Write the run into a new run folder, as `warpcrete run --out` does, and return the folder's path.
+
+        A run that has a folder is copied. For any other run, recordings hold all curves but only the last frame; pass
+        `out` to :class:`warpcrete.Simulation` to record every frame. The folder of a run that stopped early at a sample
+        holds a checkpoint, with which `warpcrete run --resume` continues it. A :class:`warpcrete.RunFolder` selects
+        recordings and colours. Raises :class:`RunFolderError` if the folder is not new or cannot be written, and
+        :class:`WarpcreteError` if the run kept no state.
+        """
+        path = folder if isinstance(folder, str | Path) else folder.path
+        check_new(Path(path))
+        output = output_of(folder)
+        if self.folder is not None:
+            _copy_folder(self.folder, output.path)
+        elif self.final_state is None:
+            raise WarpcreteError(
+                f"save: the run of scene {self.scene.name!r} kept no final state, because its state is large or it "
+                "has no samples; run it again with warpcrete.Simulation(scene, out=FOLDER)"
+            )
+        else:
+            final, finished = self.final_state, self.finished
+            try:
+                final.simulation(self.scene, out=output, **final.settings).write_run(self, final.contents)
+            except BaseException:
+                self.folder, self.finished, self.result["finished"] = None, finished, finished
+                raise
+            self.final_state = None
+        return output.path
+
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
         """Open the recording in the run's folder in Rerun's viewer, without waiting for the viewer to close.
 
-        With `web`, a server shows the recording in a browser while this program runs, and its address is printed. The
-        server listens on the IP address `bind`, which by default only this machine can reach. Raises
-        :class:`RunFolderError` if there is no recording or no screen.
+        With `web`, and on a machine without a screen, a server shows the recording in a browser while this program
+        runs, and its address is printed. The server listens on the IP address `bind`, which by default only this
+        machine can reach. Raises :class:`RunFolderError` if there is no recording.
         """
         if self.folder is None:
             raise RunFolderError(
-                "the run has no folder; only runs with a folder can be shown: run 'warpcrete run SCENE --out FOLDER'"
+                "the run has no folder; only runs with a folder can be shown: write it with run.save(FOLDER), or use "
+                "warpcrete.Simulation(scene, out=FOLDER)"
             )
         opened = viewer(self.folder, web, bind)
         process = opened.start()
-        if web:
+        if opened.in_browser:
             print(opened.address)
         return process
 
@@ -156,41 +217,40 @@ class Run:
         return html_table(rows)
 
 
-def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index: str) -> DataFrame:
-    """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
-
-    The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
-    """
+def _copy_folder(source: Path, target: Path) -> None:
+    """Copy the files of a run folder into a new folder, while both folders are locked."""
+    if not source.is_dir():
+        raise RunFolderError(f"'{source}': is the folder of the run and no longer exists; restore it")
+    source_lock = FolderLock(source)
     try:
-        import pandas  # pyright: ignore[reportMissingTypeStubs]
-    except ImportError:
-        raise WarpcreteError(
-            "run.table needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
-        ) from None
-    found = pandas.DataFrame(dict(columns))
-    if index in found:
-        found = found.set_index(index)  # pyright: ignore[reportUnknownMemberType]
-    found.attrs["units"] = dict(units)
-    return found
+        target_lock = make_folder(target)
+        try:
+            for path in sorted(source.iterdir()):
+                if path.is_file() and path.name != LOCK and not path.name.startswith(PARTIAL):
+                    try:
+                        shutil.copyfile(path, target / path.name)
+                    except OSError as error:
+                        raise cannot_write(target / path.name, error) from error
+        finally:
+            target_lock.release()
+    finally:
+        source_lock.release()
 
 
 def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """Return Rerun's viewer for the recording in the folder `run`, or for the recording file `run`.
 
-    With `web`, the viewer is a server for browsers, which listens on the IP address `bind`; otherwise it is a window.
-    Raises :class:`RunFolderError` if there is no recording or no screen.
+    With `web`, and on a machine without a screen, the viewer is a server for browsers, which listens on the IP address
+    `bind`; otherwise it is a window. Raises :class:`RunFolderError` if there is no recording.
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
         raise RunFolderError(
             f"'{run}': contains no recording (run.rrd); record a new run with 'warpcrete run SCENE --out FOLDER'"
         )
-    if not web and not has_screen():
-        raise RunFolderError(f"'{run}': no screen was found (DISPLAY is not set); use --web to show the recording in "
-                             f"a browser, or open {recording} elsewhere with 'rerun {recording.name}'")  # fmt: skip
     # The recording of an unfinished run has several files, which the viewer shows as one recording.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
-    return (web_viewer if web else screen_viewer)([recording, *parts], bind)
+    return (web_viewer if web or not has_screen() else screen_viewer)([recording, *parts], bind)
 
 
 def _column_title(column: str) -> str:

@@ -21,14 +21,20 @@ from ..device.launching import report_compiling
 from ..device.simulation_protocol import Stepped
 from ..drawing.display import Display
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, refuse
+from ..units import number as number_of
 from . import checkpoint
 from .files import is_full
 from .frames import Frames
+from .output import CHECKPOINT, RunOutput, output_of
 from .progress import ProgressBar
 from .recorder import Recorder
 from .recording import Recording, disk_full_error
-from .run import Run
+from .run import FinalState, Run
 
+DEFAULT_CHECKPOINT_INTERVAL = 60.0
+"""Wall time between two checkpoints of a run, unless the user sets it [s]."""
+MAX_KEPT_MEMORY = 2e9
+"""Device memory of a run up to which the run keeps its final state for `run.save` [B]."""
 Progress = Callable[[str, float, dict[str, float]], None]
 """Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`, and `compiling` between these
 if it takes a while), the fraction done and a few current figures."""
@@ -75,12 +81,17 @@ class Simulation:
     the simulated time between two recorded frames [s]; None takes the default of
     :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or a callback.
 
-    The file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall time (0: at every
-    sample), at an interruption and at the end. The file is removed when all other data is on disk. In a run with
-    checkpoints, all `recorders` must be of different classes, because a resumed run identifies recorders by class.
+    `out` is the path of a new run folder, which then holds everything that `warpcrete run` writes, and which an
+    interrupted run continues; a :class:`warpcrete.RunFolder` also selects recordings and colours. The checkpoint is in
+    this folder; as in the command, `checkpoint_every=0` writes none.
 
-    Raises :class:`SceneError` and :class:`DeviceError`. A run may raise :class:`InstabilityError`, and
-    :class:`DiskFullError` if the disk is full.
+    Without `out`, the file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall
+    time (0: at every sample), at an interruption and at the end. The file is removed when all other data is on disk. In
+    a run with checkpoints, all `recorders` must be of different classes, because a resumed run identifies recorders by
+    class.
+
+    Raises :class:`SceneError`, :class:`DeviceError` and, for `out`, :class:`RunFolderError`. A run may raise
+    :class:`InstabilityError`, and :class:`DiskFullError` if the disk is full.
     """
 
     scene_type: ClassVar[type]
@@ -122,11 +133,12 @@ class Simulation:
         device: str | None = None,
         precision: str | None = None,
         threads: int | None = None,
+        out: str | Path | RunOutput | None = None,
         recorders: Sequence[Recorder] = (),
         frame_interval: float | None = None,
         progress: Progress | bool = False,
         checkpoint_path: Path | None = None,
-        checkpoint_every: float = 60.0,
+        checkpoint_every: float = DEFAULT_CHECKPOINT_INTERVAL,
     ) -> None:
         between("checkpoint_every", checkpoint_every, 0, np.inf, "s")
         self.scene = scene
@@ -134,9 +146,14 @@ class Simulation:
         self.precision = precision or scene.precision
         scalar_of(self.precision)
         self.threads = checked_threads(threads)
-        self.recorders = list(recorders)
-        self._recording = Recording(self, self.recorders)
+        self.frame_interval = frame_interval
         self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
+        self.recorders = list(recorders)
+        self.folder: Path | None = None
+        """Run folder that the simulation writes; None if there was no argument `out`."""
+        if out is not None:
+            self._use_folder(output_of(out))
+        self._recording = Recording(self, self.recorders)
         self.stop_requested = False
         self.finishing = False
         self._progress: Progress = (
@@ -156,11 +173,20 @@ class Simulation:
         self._time_before_resume = 0.0
         self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
         self._resumed: RunRecord | None = None
+        self._ended_run: Run | None = None  # earlier run whose folder is written
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of scene {self.scene.name!r} on {self.device}, {self.precision}>"
+
+    def _use_folder(self, output: RunOutput) -> None:
+        if self.checkpoint_path is not None:
+            refuse("checkpoint_path", str(self.checkpoint_path), "cannot be combined with 'out', because the run "
+                   "folder holds the checkpoint", "leave out 'checkpoint_path'")  # fmt: skip
+        self.folder = output.path
+        self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
+        self.recorders = [*output.recorders(self), *self.recorders]
 
     # The following members are defined by each simulation method.
 
@@ -263,16 +289,20 @@ class Simulation:
 
     def _write_state(self, path: Path) -> None:
         """Write the state to a partial file next to the checkpoint at `path`."""
-        contents = self.state_dict()
+        states = self._recording.states() if self._has_run else {}
+        contents = self._contents(states, self.at_end)
+        checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
+
+    def _contents(self, recorders: dict[str, object], over: bool) -> dict[str, Any]:
+        """Return the present state with the data about the run, as a checkpoint stores them."""
         run: RunRecord = {
-            "recorders": self._recording.states() if self._has_run else {},
+            "recorders": recorders,
             "samples": self._samples_taken,
             "next_frame": self.frames.next,
             "spent": self._wall_times | {"running": self._running()},
-            "over": self.at_end,
+            "over": over,
         }
-        contents["run"] = run
-        checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
+        return self.state_dict() | {"run": run}
 
     def _commit_state(self, path: Path) -> None:
         checkpoint.commit(path)
@@ -292,11 +322,14 @@ class Simulation:
 
         This data includes the wall times, the number of samples and the time of the next frame.
         """
-        contents = checkpoint.read(path, self.scene, self.device, self.precision)
+        return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
+
+    def _restored(self, contents: dict[str, Any]) -> dict[str, Any]:
+        """Restore the run's own data from the contents of a checkpoint, and return these contents."""
         run: RunRecord = contents["run"]
         self._resumed = run
         self._samples_taken, self.frames.next = run["samples"], run["next_frame"]
-        self._wall_times = run["spent"]
+        self._wall_times = dict(run["spent"])
         self._time_before_resume = self._wall_times["running"]
         self.at_end = run["over"]
         self.resumes, self._saved_at = True, wall_clock.perf_counter()
@@ -307,8 +340,11 @@ class Simulation:
     def begin(self, path: Path | None = None) -> None:
         """Prepare the state at t = 0, or restore it from the checkpoint at `path` if this file exists.
 
-        Recorders claim their folders first, so that no other run can write or remove the checkpoint at the same time.
+        If there is no `path`, the checkpoint in the run folder is used. Recorders claim their folders first, so that no
+        other run can write or remove the checkpoint at the same time.
         """
+        if path is None and self.folder is not None:
+            path = self.folder / CHECKPOINT
         self.resumes = path is not None and path.is_file()
         try:
             self.claim()
@@ -352,14 +388,35 @@ class Simulation:
         with report_compiling(self.tell):
             if not self.prepared:
                 self.begin()
-            return run_coroutine(self.running(), self.stepper.advance)
+            run: Run = run_coroutine(self.running(), self.stepper.advance)
+        if run.folder is None and self.rows:
+            self._keep_final_state(run)
+        return run
+
+    def write_run(self, run: Run, contents: dict[str, Any]) -> None:
+        """Write the run folder of a `run` that has ended, from its state at the end, instead of running the scene.
+
+        `contents` is what a checkpoint of this state contains. Recordings have all rows of the time series, but only
+        one frame, the last. The folder of an unfinished run also holds a checkpoint.
+        """
+        self._ended_run, self.stop_requested, self.resumes = run, not run.finished, True
+        try:
+            self.claim()
+            self.load_state_dict(self._restored(contents))
+        except BaseException:
+            self.abandon()
+            raise
+        try:
+            self.run()
+        finally:
+            self.release()
 
     def running(self) -> Coroutine:
         """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
         self._has_run = True
         self._recording = Recording(self, self.recorders)
         self._started = wall_clock.perf_counter()
-        if self._resumed is not None:
+        if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
         finished = interrupted = False
         full: list[Exception] = []  # These errors were caused by a full disk.
@@ -368,6 +425,10 @@ class Simulation:
                 if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
                     self._checkpoint()
                 self._recording.begin({} if self._resumed is None else self._resumed["recorders"])
+                if self._ended_run is not None:
+                    for row in self.rows:
+                        self._recording.call("sample", row)
+                    self._frame()
                 finished = yield from self._loop()
             except KeyboardInterrupt:
                 interrupted = True
@@ -404,8 +465,10 @@ class Simulation:
             with suppress(OSError, RunFolderError):
                 self._write_state(path)
                 written = True
-        run = self.result(finished)
-        run.interrupted = interrupted
+        run = self._ended_run
+        if run is None:
+            run = self.result(finished)
+            run.interrupted = interrupted
         run.finished = run.result["finished"] = run.finished and not recording.failures
         recording.finish(run)
         if written and path is not None:
@@ -423,6 +486,20 @@ class Simulation:
         if isinstance(self._progress, ProgressBar):
             self._progress.close()
         return run
+
+    def _keep_final_state(self, run: Run) -> None:
+        """Keep the final state in host memory, from which `run.save` can write a run folder, unless it is large."""
+        if number_of(run.result["speed"]["memory"]) > MAX_KEPT_MEMORY:
+            return
+        settings = {
+            "device": str(self.device),
+            "precision": self.precision,
+            "threads": self.threads,
+            "frame_interval": self.frame_interval,
+            # An interruption may have ended the run within a step, and such a state is no checkpoint.
+            "checkpoint_every": 0.0 if run.interrupted else self.checkpoint_every or DEFAULT_CHECKPOINT_INTERVAL,
+        }
+        run.final_state = FinalState(type(self), settings, self._contents({}, run.finished))
 
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper

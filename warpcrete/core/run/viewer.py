@@ -41,6 +41,8 @@ class Viewer:
     """URL that a browser opens, or that a run sends its recording to."""
     endpoints: tuple[tuple[str, int], ...] = field(default=())
     """Host and port of each socket on which the viewer listens."""
+    in_browser: bool = False
+    """True if a browser shows the recording, at `address`; False for a window."""
 
     def start(self) -> subprocess.Popen[bytes]:
         """Start the viewer with its output suppressed, and wait until it accepts connections; return its process.
@@ -68,7 +70,8 @@ def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
     host = _host(bind)
     source = urllib.parse.quote(f"rerun+http://{host}:{data}/proxy", safe="")
     command = [rerun_tool(), *map(str, recordings), "--serve-web", *_ports(bind, data), "--web-viewer-port", str(web)]
-    return Viewer(killed_with_parent(command), f"http://{host}:{web}?url={source}", ((bind, web), (bind, data)))
+    address = f"http://{host}:{web}?url={source}"
+    return Viewer(killed_with_parent(command), address, ((bind, web), (bind, data)), True)
 
 
 def screen_viewer(recordings: Sequence[Path] = (), bind: str = LOOPBACK) -> Viewer:

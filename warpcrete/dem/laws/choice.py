@@ -1,7 +1,7 @@
 """Parameters that replace a scene's own contact law by a law of this package or by a user's class."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from ...core.inputs.by_name import ByName
 from ...core.inputs.parameters import Needs
@@ -44,6 +44,8 @@ class WallLawChoice:
 
     The parameter chooses another law for the contacts of aggregates with pipe and piston.
     """
+
+    common: ClassVar[tuple[str, ...]] = ()
 
     wall_contact: Annotated[
         ContactLaw | None, "Law of the contacts with pipe and piston only, chosen as contact; default: the law in "

@@ -7,16 +7,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from ...core.device.device import PRECISIONS
-from ...core.inputs.concretes import is_file
-from ...core.inputs.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within
+from ...core.inputs.concretes import is_file, shipped
+from ...core.inputs.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Suggests, Within
 from ..laws import OWN_LAW, OWN_WALL_LAW
 from ..laws.linear import DASHPOTS
 from ..scene.scene import Blockage, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
+
+
+def unit_names() -> tuple[str, ...]:
+    """Return the names of the pipe units."""
+    return UNITS
 
 
 def names_meshes(shapes: str) -> bool:
@@ -47,10 +52,13 @@ class UnitParameters:
     Shape and dimensions of the pipe, and the length of concrete in it.
     """
 
+    common: ClassVar[tuple[str, ...]] = ("unit", "diameter", "elbow_radius", "length", "wall")
+
     unit: Annotated[
         str,
         "Unit: vertical, horizontal, bend-to-horizontal (flow enters upward), bend-to-vertical (flow enters "
         "horizontally); or A, B, C, D",
+        Suggests(unit_names),
     ] = "vertical"
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.15
     elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above()] = 0.5
@@ -69,6 +77,8 @@ class PistonParameters:
     Motion of the piston that pushes the concrete.
     """
 
+    common: ClassVar[tuple[str, ...]] = ("velocity", "travel")
+
     velocity: Annotated[float, "Final velocity of the piston [m/s]", Above(), Within(0, 1e3)] = 0.3
     ramp: Annotated[float, "Travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
     travel: Annotated[
@@ -85,6 +95,8 @@ class StrokeParameters:
 
     Division of the piston's travel into strokes, with pauses or a rest of the concrete between them.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("strokes", "pause", "rest")
 
     strokes: Annotated[
         int, "Number of strokes of the piston; it stops between them and starts again over the ramp", Within(1, 1000)
@@ -129,6 +141,7 @@ class ConcreteChoice:
         "Concrete: zhan (Table 1 and a wall layer calibrated on units A and B), zhan-table1, no1, no2, no3, or the "
         "path of a .yaml file; it sets the parameters of aggregate, contacts and bonds that are not given",
         FileIf(is_file),
+        Suggests(shipped),
     ] = "zhan"
 
 
@@ -138,6 +151,8 @@ class AggregateParameters:
 
     Shapes, sizes and density of the aggregates, and how densely they are packed.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("shapes", "size_min", "size_max")
 
     shapes: Annotated[
         str,
@@ -182,6 +197,8 @@ class ContactParameters:
     Linear contact law between aggregates, and friction and lubrication layer on the walls.
     """
 
+    common: ClassVar[tuple[str, ...]] = ()
+
     modulus: Annotated[float, "Effective modulus of contacts [Pa]", Above(), OWN_LAW] = 1e5
     stiffness_ratio: Annotated[float, "Ratio of normal to shear contact stiffness", Above(), OWN_LAW] = 2.0
     friction: Annotated[float, "Friction coefficient between aggregates", Within(0), OWN_LAW] = 0.05
@@ -215,6 +232,8 @@ class BondParameters:
     Strength and stiffness of the bonds between aggregates, and the share of hydrated bonds.
     """
 
+    common: ClassVar[tuple[str, ...]] = ("bonds", "hydration")
+
     bonds: Annotated[bool, "Bond the aggregates in contact before pumping starts"] = True
     bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), BONDED] = 2e4
     bond_stiffness_ratio: Annotated[float, "Ratio of normal to shear bond stiffness", Above(), BONDED] = 2.0
@@ -236,6 +255,8 @@ class PlugParameters:
 
     Balls or a plate that close the front and carry a pressure against the flow.
     """
+
+    common: ClassVar[tuple[str, ...]] = ()
 
     plug: Annotated[
         str,
@@ -260,6 +281,8 @@ class IndexParameters:
 
     Additional measurements of a run.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("wear", "segregation", "stop_when_blocked")
 
     wear: Annotated[bool, "Sum up sliding and impacts on the walls, patch by patch"] = False
     wear_coefficient: Annotated[
@@ -289,6 +312,8 @@ class RunParameters(Declared):
 
     Settings of the computation: time step, limits, precision and output.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("seed",)
 
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
     settle: Annotated[float, "Longest time to settle under gravity and plug pressure before the start [s]",

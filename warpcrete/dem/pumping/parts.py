@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -50,6 +50,17 @@ class CourseParameters:
 
     Course and dimensions of the pipe: a single part, the bore of a mesh, or a line from a file.
     """
+
+    common: ClassVar[tuple[str, ...]] = (
+        "unit",
+        "diameter",
+        "straight",
+        "elbow_radius",
+        "angle",
+        "outlet_diameter",
+        "wall",
+        "line",
+    )
 
     unit: Annotated[
         str,
@@ -99,6 +110,8 @@ class PushParameters:
 
     Motion of the piston that pushes the concrete.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("flow", "travel")
 
     flow: Annotated[float, "Final volume flow that the piston displaces [m3/s]", Above()] = 1500e-6
     travel: Annotated[float | None, "Travel of the piston, through a pipe ahead of the part; default: two diameters "

@@ -54,6 +54,8 @@ class GrainParameters:
     Sizes and density of the grains, and how densely they are packed.
     """
 
+    common: ClassVar[tuple[str, ...]] = ("size_min", "size_max", "bulk_density")
+
     sizes: Annotated[str, "Size distribution: gaussian (mean at the middle, standard deviation half of the range) or "
                           "uniform",
                      OneOf(("gaussian", "uniform"))] = "uniform"  # fmt: skip
@@ -80,6 +82,8 @@ class LawParameters:
 
     Contact law between grains with its parameters, and how strongly plate and mould resist sliding.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("law", "friction", "yield_stress", "viscosity", "rolling_friction")
 
     law: Annotated[
         str,
@@ -148,6 +152,8 @@ class VesselRun(Declared):
 
     Duration and settings of the computation.
     """
+
+    common: ClassVar[tuple[str, ...]] = ("seed",)
 
     duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
         10.0

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from ...core.errors import one_of, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.concretes import is_file, known_only, shipped
-from ...core.inputs.parameters import Above, Alias, FileIf, Within
+from ...core.inputs.parameters import Above, Alias, FileIf, Suggests, Within
 from ...core.inputs.text_files import name_of
 from ...mix.mix import FACTORS, completed, mix_named
 from ...mix.mix import UNITS as FLOW_UNITS
@@ -30,15 +30,30 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
 
+def concrete_names() -> tuple[str, ...]:
+    """Return the names that the parameter `concrete` of a flow accepts, apart from files."""
+    return *flowing(), "own"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConcreteParameters:
     """Concrete and its slip layer."""
+
+    common: ClassVar[tuple[str, ...]] = (
+        "concrete",
+        "density",
+        "viscosity",
+        "yield_stress",
+        "slip_viscosity",
+        "slip_yield",
+    )
 
     concrete: Annotated[
         str,
         "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the next five constants",
         Alias("mix"),
         FileIf(is_file),
+        Suggests(concrete_names),
     ] = "no1"
     density: Annotated[
         float | None,

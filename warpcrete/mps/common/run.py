@@ -12,8 +12,8 @@ import numpy as np
 from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError
 from ...core.run.provenance import arrays_hash, provenance
-from ...core.run.run import Table
 from ...core.run.run_loop import Run, Simulation
+from ...core.run.tables import Table
 from ...core.units import quantity
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ Points = tuple[tuple[float, float], ...]
 @dataclass(frozen=True, kw_only=True)
 class FreeSettings(Declared):
     """Settings of the simulation of a free-surface flow."""
+
+    common: ClassVar[tuple[str, ...]] = ("duration",)
 
     duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
         60.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.errors import InstabilityError
 from ...core.run.method import results_of
-from ...core.run.run import Table
+from ...core.run.tables import Table
 from ...core.units import quantity
 from ...standards.standard_test import is_at_rest
 from ..common.run import FlowRun

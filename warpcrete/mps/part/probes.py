@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ...core.run.run import Table
+from ...core.run.tables import Table
 from ...kernels.mps.grid.cells import LIQUID
 from ..grid.flow import GridFlow
 from .layout import stations

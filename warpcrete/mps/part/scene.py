@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -36,6 +36,8 @@ AXIS_SAMPLES = 60
 @dataclass(frozen=True, kw_only=True)
 class PartSettings(Declared):
     """Settings of the simulation of a flow through a part."""
+
+    common: ClassVar[tuple[str, ...]] = ("duration",)
 
     duration: Annotated[
         float, "Longest simulated time; the run ends earlier when the pressure is steady [s]", Above()

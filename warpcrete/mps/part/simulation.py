@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.method import results_of
-from ...core.run.run import Table
+from ...core.run.tables import Table
 from ...core.units import quantity
 from ..common.run import FlowRun
 from ..grid.flow import GridFlow

@@ -293,7 +293,7 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
     if not fields:
         refuse("vary", name, f"is not a parameter of {', '.join(scenes)}",
                suggested(name, {key for each in known for key in each}) or
-               "'warpcrete run SCENE --help' lists them")  # fmt: skip
+               "'warpcrete run SCENE --help-all' lists them")  # fmt: skip
     if {field.kind for field in fields} - {int, float} or name == "seed":
         refuse(
             "vary",

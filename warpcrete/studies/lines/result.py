@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.html import html_table
-from ...core.run.run import dataframe
+from ...core.run.tables import dataframe
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from ...mps.common.mixes import CONCRETE_CONSTANTS

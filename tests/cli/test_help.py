@@ -1,0 +1,47 @@
+"""Help of scenes in two steps."""
+
+import re
+
+import pytest
+from click.testing import CliRunner
+
+from warpcrete.cli.main import cli
+from warpcrete.core.inputs.parameters import Declared, declared_fields
+from warpcrete.scenes import modules
+
+
+def options(*words: str) -> set[str]:
+    """Return the options that a help page lists."""
+    done = CliRunner().invoke(cli, ["run", *words])
+    assert done.exit_code == 0, done.output
+    return set(re.findall(r"^  (--[\w-]+)", done.output, re.M))
+
+
+@pytest.mark.parametrize("name", modules())
+def test_help_shows_common_options_and_help_all_the_others(name):
+    page = CliRunner().invoke(cli, ["run", name, "--help"]).output
+    short, full = options(name, "--help"), options(name, "--help-all")
+    fields = declared_fields(modules()[name].scene.parameters)
+    flags = {field.name: "--" + field.name.replace("_", "-") for field in fields.values()}
+    assert set(flags.values()) <= full
+    assert {flags[field.name] for field in fields.values() if field.common} == short & set(flags.values())
+    assert short < full and len(short) <= 30
+    assert page.splitlines()[-1] == f"{len(full - short)} further options: cli run {name} --help-all"
+    assert "further options" not in CliRunner().invoke(cli, ["run", name, "--help-all"]).output
+    assert {"--out", "--device", "--resume", "--help-all"} <= short and {"--frames", "--usd"} <= full - short
+
+
+def test_a_laws_options_are_common():
+    assert "--contact-unloading" in options("pipe", "--contact", "hertz-mindlin", "--help")
+    assert "--contact-unloading" not in options("pipe", "--help-all")
+
+
+def parameter_classes() -> set[type]:
+    return {base for module in modules().values() for base in module.scene.parameters.__mro__} - {object, Declared}
+
+
+def test_common_parameters_exist():
+    chosen = [each for each in parameter_classes() if "common" in each.__dict__]
+    assert len(chosen) > 10
+    for each in chosen:
+        assert set(each.common) <= set(each.__annotations__), each

@@ -1,0 +1,79 @@
+"""Progress in a terminal, in a notebook and in a log file."""
+
+import re
+import sys
+from types import SimpleNamespace
+
+import pytest
+from pumping import command_process
+
+from warpcrete.core.run import progress
+from warpcrete.core.run.progress import ProgressBar
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands still until a test sets it."""
+    now = SimpleNamespace(time=100.0)
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now.time))
+    return now
+
+
+def lines_of(capsys) -> list[str]:
+    text = capsys.readouterr().err
+    assert "\r" not in text
+    return text.splitlines()
+
+
+def test_a_log_gets_a_line_per_tenth(clock, capsys):
+    bar = ProgressBar()
+    for step in range(1001):
+        clock.time = 100.0 + 0.1 * step
+        bar("running", step / 1000, {"pressure": 31_740.0, "steps_per_s": 1234.5})
+    bar.close()
+    lines = lines_of(capsys)
+    assert [line.partition(",")[0] for line in lines] == [f"running: {10 * k} %" for k in range(1, 11)]
+    assert lines[2] == "running: 30 %, 00:30 elapsed, about 01:10 left, pressure 31.7 kPa, steps/s 1234"
+    assert lines[-1] == "running: 100 %, 01:40 elapsed, pressure 31.7 kPa, steps/s 1234"
+
+
+def test_a_log_of_slow_work_gets_a_line_every_30_seconds(clock, capsys):
+    bar = ProgressBar()
+    for second in range(0, 7201):
+        clock.time = 100.0 + second
+        bar("running", second / 72000, {})
+    lines = lines_of(capsys)
+    assert len(lines) == 7200 // 30
+    assert lines[0] == "running: 0 %, 00:30 elapsed, about 19:59:30 left"
+    assert lines[-1] == "running: 10 %, 2:00:00 elapsed, about 18:00:00 left"
+
+
+def test_a_log_of_fast_work_gets_at_most_a_line_a_second(clock, capsys):
+    bar = ProgressBar()
+    for phase, seconds in (("packing", 0.9), ("running", 2.0)):
+        start = clock.time
+        for step in range(101):
+            clock.time = start + seconds * step / 100
+            bar(phase, step / 100, {})
+    assert lines_of(capsys) == ["running: 50 %, 00:01 elapsed, about 00:01 left", "running: 100 %, 00:02 elapsed"]
+
+
+@pytest.mark.parametrize("where", ["terminal", "notebook"])
+def test_terminals_and_notebooks_get_a_bar(where, monkeypatch, capsys):
+    if where == "terminal":
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    else:
+        shell = SimpleNamespace(config={"IPKernelApp": {}})
+        monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    bar = ProgressBar()
+    monkeypatch.undo()
+    bar("running", 0.5, {"pressure": 2000.0})
+    bar.close()
+    text = capsys.readouterr().err
+    assert "\r" in text and re.search(r"running +50% \|.*pressure=2.0 kPa", text)
+
+
+def test_the_command_writes_no_bar_into_a_pipe(tmp_path):
+    done = command_process("run", "channel", "--duration", "0.02", "--spacing", "0.01", "--length", "0.1", "--device",
+                           "cpu", "--out", tmp_path / "run")  # fmt: skip
+    assert "\r" not in done.stderr and all(re.match(r"(\w+: \d+ %, |note: )", x) for x in done.stderr.splitlines())

@@ -1,0 +1,60 @@
+"""What editors, notebooks and `help` show about scenes: names, parameters, units, defaults."""
+
+import inspect
+import pydoc
+import re
+
+import pytest
+from IPython.core.completer import provisionalcompleter
+from IPython.core.interactiveshell import InteractiveShell
+
+from warpcrete import scenes
+from warpcrete.core.inputs.parameters import declared_fields
+
+ALL_SCENES = tuple(name.replace("-", "_") for name in scenes.modules())
+
+
+def test_a_listing_of_scenes_holds_scenes_alone():
+    assert dir(scenes) == sorted(ALL_SCENES)
+    assert all(repr(getattr(scenes, name)).startswith("<scene function ") for name in dir(scenes))
+
+
+@pytest.mark.parametrize("name", ALL_SCENES)
+def test_help_shows_signature_and_every_parameter(name):
+    function = getattr(scenes, name)
+    fields = declared_fields(function.parameters)
+    text = pydoc.render_doc(function, renderer=pydoc.plaintext)
+    head = "".join(text.splitlines()[2:]).partition(")")[0]
+    assert f"in module {function.module.__name__.removesuffix('_dem')}" in text.splitlines()[0] or "_dem" in name
+    assert head.replace(" ", "").startswith(f"{name}(*,{next(iter(fields))}:")
+    assert list(inspect.signature(function).parameters) == list(fields)
+    squeezed = re.sub(r"\s+", " ", text)
+    for field in fields.values():
+        kind = re.search(rf" {field.name}: (a number|a whole number|text|True or False|a name or an object)", squeezed)
+        assert kind, field.name
+        assert re.sub(r"\s+", " ", field.help) in squeezed
+    assert inspect.signature(function).parameters[field.name].default == field.default
+
+
+def test_help_states_units_defaults_choices_and_other_names():
+    text = re.sub(r"\s+", " ", scenes.pipe.__doc__)
+    assert "diameter: a number, default 0.15 m Inner diameter of the pipe [m]" in text
+    assert "time_step: a number, optional Fixed time step [s]; default: automatic" in text
+    assert "safety: a number, default 0.8 Ratio of" in text
+    assert re.search(
+        r"unit: text, default 'bend-to-horizontal' .*?; one of vertical, [^;]*, mesh ",
+        re.sub(r"\s+", " ", scenes.part.__doc__),
+    )
+
+
+@pytest.mark.parametrize("jedi", [False, True])
+def test_tab_completes_scenes_and_parameters(jedi):
+    shell = InteractiveShell()
+    shell.user_ns["scenes"], shell.Completer.use_jedi = scenes, jedi
+
+    def completed(text):
+        with provisionalcompleter():
+            return [each.text.lstrip(".") for each in shell.Completer.completions(text, len(text))]
+
+    assert completed("scenes.pipe(vel") == ["velocity="]
+    assert completed("scenes.") == sorted(ALL_SCENES)

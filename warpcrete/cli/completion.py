@@ -1,0 +1,71 @@
+"""Values that a shell completes: names of scenes, concretes, lines and other shipped things, and units of amounts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from click.shell_completion import CompletionItem
+
+from ..core.inputs.amounts import UNITS
+from ..core.inputs.concretes import concrete, shipped
+
+NUMBER = re.compile(r"([-+]?[0-9][0-9.,]*(?:[eE][-+]?[0-9]+)?) ?(.*)")
+DEVICES = ("cpu", "cuda")
+"""Names of devices that a shell completes."""
+
+
+def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[CompletionItem]:
+    """Return those of the `known` names that begin with `incomplete`; with `files`, the shell adds paths of files."""
+    found = [CompletionItem(name) for name in known if name.startswith(incomplete)]
+    return [*found, CompletionItem(incomplete, type="file")] if files else found
+
+
+def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
+    """Return a number, as far as it is typed, with each unit in which an amount in `unit` may be given."""
+    typed = NUMBER.fullmatch(incomplete)
+    if typed is None:
+        return []
+    plain = [written for written in UNITS[unit] if re.fullmatch(r"[a-zA-Z%][a-zA-Z0-9/%]*", written)]
+    return names([typed[1] + written for written in plain], typed[1] + typed[2])
+
+
+def concretes(incomplete: str) -> list[CompletionItem]:
+    """Return the shipped concretes."""
+    return names(shipped(), incomplete, files=True)
+
+
+def mixes(incomplete: str) -> list[CompletionItem]:
+    """Return the shipped concretes that are described by their mix."""
+    return names([name for name in shipped() if concrete(name).mix], incomplete, files=True)
+
+
+def lines(incomplete: str) -> list[CompletionItem]:
+    """Return the shipped lines."""
+    from ..geometry.lines import shipped_lines
+
+    return names(shipped_lines(), incomplete, files=True)
+
+
+def schemas(incomplete: str) -> list[CompletionItem]:
+    """Return the kinds of files that have a JSON schema."""
+    from .schemas import FOLDER
+
+    return names(sorted(path.stem for path in FOLDER.glob("*.json")), incomplete)
+
+
+def kinds(incomplete: str) -> list[CompletionItem]:
+    """Return the kinds of measurements that `warpcrete validate` compares."""
+    from ..studies.validation.kinds import UNITS as kinds_of_cases
+
+    return names(kinds_of_cases, incomplete)
+
+
+def papers(incomplete: str) -> list[CompletionItem]:
+    """Return the papers whose runs `warpcrete reproduce` repeats."""
+    return names(("xu", "zhan"), incomplete)
+
+
+def devices(incomplete: str) -> list[CompletionItem]:
+    """Return the usual names of devices."""
+    return names(DEVICES, incomplete)

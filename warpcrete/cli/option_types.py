@@ -1,0 +1,29 @@
+"""Types of options whose values the shell completes; the values are listed only when the shell asks for them."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import CompletionItem
+
+from .scene_commands import load
+
+
+class Completed(click.ParamType):
+    """Type of a text whose values the function `by` of the module `completion` lists for the shell.
+
+    The function's arguments are those of `first` and the text that is typed so far.
+    """
+
+    name = "text"
+
+    def __init__(self, by: str, *first: str) -> None:
+        self.by, self.first = by, first
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the values that begin with the typed text."""
+        return getattr(load("completion"), self.by)(*self.first, incomplete)
+
+
+DEVICE = Completed("devices")
+LENGTH, TIME, PRESSURE, POWER = (Completed("amounts", unit) for unit in ("m", "s", "Pa", "W"))
+FLOW, GROWTH = Completed("amounts", "m3/s"), Completed("amounts", "Pa/s")

@@ -1,0 +1,64 @@
+"""Completion for the commands that take a scene, its parameters and their own options as plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from ..core.device.device import PRECISIONS
+from ..core.errors import WarpcreteError
+from ..core.inputs.parameters import Field
+from ..scenes import METHODS, modules
+from . import calibrate, explain, study, trade
+from .completion import DEVICES, names
+from .options import flag, kind_of
+
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "study": dict.fromkeys(study.FLAGS, bool) | study.SETTINGS,
+    "trade": trade.ONE | dict.fromkeys((*trade.SEVERAL, "quiet"), bool),
+    "explain": explain.ONE | {"fresh": bool},
+    "calibrate": calibrate.ONE | {"quiet": bool},
+}
+"""Options of each command that takes plain words: the type of its value by the name of the option."""
+VALUES: Mapping[str, Sequence[str]] = {
+    "device": DEVICES, "precision": PRECISIONS, "scheduler": ("local", "slurm"), "method": METHODS,
+}  # fmt: skip
+
+
+def words(command: str, given: Sequence[str], incomplete: str, context: click.Context) -> list[CompletionItem]:
+    """Return completions for a command that takes a scene, its parameters and its own options as plain words.
+
+    `given` are the words before the one that is completed. After an option follow its values; options of `study` take
+    several.
+    """
+    scene = next(iter(given), None)
+    module = None if scene is None else modules().get(scene)
+    fields = {} if module is None else _fields(module, given)
+    own = SETTINGS[command]
+    if incomplete.startswith("-"):
+        options = [flag(name) for name in dict.fromkeys([*own, *fields, *(() if scene is None else ("method",))])]
+        return names(["--help", *options], incomplete)
+    last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
+    if last in VALUES:
+        return names(VALUES[last], incomplete)
+    if last.replace("-", "_") in fields:
+        field = fields[last.replace("-", "_")]
+        if field.kind is bool:
+            return names(("true", "false"), incomplete)
+        kind = click.types.convert_type(kind_of(field, last))
+        return kind.shell_complete(context, click.Option([f"--{last}"]), incomplete)
+    if own.get(last) is Path or (scene is None and command == "calibrate"):
+        return names((), incomplete, files=True)
+    return names(modules(), incomplete) if scene is None else []
+
+
+def _fields(module: Any, given: Sequence[str]) -> Mapping[str, Field]:
+    """Return the parameters of a scene, with those of the contact laws in the words `given` if the words are valid."""
+    try:
+        return study.fields_of(module, study.parsed(list(given))[1])
+    except (WarpcreteError, click.UsageError):
+        return study.fields_of(module, {})

@@ -1,0 +1,48 @@
+"""Interface of the folder that a run writes, as the run loop sees it.
+
+The package `record`, which stands above `core`, implements the interface and registers its class for plain paths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..errors import WarpcreteError, refuse
+
+CHECKPOINT = "checkpoint.npz"
+"""Name of the checkpoint in a run folder."""
+
+
+class RunOutput(Protocol):
+    """Folder that a run writes, with the recorders that write it."""
+
+    @property
+    def path(self) -> Path:
+        """Path of the folder."""
+        ...
+
+    def recorders(self, simulation: Any) -> Sequence[Any]:
+        """Return the recorders that write the folder of a `simulation`."""
+        ...
+
+
+_folder_at: Callable[[Path], RunOutput] | None = None
+
+
+def register_folders(folder_at: Callable[[Path], RunOutput]) -> None:
+    """Set the function that returns the output at a path, with all its settings at their defaults."""
+    global _folder_at
+    _folder_at = folder_at
+
+
+def output_of(out: str | Path | RunOutput) -> RunOutput:
+    """Return the output at a path, or `out` itself if it is an output."""
+    if not isinstance(out, str | Path):
+        if not hasattr(out, "recorders"):
+            refuse("out", out, "must be the path of a new folder or a warpcrete.RunFolder")
+        return out
+    if _folder_at is None:
+        raise WarpcreteError("out: needs the package warpcrete.record; use warpcrete.Simulation, which imports it")
+    return _folder_at(Path(out))

@@ -1,0 +1,72 @@
+"""Quantities of a run as numbers that know their units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..drawing.html import html_table
+from ..errors import one_of
+from ..inputs.amounts import UNITS
+from ..narrowing import is_dict
+from ..units import number
+
+
+class Amount(float):
+    """Number in SI units that knows its unit; it computes and compares like a plain number.
+
+    Results of arithmetic are plain numbers, because their units may differ.
+    """
+
+    unit: str
+    """Unit of the number, such as "Pa"."""
+
+    def __new__(cls, value: float, unit: str) -> Amount:
+        """Return `value` as a number with a unit."""
+        made = super().__new__(cls, value)
+        made.unit = unit
+        return made
+
+    def __reduce__(self) -> tuple[type[Amount], tuple[float, str]]:
+        return Amount, (float(self), self.unit)
+
+    def __repr__(self) -> str:
+        return f"{float(self):.6g} {self.unit}"
+
+    def __str__(self) -> str:
+        return repr(self)
+
+    def to(self, unit: str) -> float:
+        """Return the number in another unit of the same kind, such as "kPa" or "bar" for a pressure.
+
+        Raises :class:`SceneError` for a unit of another kind.
+        """
+        factors = UNITS.get(self.unit, {self.unit: 1.0})
+        one_of("unit", unit, tuple(factors))
+        return float(self) / factors[unit]
+
+
+class Quantities(dict[str, float]):
+    """Quantities of a run by name: an :class:`Amount` if the quantity has a unit, otherwise a plain number."""
+
+    @classmethod
+    def of(cls, result: Mapping[str, Any]) -> Quantities:
+        """Return the quantities in the contents of a result.json."""
+        found = cls()
+        for name, entry in result.items():
+            if is_dict(entry) and set(entry) == {"value", "unit"} and isinstance(entry["value"], int | float):
+                found[name] = Amount(number(entry), str(entry["unit"]))
+            elif isinstance(entry, int | float) and not isinstance(entry, bool):
+                found[name] = number(entry)
+        return found
+
+    def _texts(self) -> list[tuple[str, str]]:
+        return [(name, repr(value) if isinstance(value, Amount) else f"{value:.6g}") for name, value in self.items()]
+
+    def __repr__(self) -> str:
+        width = max(map(len, self), default=0)
+        return "\n".join(f"{name:<{width}}  {text}" for name, text in self._texts()) or "no quantities"
+
+    def _repr_html_(self) -> str:
+        """Return the quantities as an HTML table for notebooks."""
+        return html_table(self._texts())

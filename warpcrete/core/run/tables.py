@@ -1,0 +1,74 @@
+"""Tables of results, and their conversion to the tables of pandas and xarray, which are optional packages."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import WarpcreteError
+from ..narrowing import is_number
+
+if TYPE_CHECKING:
+    from pandas import DataFrame  # pyright: ignore[reportMissingTypeStubs]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Table of a run's results over a coordinate: columns of equal length by name, and the unit of each column."""
+
+    columns: dict[str, np.ndarray]
+    units: dict[str, str]
+
+
+def dataframe(columns: Mapping[str, Sequence[Any] | np.ndarray], units: Mapping[str, str], index: str) -> DataFrame:
+    """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
+
+    The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
+    """
+    try:
+        import pandas  # pyright: ignore[reportMissingTypeStubs]
+    except ImportError:
+        raise WarpcreteError(
+            "table: needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
+        ) from None
+    found = pandas.DataFrame(dict(columns))
+    if index in found:
+        found = found.set_index(index)  # pyright: ignore[reportUnknownMemberType]
+    found.attrs["units"] = dict(units)
+    return found
+
+
+def dataset(
+    columns: Mapping[str, Sequence[Any] | np.ndarray],
+    units: Mapping[str, str],
+    index: str,
+    attributes: Mapping[str, str],
+) -> Any:
+    """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
+
+    Each variable has its unit in `attrs["units"]`, where plots of xarray find it, and its name in words in
+    `attrs["long_name"]`. `attributes` are those of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not
+    installed.
+    """
+    try:
+        xarray: Any = importlib.import_module("xarray")
+    except ImportError:
+        raise WarpcreteError(
+            "to_xarray: needs xarray; run pip install 'warpcrete[xarray]', or use the arrays in run.series"
+        ) from None
+    variables = {
+        name: (index, _array(values), {"long_name": name.replace("_", " "), "units": units.get(name, "")})
+        for name, values in columns.items()
+    }
+    along = {name: variables.pop(name) for name in (index,) if name in variables}
+    return xarray.Dataset(variables, along, dict(attributes))
+
+
+def _array(values: Sequence[Any] | np.ndarray) -> np.ndarray:
+    """Return values as an array; in a column of numbers, a missing value (None) becomes NaN."""
+    filled = [np.nan if value is None else value for value in values]
+    return np.asarray(filled if all(map(is_number, filled)) else values)

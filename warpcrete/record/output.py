@@ -1,0 +1,113 @@
+"""Folder of one run: the same files for `warpcrete run --out` and for `Simulation(out=...)` in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import one_of, refuse
+from ..core.inputs.origin import Arguments
+from ..core.run.checks import Check
+from ..core.run.files import check_new
+from ..core.run.output import register_folders
+from ..core.run.run_loop import Recorder
+from ..core.run.viewer import LOOPBACK
+from ..methods import Simulation, method_of
+from ..scenes import modules
+from .recorders import RECORDERS, DrawSettings, recorders_of
+
+__all__ = ["SETTINGS", "RunFolder", "Simulation"]
+
+PIPELINE = ("pipeline_vertical", "pipeline_horizontal", "pipeline_other")
+"""Names of the settings for the pressure of a whole pipeline, which only the command has."""
+SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *PIPELINE, "checkpoint_every", "threads")
+"""Settings stored in scene.json, with which a resumed run continues."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Run folder at the path `folder`, with settings for its recordings; pass it to a simulation or to `run.save`.
+
+    The folder holds the same files as that of `warpcrete run --out`, whose options have the names of these settings. A
+    folder that holds the same run, unfinished, continues this run. Raises :class:`RunFolderError` for a folder that
+    holds something else, and :class:`SceneError` for a wrong setting.
+    """
+
+    folder: str | Path
+    recordings: Sequence[str] | None = None
+    """Names of the recordings to write: `rerun`, `usd` or `paraview`; None selects those that the command writes."""
+    colour: str | None = None
+    """Quantity that colours bodies; None selects a suitable one for the method."""
+    network: bool = False
+    """True to record bonds, and force chains with a width by contact force."""
+    live: bool | str = False
+    """True to show the run in a new Rerun viewer while it is computed; a URL selects a running viewer."""
+    bind: str = LOOPBACK
+    """IP address on which a newly opened viewer listens."""
+    pipeline: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(PIPELINE))
+    """Settings for the pressure of a whole pipeline, which scene.json stores for a resumed run."""
+    resumed: bool = False
+    """True if the settings come from the scene.json of the folder itself."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.recordings, str):
+            object.__setattr__(self, "recordings", (self.recordings,))
+        for name in self.recordings or ():
+            one_of("recordings", name, tuple(kind.name for kind in RECORDERS))
+        if not self._holds_run():
+            check_new(self.path)
+
+    @property
+    def path(self) -> Path:
+        """Path of the folder."""
+        return Path(self.folder)
+
+    def _holds_run(self) -> bool:
+        return (self.path / "scene.json").is_file()
+
+    def _chosen(self) -> dict[str, bool]:
+        """Return for the name of each kind of recording whether it is written."""
+        if self.recordings is None:
+            return {kind.name: kind.default for kind in RECORDERS}
+        return {kind.name: kind.name in self.recordings for kind in RECORDERS}
+
+    def recorders(self, simulation: Simulation) -> list[Recorder]:
+        """Return the recorders that write this folder; raises :class:`SceneError` for a setting of another method."""
+        display = method_of(simulation.scene).display
+        if self.colour is not None and self.colour not in display.colourings:
+            refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")
+        if self.network and not display.has_network:
+            refuse(
+                "network",
+                True,
+                f"needs contacts between bodies, which a scene of {display.noun} does not have",
+                "leave out 'network'",
+            )
+        interval = simulation.frame_interval
+        settings = {
+            # Rounding restores the number of which the interval is the reciprocal.
+            "frames": None if interval is None else float(f"{1.0 / interval:.12g}"),
+            "colour": self.colour,
+            "network": self.network,
+            **self._chosen(),
+            "checkpoint_every": simulation.checkpoint_every,
+            "threads": simulation.threads,
+            **self.pipeline,
+        }
+        look = DrawSettings(self.colour, self.network, self.live, self.bind)
+        return recorders_of(
+            self.path, check_of(simulation.scene), self._chosen(), look, settings,
+            going_on=self._holds_run(), again=not self.resumed,
+        )  # fmt: skip
+
+
+def check_of(scene: Any) -> Check | None:
+    """Return the acceptance check of the scene function that made a scene; None for a scene that was built by hand."""
+    function = scene.parameters.function if isinstance(scene.parameters, Arguments) else ""
+    module = modules().get(function)
+    return None if module is None else module.check
+
+
+register_folders(RunFolder)
