@@ -479,3 +479,13 @@ def test_checks_finish_before_the_table_that_writes_them(tmp_path):
     simulation = flow(folder, CheckRecorder(lambda run: {"any": (True, "found")}))
     simulation.run()
     assert json.loads((folder / "result.json").read_text())["checks"]["any"]["found"] == "found"
+
+
+def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
+    """Work with Python's library of Windows, which has no `fcntl` and fewer flags of files."""
+    monkeypatch.setattr(folders, "fcntl", None)
+    monkeypatch.delattr(os, "O_CLOEXEC")
+    lock = FolderLock(tmp_path)
+    assert (tmp_path / LOCK).is_file()
+    lock.release()
+    assert not (tmp_path / LOCK).exists()

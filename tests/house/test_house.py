@@ -153,6 +153,46 @@ def test_text_is_read_and_written_as_utf_8():
         assert not calls_without_encoding(path.read_text(encoding="utf-8")), module
 
 
+POSIX = {
+    "os": {"O_CLOEXEC", "O_DIRECTORY", "O_NOFOLLOW", "O_NONBLOCK", "chown", "fchmod", "fork", "getloadavg", "getpgid",
+           "getuid", "killpg", "mkfifo", "nice", "posix_fadvise", "posix_fallocate", "pread", "pwrite",
+           "sched_getaffinity", "setsid", "statvfs", "sysconf", "uname", "WNOHANG"},
+    "signal": {"SIGALRM", "SIGCHLD", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGQUIT", "SIGUSR1", "alarm", "pthread_sigmask"},
+}  # fmt: skip
+"""Names that these modules lack on Windows."""
+POSIX_MODULES = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"}
+
+
+def names_missing_on_windows(source: str) -> list[str]:
+    """Names of POSIX that are used without `hasattr(module, name)` or a `try` that catches their absence."""
+    tree = ast.parse(source)
+    caught: dict[str, set[ast.AST]] = {"AttributeError": set(), "ImportError": set()}
+    for block in ast.walk(tree):
+        for handler in block.handlers if isinstance(block, ast.Try) else []:
+            for name in caught:
+                if handler.type is not None and name in ast.unparse(handler.type):
+                    caught[name] |= {node for statement in block.body for node in ast.walk(statement)}
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            module, name = node.value.id, node.attr
+            tested = {f"hasattr({module}, {name!r})", f'hasattr({module}, "{name}")'}
+            if name in POSIX.get(module, ()) and node not in caught["AttributeError"]:
+                found += [] if any(test in source for test in tested) else [f"{module}.{name}"]
+        elif isinstance(node, ast.Import | ast.ImportFrom) and node not in caught["ImportError"]:
+            names = [node.module] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
+            found += [name for name in names if name in POSIX_MODULES]
+    return found
+
+
+def test_no_module_needs_posix():
+    assert names_missing_on_windows("import fcntl, os; os.open(p, os.O_CLOEXEC)") == ["fcntl", "os.O_CLOEXEC"]
+    guarded = "try:\n    import fcntl\nexcept ImportError:\n    pass\nos.nice(1) if hasattr(os, 'nice') else 0"
+    assert not names_missing_on_windows(guarded)
+    for module, path in MODULES.items():
+        assert not names_missing_on_windows(path.read_text(encoding="utf-8")), module
+
+
 PARSERS = {"json.load", "json.loads", "csv.reader", "csv.DictReader", "yaml.load", "yaml.safe_load", "YAML"}
 OWN_FILES = {"record.loading": "csv.reader", "studies.explain": "json.loads", "core.run.checkpoint": "json.loads",
              "studies.lines.folder": "json.loads", "studies.lines.line_folder": "json.loads",
