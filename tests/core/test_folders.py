@@ -381,6 +381,7 @@ def test_locks_of_killed_runs_go_when_the_folder_around_them_goes_on(tmp_path):
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["study.json"] and inner.is_dir()
 
 
+@pytest.mark.linux
 def test_a_child_ends_with_the_process_that_started_it(tmp_path):
     code = (
         "import subprocess, sys, time; from warpcrete.core.run.processes import killed_with_parent; "
