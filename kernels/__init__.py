@@ -9,7 +9,4 @@ arrays.
 """
 
 if __name__ != "warpcrete.kernels":
-    raise ImportError(
-        f"the kernel package was imported as {__name__!r}; import it as 'warpcrete.kernels' "
-        "(install the project with 'pip install -e .' and do not put its root folder on sys.path)"
-    )
+    raise ImportError(f"the kernel package was imported as {__name__!r}; import it as 'warpcrete.kernels'")

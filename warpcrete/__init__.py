@@ -9,6 +9,7 @@ This example runs the scene of a vertical pipe on the CPU::
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .core.errors import (
@@ -32,6 +33,12 @@ if TYPE_CHECKING:
     from .studies.loading import load
     from .studies.tradeoffs.explain import explain
     from .studies.tradeoffs.trade import trade
+
+if __name__ != "warpcrete":
+    raise ImportError(f"the package was imported as {__name__!r}; import it as 'warpcrete'")
+if not Path(__file__).with_name("kernels").exists():
+    # In a checkout, the packages `kernels` and `scenes` lie beside this one; an installed wheel contains them.
+    __path__.append(str(Path(__file__).parents[1]))
 
 __all__ = [
     "CapacityError",

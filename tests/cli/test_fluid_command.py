@@ -67,6 +67,7 @@ def test_a_run_is_repeated_from_its_folder(folder, tmp_path):
     assert one == two
 
 
+@pytest.mark.posix
 @pytest.mark.thorough
 def test_an_interrupted_flow_goes_on(tmp_path):
     out, whole = tmp_path / "cut", tmp_path / "whole"

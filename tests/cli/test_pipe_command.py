@@ -194,6 +194,7 @@ def test_no_gpu_where_one_is_asked_for(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.posix
 def test_ctrl_c_keeps_what_was_written(tmp_path):
     folder = tmp_path / "run"
     process = subprocess.Popen(
@@ -250,6 +251,7 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
+@pytest.mark.posix
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")  # what has arrived so far
 def test_live_recording_reaches_a_running_viewer(tmp_path):
     # A server without a window stands for the viewer; what it got is fetched back over the network.

@@ -74,6 +74,7 @@ main()
 """
 
 
+@pytest.mark.posix
 @pytest.mark.thorough
 @pytest.mark.parametrize(("limit", "file"), [(3_000, "series.csv"), (60_000, "run.rrd"), (60_000, "scene.usdc")])
 def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
@@ -98,6 +99,7 @@ def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
     assert not list((tmp_path / "run").glob("*partial*")) and not list((tmp_path / "run").glob("*.partial"))
 
 
+@pytest.mark.posix
 def test_a_folder_that_cannot_be_made_is_refused_before_anything_is_packed(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     packed = []

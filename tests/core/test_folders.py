@@ -381,6 +381,7 @@ def test_locks_of_killed_runs_go_when_the_folder_around_them_goes_on(tmp_path):
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["study.json"] and inner.is_dir()
 
 
+@pytest.mark.linux
 def test_a_child_ends_with_the_process_that_started_it(tmp_path):
     code = (
         "import subprocess, sys, time; from warpcrete.core.run.processes import killed_with_parent; "
@@ -479,3 +480,13 @@ def test_checks_finish_before_the_table_that_writes_them(tmp_path):
     simulation = flow(folder, CheckRecorder(lambda run: {"any": (True, "found")}))
     simulation.run()
     assert json.loads((folder / "result.json").read_text())["checks"]["any"]["found"] == "found"
+
+
+def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
+    """Work with Python's library of Windows, which has no `fcntl` and fewer flags of files."""
+    monkeypatch.setattr(folders, "fcntl", None)
+    monkeypatch.delattr(os, "O_CLOEXEC")
+    lock = FolderLock(tmp_path)
+    assert (tmp_path / LOCK).is_file()
+    lock.release()
+    assert not (tmp_path / LOCK).exists()

@@ -128,6 +128,7 @@ def special_files(folder):
     }  # fmt: skip
 
 
+@pytest.mark.linux
 def test_only_regular_files_of_a_sensible_size_are_opened(tmp_path):
     for name, says in special_files(tmp_path).items():
         for read in (read_mapping, read_rows, check_file):
@@ -136,6 +137,7 @@ def test_only_regular_files_of_a_sensible_size_are_opened(tmp_path):
             assert says in str(refused.value) and len(str(refused.value)) < 3 * LONGEST_VALUE
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize(
     "arguments",
     [["line"], ["mix"], ["theory", "--concrete"], ["theory", "--fit"], ["run", "pipe", "--wall"],

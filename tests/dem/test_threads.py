@@ -206,6 +206,7 @@ def test_threads_that_wait_for_cores_become_one_and_are_tried_again(monkeypatch)
     assert not contention.use_one_thread()  # after a quiet time the wait is short again
 
 
+@pytest.mark.linux
 @pytest.mark.parametrize("there", [{0, 1, 2}, {3, 5, 9}, {0, 1, 2, 3}, {4}])
 def test_threads_have_a_core_each_where_there_are_as_many(there, monkeypatch):
     taken = []
@@ -217,6 +218,7 @@ def test_threads_have_a_core_each_where_there_are_as_many(there, monkeypatch):
     assert sorted(map(str, taken)) == ([str((0, {core})) for core in sorted(there)] if len(there) == 3 else [])
 
 
+@pytest.mark.linux
 def test_a_core_that_is_no_more_stops_no_thread(monkeypatch):
     def refuse(thread, own):
         raise OSError(22, "Invalid argument")

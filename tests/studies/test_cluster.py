@@ -140,6 +140,7 @@ def test_one_case_of_a_part_that_cannot_begin_leaves_the_others(run, tmp_path):
     assert isinstance(run(record, tmp_path, [wrong])[0], SceneError)
 
 
+@pytest.mark.posix
 def test_an_interrupted_study_stops_at_the_next_samples(tmp_path):
     out = tmp_path / "study"
     process = begun(out, travel=3.0)  # for longer than anybody waits

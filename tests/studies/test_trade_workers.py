@@ -110,6 +110,7 @@ def test_workers_find_the_same_errors(name, alone, tmp_path):
     assert [p.errors for p in again.points] == [p.errors for p in trade.points]
 
 
+@pytest.mark.linux
 def test_a_lost_worker_and_an_interruption_lose_no_run_that_was_done(alone, tmp_path):
     if alone["pipe"].device != "cpu":
         pytest.skip("makes two workers on one CPU; a GPU has one, and what a worker does there test_cluster covers")

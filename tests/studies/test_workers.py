@@ -21,6 +21,7 @@ from warpcrete.studies.workers import WorkerDied, WorkerPool
 HERE = "jobs"
 
 
+@pytest.mark.posix
 def test_workers_answer_fail_and_die_without_harm_to_one_another():
     with WorkerPool() as crew:
         assert crew.run((HERE, "add"), (2, 3)) == (5, False)
@@ -60,6 +61,7 @@ def test_a_job_that_no_pickle_holds_costs_itself_alone():
         assert crew.run((HERE, "add"), (1, 1)) == (2, False)
 
 
+@pytest.mark.posix
 def test_a_case_whose_process_dies_is_failed_and_the_others_go_on(tmp_path, monkeypatch):
     outcomes = {"1": WorkerDied("its process was killed by SIGKILL"), "2": {"finished": True, "checks": {}},
                 "3": TypeError("no pickle holds it")}  # fmt: skip
@@ -144,6 +146,7 @@ def test_python_dash_m_is_the_command():
     assert done.returncode == 2 and done.stderr.startswith("error: scene = 'chute'")
 
 
+@pytest.mark.posix
 def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_path, monkeypatch):
     cases = [Case("001", {}, {}), Case("002", {}, {})]
     study = Study(

@@ -47,7 +47,7 @@ class FolderLock:
         end = time.monotonic() + KILL_GRACE
         while True:
             try:
-                file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+                file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
             except OSError as error:
                 raise cannot_write(self._path, error) from error
             if _lock(file) and _is_at(file, self._path):
@@ -68,6 +68,9 @@ class FolderLock:
                 self._path.unlink(missing_ok=True)
             os.close(self._file)
             self._file = -1
+            if fcntl is None:  # Windows removes only files that are closed.
+                with suppress(OSError):
+                    self._path.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Release the lock, then remove the folders that were created for this lock and are still empty."""
