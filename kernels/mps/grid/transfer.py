@@ -36,16 +36,14 @@ LIGHT = wp.constant(0.1)
 
 
 @functools.cache
-def gather_kernel(scalar, of: GridKind):
-    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
-    dims, last = of.dimensions, of.dimensions - 1
-    t = mps_types(scalar, dims)
-    whole = t.whole
+def face_functions(scalar, of: GridKind):
+    """Build `kind_of`, which returns the kind of a face, and `needed`, which finds ghost faces inside walls."""
+    dims = of.dimensions
+    whole = mps_types(scalar, dims).whole
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
+    Fields, Geometry = structs.Fields, structs.Geometry
     f = grid_functions(scalar, of)
-    around = 2 * 3**last
 
     @wp.func
     def kind_of(g: Grid, mesh: Fields, geometry: Geometry, a: wp.int32, b: wp.int32, r: wp.int32, axis: wp.int32):
@@ -79,6 +77,22 @@ def gather_kernel(scalar, of: GridKind):
                     if not found and f.reached(g, edge):
                         found = f.wetness(g, mesh, geometry, edge, axis + b - 1) > scalar(0.0)
         return found
+
+    return kind_of, needed
+
+
+@functools.cache
+def gather_kernel(scalar, of: GridKind):
+    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
+    dims, last = of.dimensions, of.dimensions - 1
+    t = mps_types(scalar, dims)
+    whole = t.whole
+    Grid = grid_parameters_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
+    f = grid_functions(scalar, of)
+    kind_of, needed = face_functions(scalar, of)
+    around = 2 * 3**last
 
     @wp.func
     def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
