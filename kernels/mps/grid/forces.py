@@ -254,15 +254,9 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        g: Grid,
-        flags: wp.array(dtype=wp.int32),
-        geometry: Geometry,
-        mesh: Fields,
-        matrix: Matrix,
-        viscous: Solve,
-        worker: wp.int32,
-        workers: wp.int32,
-    ):
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, matrix: Matrix,
+        viscous: Solve, worker: wp.int32, workers: wp.int32,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         number = item(wp.tid(), worker, workers)

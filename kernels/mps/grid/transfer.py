@@ -39,8 +39,7 @@ LIGHT = wp.constant(0.1)
 def gather_kernel(scalar, of: GridKind):
     """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
     dims, last = of.dimensions, of.dimensions - 1
-    t = mps_types(scalar, dims)
-    whole = t.whole
+    whole = mps_types(scalar, dims).whole
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
@@ -122,15 +121,9 @@ def gather_kernel(scalar, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Grid,
-        flags: wp.array(dtype=wp.int32),
-        particles: Particles,
-        geometry: Geometry,
-        walls: Walls,
-        mesh: Fields,
-        worker: wp.int32,
-        workers: wp.int32,
-    ):
+        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls,
+        mesh: Fields, worker: wp.int32, workers: wp.int32,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         number = item(wp.tid(), worker, workers)
