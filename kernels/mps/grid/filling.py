@@ -119,14 +119,9 @@ def fill_kernel(scalar, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def fill(
-        g: Grid,
-        flags: wp.array(dtype=wp.int32),
-        particles: Particles,
-        geometry: Geometry,
-        mesh: Fields,
-        worker: wp.int32,
-        workers: wp.int32,
-    ):
+        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Fields,
+        worker: wp.int32, workers: wp.int32,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         number = item(wp.tid(), worker, workers)

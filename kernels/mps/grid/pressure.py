@@ -155,14 +155,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def source(
-        g: Grid,
-        flags: wp.array(dtype=wp.int32),
-        geometry: Geometry,
-        mesh: Fields,
-        projection: Solve,
-        worker: wp.int32,
-        workers: wp.int32,
-    ):
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, projection: Solve,
+        worker: wp.int32, workers: wp.int32,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         number = item(wp.tid(), worker, workers)

@@ -153,14 +153,9 @@ def wall_kernel(scalar, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def wall_stress(
-        g: Grid,
-        flags: wp.array(dtype=wp.int32),
-        walls: Walls,
-        geometry: Geometry,
-        mesh: Fields,
-        worker: wp.int32,
-        workers: wp.int32,
-    ):
+        g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Fields,
+        worker: wp.int32, workers: wp.int32,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         number = item(wp.tid(), worker, workers)
