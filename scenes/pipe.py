@@ -262,7 +262,8 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
-    # The long rest begins shortly before the end of the last pause, after which the piston starts again.
+    # Let the long rest of the concrete take place shortly before the end of the piston's last pause. The rest takes no
+    # time steps, so the piston starts again soon after it.
     at = given.stops.count * given.stops.period - PAUSE_LEFT_AT_REST * given.pause
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"

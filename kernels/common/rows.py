@@ -183,12 +183,13 @@ DIRECTED = """
 
 @functools.cache
 def directed_product(scalar, value_type):
-    """Build the product of a sparse matrix row with the vector ``value + factor * direction``.
+    """Build the function that multiplies one row of a sparse matrix with the vector ``value + factor * direction``.
 
-    The function takes (neighbour, coefficient, value, direction, factor, first, row, rows, count) and returns the sum
-    of ``coefficient * (value[j] + factor * direction[first + j])`` over the row's entries, where j is the neighbour of
-    an entry. Entry k of a row is stored at ``k * rows + row``. Neighbours and coefficients must not change while the
-    kernel runs, because a GPU reads them through its read-only cache.
+    The function takes (neighbour, coefficient, value, direction, factor, first, row, rows, count). It returns the sum
+    of ``coefficient[e] * (value[j] + factor * direction[first + j])`` over the `count` entries of the row, where
+    ``j = neighbour[e]`` is the column. The index of the row's entry k is ``e = k * rows + row``, where `rows` is the
+    number of rows. The arrays `neighbour` and `coefficient` must not change while the kernel runs, because a GPU reads
+    them through its read-only cache.
     """
     width = wp.types.type_size(value_type)
     name = "double" if scalar is wp.float64 else "float"
@@ -213,11 +214,13 @@ def directed_product(scalar, value_type):
 
 @functools.cache
 def entry_product(scalar, value_type):
-    """Build the product of a sparse matrix row with a vector, for matrices stored entry by entry (GPU).
+    """Build the function that multiplies one row of a sparse matrix with a vector on a GPU.
 
-    The function takes (neighbour, coefficient, value, row, rows, count) and returns the sum of ``coefficient *
-    value[j]`` over the row's entries, where j is the neighbour of an entry. Entry k of a row is stored at
-    ``k * rows + row``. Neighbours and coefficients must not change while the kernel runs.
+    The function takes (neighbour, coefficient, value, row, rows, count). It returns the sum of
+    ``coefficient[e] * value[neighbour[e]]`` over the `count` entries of the row, where ``neighbour[e]`` is the column.
+    The index of the row's entry k is ``e = k * rows + row``, where `rows` is the number of rows. The first entries of
+    all rows are therefore stored before all second entries. The arrays `neighbour` and `coefficient` must not change
+    while the kernel runs.
     """
     width = wp.types.type_size(value_type)
     name = "double" if scalar is wp.float64 else "float"
@@ -238,10 +241,11 @@ def entry_product(scalar, value_type):
 
 @functools.cache
 def row_product(scalar, value_type):
-    """Build the product of a sparse matrix row with a vector, for matrices stored row by row (CPU).
+    """Build the function that multiplies one row of a sparse matrix with a vector on a CPU.
 
-    The function takes (neighbour, coefficient, value, first, count) and returns the sum of ``coefficient * value[j]``
-    over the `count` entries from `first` on, where j is the neighbour of an entry.
+    The function takes (neighbour, coefficient, value, first, count). It returns the sum of
+    ``coefficient[e] * value[neighbour[e]]`` over the `count` entries e of the row, where ``neighbour[e]`` is the
+    column. The entries of a row are stored one after the other, and `first` is the index of the first one.
     """
     width = wp.types.type_size(value_type)
     name = "double" if scalar is wp.float64 else "float"

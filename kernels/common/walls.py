@@ -52,7 +52,9 @@ def wall_struct(scalar):
         stops: wp.float64  # Number of strokes from rest to rest, each followed by a pause, before the steady motion.
         stroke_time: wp.float64  # Duration of a stroke from rest to rest, including a speed ramp at both ends [s].
         pause: wp.float64  # Pause after each stroke [s].
-        velocity: wp.vec3d  # Velocity of the final steady motion [m/s]; for driven walls, the direction of motion.
+        # For a wall with prescribed motion, the velocity after all strokes, when it moves steadily [m/s]. For a wall
+        # that a force drives, a vector in its direction of motion.
+        velocity: wp.vec3d
         spin: wp.vec3d  # Angular velocity of the wall about `pivot` [rad/s].
         pivot: wp.vec3d
         mass: wp.float64  # Inertia of a driven wall along its direction of motion [kg].

@@ -132,9 +132,9 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # Pairs with a stiff bond (`held`) count as touching, even if their spheres are apart. When such
-                        # a bond breaks, the pair may therefore change from touching to apart in one step. In this case,
-                        # the kernel clears the pair's contact history.
+                        # The bit mask `held` marks pairs of spheres with a stiff bond. These pairs count as touching,
+                        # even if their spheres are apart. If the spheres are apart when the bond breaks, the pair
+                        # changes from touching to apart, and the kernel clears the pair's contact history.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

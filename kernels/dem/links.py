@@ -69,7 +69,11 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Return the first row of `links.result` that holds the result of a link for one of the link's two spheres."""
+        """Return the index in `links.result` at which the result of a link for one of its two spheres begins.
+
+        `first` is the index of the scene's first link. `end` is the number p of the link in the scene if the sphere is
+        the one with the lower permanent number, and -1 - p if it is the other sphere.
+        """
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))

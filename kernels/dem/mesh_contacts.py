@@ -43,8 +43,9 @@ Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     """Return functions for the contacts of one sphere with meshes.
 
-    They merge contacts with one wall whose normals are nearly parallel, and match contacts with those of the previous
-    step.
+    Several triangles of a mesh can touch the sphere at nearly the same place. The functions merge the sphere's contacts
+    with the same wall if the contact normals are nearly parallel. They also find, for each contact, the same contact in
+    the previous step, so that its contact history continues.
     """
     t = types(scalar)
     Vectors, Values = wp.types.matrix((MESH_SLOTS, 3), scalar), wp.types.vector(MESH_SLOTS, scalar)

@@ -1,4 +1,8 @@
-"""Motion of single-sphere bodies, and functions that all bodies share: rotation, drives, damping, list checks."""
+"""Kernels that move bodies of a single sphere, and functions that the kernels for all kinds of bodies share.
+
+The shared functions rotate bodies, compute driving forces and damping, and check whether the neighbour lists are still
+valid.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -157,7 +161,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def watch_near(scenes: Scenes, links: Links, s: wp.int32, i: wp.int32, place: t.vec3, radius: scalar):
-        """Set `near_list_exceeded` if the near links (close pairs) may miss a contact of sphere i in the next step."""
+        """Set `near_list_exceeded` if the near links (pairs that may touch soon) may miss a contact of sphere `i`."""
         gone = scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT] - links.near_time[s]
         drift = scalar(gone) * scenes.reference_velocity[s]
         if exceeds_skin(
@@ -201,7 +205,7 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     The function sets three flags:
 
     - LATE, if the neighbour lists may miss a contact in the next step.
-    - `near_list_exceeded`, if the list of near links (the close pairs among the listed ones) may miss a contact.
+    - `near_list_exceeded`, if the near links (listed pairs of spheres that may touch soon) may miss a contact.
     - FAILED, if a sphere moves by more than its radius in one step. It could then pass through another sphere or a
       wall. During growth in packing this is no failure, because spheres start small and overlap anyway.
     """

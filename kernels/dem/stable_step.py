@@ -155,12 +155,14 @@ def floor_function(scalar, pair_law, wall_law):
 
     @wp.func
     def resolved(k: t.vec4, onset: scalar, mass: scalar):
-        """Return the stiffness k for which a step of sqrt(m / k) keeps the energy of an impact within a tolerance.
+        """Return the stiffness K for which a time step of sqrt(`mass` / K) keeps an impact's energy within a tolerance.
 
-        Here m is `mass`. The tolerance is 1 % of the impact's energy plus a quarter of the energy that the impact
-        loses. `onset` is the contact's stiffness at first touch, and w is the angular frequency of the mass on a spring
-        of this stiffness. If the bodies touch and separate again within one step of length dt, the error is up to (w
-        dt)^2 / 4 of the energy. For a law whose stiffness grows from zero, the error is less than a third of that.
+        The tolerance is 1 % of the impact's energy plus a quarter of the energy that the impact loses. `onset` is the
+        contact's stiffness at first touch, `k[0]` its stiffness in the impact, and `k[2]` its damping.
+
+        The largest error occurs if the bodies touch and separate again within one time step dt. The error is then a
+        fraction of up to (w dt)^2 / 4 of the energy, where w = sqrt(`onset` / `mass`). If the stiffness of the contact
+        grows from zero, the fraction is less than 0.3 (w dt)^2 / 4 with w = sqrt(`k[0]` / `mass`).
         """
         stiffest = wp.max(onset, scalar(0.3) * k[0])
         if stiffest <= scalar(0.0):

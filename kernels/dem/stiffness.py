@@ -26,14 +26,17 @@ def estimate_struct(scalar):
     @wp.struct
     class Estimate:
         sums: wp.array2d(dtype=vec6)  # stiffness and damping per sphere, shape (spheres, 4); zero between estimates
-        # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, by CPU thread, shape (parts, walls, 2)
+        # Stiffness [mN/m] and damping [mN s/m] of all contacts of a wall. Each CPU thread stores the sums over its
+        # contacts for each wall, shape (threads, walls, 2).
         wall_load: wp.array3d(dtype=wp.int64)
-        # smallest stable step of any body, by CPU thread and scene, shape (parts, scenes) [s]
+        # Stable time step [s]. Each CPU thread stores the minimum over its bodies for each scene, shape (threads,
+        # scenes).
         smallest: wp.array2d(dtype=wp.float64)
-        resolution_step: wp.array2d(
-            dtype=wp.float64
-        )  # smallest step limit from impacts and speeds, by CPU thread and scene, shape (parts, scenes) [s]
-        fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
+        # Largest time step that still resolves the impacts of every body, and in which no sphere moves farther than a
+        # given fraction of its radius [s]. Each CPU thread stores the minimum over its bodies for each scene, shape
+        # (threads, scenes).
+        resolution_step: wp.array2d(dtype=wp.float64)
+        fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall [m/s], shape (threads, scenes)
 
     return Estimate
 

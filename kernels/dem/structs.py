@@ -39,7 +39,10 @@ STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are c
 
 @functools.cache
 def scene_struct(scalar):
-    """Return the struct `SceneRow`: the parameters of one scene and the first row of the scene in each flat array."""
+    """Return the struct `SceneRow`, which contains the parameters of one scene.
+
+    It also contains the index at which the data of the scene begin in each array that all scenes share.
+    """
     t = types(scalar)
 
     @wp.struct
@@ -95,8 +98,10 @@ def array_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Scenes:
-        row: wp.array(dtype=SceneRow)  # parameters and first rows of each scene, shape (scenes,)
-        clock: wp.array2d(dtype=wp.float64)  # times and steps, in the columns listed above, shape (scenes, CLOCK)
+        # Parameters of each scene, and the indices at which the data of the scene begin in arrays that all scenes
+        # share, shape (scenes,).
+        row: wp.array(dtype=SceneRow)
+        clock: wp.array2d(dtype=wp.float64)  # simulated time, time step and others, shape (scenes, CLOCK)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
         reference_velocity: wp.array(dtype=t.vec3)  # mean velocity of each scene when its lists were built [m/s]
 
@@ -132,7 +137,9 @@ def array_structs(scalar) -> SimpleNamespace:
         clear: wp.array(dtype=t.vec4)  # centre at the last check of fixed walls, and distance from the nearest one [m]
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
-        touching: wp.array(dtype=wp.int32)  # bit mask of the first list entries that touched in the last step
+        # Bit mask that marks neighbours of each sphere in contact in the last step. Bit k belongs to entry k of the
+        # sphere's neighbour list; the mask covers the first BLOCK entries.
+        touching: wp.array(dtype=wp.int32)
         dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start [J]
         broken: wp.array(dtype=wp.vec2i)  # bonds broken since the start: in tension, in shear
 
@@ -214,22 +221,26 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
-        # bit masks that mark the touching pairs among a sphere's list entries after the first BLOCK, EXTRA_MASKS
-        # integers per sphere
+        # Bit masks that mark neighbours in contact, for the entries of a sphere's neighbour list after the first BLOCK
+        # entries. Each sphere has EXTRA_MASKS integers.
         later_touching: wp.array(dtype=wp.int32)
         # for each list entry, the index p of its link in the scene; at twin entries -1 - p
         end: wp.array(dtype=wp.int32)
-        # Result of each link (pair of spheres) in this step. Without bonds, rolling resistance and energy sums, a link
-        # has two rows:
-        # - force on the lower sphere [N], arm of the lower sphere [m];
-        # - contact moment divided by the arm [N], arm of the higher sphere [m].
-        # Otherwise a link has four rows, two for each sphere:
-        # - force on the sphere [N], lost energy [J] at the lower sphere or 0 at the higher one;
-        # - moment about the sphere's centre [N m], 0.
+        # Result of each link (pair of spheres) in this step. An array element holds a vector and a number. The lower
+        # sphere of a pair is the one with the lower permanent number. Without bonds, rolling resistance and energy
+        # sums, a link has two elements:
+        # - force on the lower sphere [N], and lever arm of the force at the lower sphere [m];
+        # - contact moment divided by the lever arm [N], and lever arm at the higher sphere [m].
+        # Otherwise a link has two elements for the lower sphere, followed by two for the higher sphere:
+        # - force on the sphere [N], and the energy that the contact lost [J], which is 0 for the higher sphere;
+        # - moment about the sphere's centre [N m], and 0.
         result: wp.array(dtype=t.vec4)
-        near: wp.array(dtype=wp.vec4i)  # near links: indices in the batch of both spheres, the list entry and the link
+        # Near links, which are the listed pairs of spheres that may touch soon. Each one holds four indices in the
+        # arrays of the batch: the two spheres, the pair's entry in the neighbour list, and the link.
+        near: wp.array(dtype=wp.vec4i)
         near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
-        # `near_list_exceeded` is 1 if a scene's near links may miss a contact, else 0, shape (scenes,).
+        # `near_list_exceeded` is 1 for a scene whose near links (listed pairs of spheres that may touch soon) may miss
+        # a contact, for example because a sphere has moved far. Otherwise it is 0. Shape (scenes,).
         near_list_exceeded: wp.array(dtype=wp.int32)
         near_position: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
         near_time: wp.array(dtype=wp.float64)  # time from the list rebuild to the choice of near links [s], (scenes,)
@@ -274,7 +285,9 @@ def subcycled_struct(scalar):
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
-        position: wp.array(dtype=t.vec3)  # centroid, in the middle of a step like the velocities of all bodies [m]
+        # Position of each body's centroid in the middle of a time step [m]. The velocities are stored for the same
+        # moment.
+        position: wp.array(dtype=t.vec3)
         rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
         orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
         velocity: wp.array(dtype=t.vec3)  # velocity of the centroid [m/s]

@@ -190,8 +190,11 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sp
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # The next arguments are the flow's parameters (only the number of rows is read), the error code that is stored
-        # if the solve fails, the relative tolerance, and the maximum number of iterations.
+        # The next arguments are:
+        # - the flow's parameters, of which only the number of rows is read,
+        # - the error code that is stored if the solve fails,
+        # - the relative tolerance,
+        # - the maximum number of iterations.
         flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,

@@ -43,7 +43,10 @@ def law_functions(scalar, law: str) -> SimpleNamespace:
 
 @functools.cache
 def linear_law(scalar) -> SimpleNamespace:
-    """Build the functions of the linear law h = k g (stress, viscosity and so on), with the shear rate g."""
+    """Build the functions of the linear law h = k g, as listed in :func:`law_functions`.
+
+    Here h is the viscous stress, k the plastic viscosity, and g the shear rate.
+    """
 
     @wp.func
     def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:
@@ -85,7 +88,10 @@ def linear_law(scalar) -> SimpleNamespace:
 
 @functools.cache
 def power_law(scalar) -> SimpleNamespace:
-    """Build the functions of the power law h = k g^n (stress, viscosity and so on), with the shear rate g."""
+    """Build the functions of the power law h = k g^n, as listed in :func:`law_functions`.
+
+    Here h is the viscous stress, g the shear rate, k the consistency, and n the flow index.
+    """
 
     @wp.func
     def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:

@@ -237,7 +237,11 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.func
     def turn(i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
-        """Compute the new search direction of row `i` from the residual over the diagonal and the coarse solution."""
+        """Compute the new search direction of the conjugate gradients at row `i` of the linear system.
+
+        The direction is the sum of the residual divided by the matrix's diagonal, the solution of the coarse equations,
+        and `beta` times the previous direction.
+        """
         if i < count:
             now = system.preconditioned[i]
             if wp.static(vector) or matrix.free[i] == 0:
@@ -260,8 +264,11 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # The next arguments are the number of rows, the error code that is stored if the solve fails, the relative
-        # tolerance, and the maximum number of iterations.
+        # The next arguments are:
+        # - the number of rows,
+        # - the error code that is stored if the solve fails,
+        # - the relative tolerance,
+        # - the maximum number of iterations.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,

@@ -128,7 +128,8 @@ class _BatchMember:
         self.stopped = False
         """True if some run of this batch was interrupted."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
-        """Stepper and coroutine of each running simulation, by its index, as `drive_batches` needs them."""
+        """Steppers and coroutines of the running simulations. The keys are the indices of the simulations. The function
+        `drive_batches` advances the simulations with these objects."""
         self.stream = stream
         """CUDA stream of this batch while other batches run at the same time, otherwise None."""
         self._members: list[ElementSimulation] = []

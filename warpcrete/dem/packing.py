@@ -261,8 +261,8 @@ class _Growth:
 
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         pressure = self.fill.pressure
-        # At first, aggregates overlap where they were placed and push each other apart. Only a pressure well above the
-        # pressure of these overlaps may end the growth.
+        # Freshly placed aggregates overlap and push each other apart, which causes a pressure for a short time. Only a
+        # pressure above the highest one that these first overlaps may cause ends the growth early.
         resting = max(pressure or 0.0, TRANSIENT_LOOKS * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()

@@ -228,7 +228,11 @@ class ElementSimulation(Simulation):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the simulation from a `state_dict`, in a batch of its own, and complete its preparation."""
+        """Restore the simulation from a checkpoint that :meth:`state_dict` returned, so that the run can continue.
+
+        The simulation does not share its batch with other scenes. If the checkpoint was saved while the concrete
+        settled, the settling is completed.
+        """
         self.restore(state)
         stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
         self.join(stepper)

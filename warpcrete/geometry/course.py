@@ -158,9 +158,9 @@ class Course:
             self.heading = level / np.linalg.norm(level)
 
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """Return a hose of a given length, or as a curve through points.
+        """Return a hose, which is either straight with a given length, or a curve through given points.
 
-        The points are given relative to the hose's start as forward, left and up.
+        A point has three coordinates relative to the start of the hose [m]: ahead, to the left, and up.
         """
         field = f"part {number}, hose"
         given = said.get("points")

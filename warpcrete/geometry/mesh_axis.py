@@ -38,7 +38,8 @@ WINDOW = 2
 AXIS_TOLERANCE = 0.004
 """Largest distance between the fitted axis and the centres of the cross-sections, in radii."""
 STRAIGHT_TOLERANCE = 0.004
-"""Largest angle between a straight piece of the axis and the directions of its cross-sections [rad]."""
+"""Largest angle that a straight piece of a bore's fitted axis may form with the measured direction of the bore, at any
+cross-section along this piece [rad]."""
 LEAST_STRAIGHT = 4
 """Smallest number of intervals between neighbouring cross-sections that a straight piece of the axis spans."""
 NEAREST = 1e-3

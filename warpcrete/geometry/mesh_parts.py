@@ -146,7 +146,8 @@ def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field:
     pieces = pieces_through(sections.points, way, float(sections.radii[0]))
     axis = Axis((0.0, 0.0, 0.0), tuple(way.tolist()), pieces)
     if _is_straight(axis):
-        # A straight bore ends where the mesh ends; this place is more accurate than the last measured cross-section.
+        # A straight bore ends at the mesh's farthest vertex. This vertex gives the bore's length more accurately than
+        # the last measured cross-section does.
         axis = Axis(axis.start, axis.tangent, (Line(float((vertices @ way).max())),))
     return axis, float(sections.radii[0])
 

@@ -46,7 +46,8 @@ class Part:
     """Friction that the file states, relative to straight pipe of the part's length and bores; None if it states
     none."""
     factor_range: tuple[float, float] | None = None
-    """Range of the stated friction, if it was fitted to measured pressures; None if it has no range."""
+    """Lowest and highest friction relative to straight pipe that fit the pressures measured on a line; None if `factor`
+    does not come from such a fit."""
 
     @property
     def relative(self) -> float:

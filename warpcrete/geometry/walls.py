@@ -199,8 +199,8 @@ class PlaneWall(_Wall):
         angle = np.linspace(0, 2 * np.pi, SIDES + 1)[:-1]
         up = np.cross(normal, side)
         ring = self.drawn_radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up)
-        # The front of the disc lies in the wall's plane, and its back behind the plane, because pistons are drawn with
-        # two sides.
+        # Give the disc a thickness, so that a piston is visible from both sides. The disc's front lies in the plane of
+        # the wall; the disc's back lies behind this plane.
         back = ring - 0.25 * self.drawn_radius * normal
         vertices = np.concatenate([np.zeros((1, 3)), ring, back, back.mean(0, keepdims=True)])
         n = len(angle)

@@ -20,8 +20,8 @@ than Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
-"""Constants of a slip layer by their names in a mix, each mapped to the name under which the table of possible values
-(`core.inputs.limits`) has its limits."""
+"""Map from the name of a slip layer's constant in a mix to the name of the same constant in the table of permitted
+values, `core.inputs.limits`."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
 

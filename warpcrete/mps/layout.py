@@ -32,7 +32,7 @@ class Layout:
 
 
 def layout(scene: FluidScene) -> Layout:
-    """Return the layout of a column, with rows of particles along a channel or rings of particles in a tube.
+    """Return the initial positions of a column's particles, in rows along a channel or in rings in a tube.
 
     The outermost row or ring is half a spacing from the wall, the innermost ring half a spacing from the axis.
     """

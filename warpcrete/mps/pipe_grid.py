@@ -28,7 +28,11 @@ def pipe_cells(scene: FluidScene) -> tuple[int, int]:
 
 
 def pipe_layout(scene: FluidScene) -> GridLayout:
-    """Return the layout of a periodic pipe, with cells from wall to wall or from the axis to the wall."""
+    """Return grid, walls and initial particles of a periodic pipe.
+
+    In two dimensions the cells reach from wall to wall. In three dimensions they reach from the pipe's axis to its
+    wall.
+    """
     axial = scene.dimensions == 3
     nx, nz = pipe_cells(scene)
     dx, dz = (scene.radius if axial else 2 * scene.radius) / nx, scene.length / nz

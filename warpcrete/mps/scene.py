@@ -1,7 +1,7 @@
-"""Scenes of the moving particle method: concrete as a yield stress fluid that a piston drives up a pipe.
+"""Scenes of the moving particle method: concrete as a yield stress fluid that is pumped up a pipe.
 
-In two dimensions the pipe is a channel between planes 2 R apart, in three a round tube (Xu, Li & Jiang 2021, section
-3.3).
+In two dimensions the pipe is a channel between two parallel planes at a distance of 2 R. In three dimensions it is a
+round tube of radius R. The scenes follow Xu, Li & Jiang 2021, section 3.3.
 """
 
 from __future__ import annotations

@@ -347,7 +347,9 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # tensors of bar charts for reuse, by their number of bars
+        # Tensors that hold the heights of bars in Rerun's format, by the number of bars. They are kept because
+        # replacing the values of a tensor is faster than creating a new one.
+        self._tensors: dict[int, Any] = {}
         # positions of the bars that were recorded last, by the path of the bar chart in the recording
         self._places: dict[str, np.ndarray] = {}
         if self.live is True:

@@ -36,9 +36,9 @@ class Specimen:
     height_around: Callable[[float, float], float]
     """Function that takes two radii [m] and returns the mean height of the surface between them, about the axis."""
     depth: Callable[[float, float, float], float]
-    """Function that returns the depth of the concrete [m] between two positions along a box.
+    """Function that returns the depth of the concrete [m] in a section of a box, such as the L-box.
 
-    Its arguments are the two positions and the width of the box [m].
+    Its arguments are the positions of the section's start and end along the box [m], and the width of the box [m].
     """
     front: Callable[[], float]
     """Function that returns the distance [m] that the concrete has reached along a box."""
@@ -91,9 +91,9 @@ class ClosedForm:
     label: str
     """Name of the closed form in the report."""
     of: Callable[[Any], float | None]
-    """Function that computes the value of the closed form from an :class:`Outcome`.
+    """Function that takes an :class:`Outcome` and returns the quantity that the closed form predicts.
 
-    It returns None where the closed form does not hold.
+    The function returns None if the closed form is not valid for this outcome.
     """
     is_estimate: bool = True
     """True if calibrations may use this closed form for their first estimate.

@@ -119,7 +119,8 @@ def run_listed(
     check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
-        # The record holds values as the scene uses them, such as absolute paths and a concrete's single parameters.
+        # In the study's record, store the values that the scene uses, for example absolute paths and the parameters
+        # that follow from the name of a concrete.
         cases[place] = replace(case, parameters=module.scene.plain(made, case.parameters))
         check_named(made)
         files |= made.parameters.files
@@ -275,7 +276,8 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            scene(**case.parameters)  # this raises the error that names the parameter without effect
+            # The case has a parameter that no case uses. Creating the scene raises the error that names this parameter.
+            scene(**case.parameters)
     return found
 
 

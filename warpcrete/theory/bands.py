@@ -19,7 +19,11 @@ class Band:
 
     @property
     def factor(self) -> float:
-        """Factor f of a band that reaches from value / f to value * f; infinity if the band does not lie above zero."""
+        """Factor f that expresses the uncertainty of the value.
+
+        The true value is expected between value / f and value * f. The factor is infinite if the band's lower end is 0
+        or less.
+        """
         return math.sqrt(self.high / self.low) if self.low > 0 else math.inf
 
     def contains(self, value: float) -> bool:

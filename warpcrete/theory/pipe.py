@@ -154,15 +154,16 @@ class Steady:
 
 
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
-    """Return the mean velocity that shear of the bulk adds to the slip velocity [m/s], averaged over the section.
+    """Return the part of the mean velocity over the pipe's cross-section that shear of the bulk causes [m/s].
 
-    `stress` is the shear stress at the wall [Pa], a number or an array. Let tau be this stress, x the yield stress
-    divided by tau, and mu the plastic viscosity. If the slip layer has no thickness, the velocity of a Bingham fluid is
+    The slip velocity is the other part. `stress` is the shear stress tau at the wall [Pa], a number or an array. Let x
+    be the yield stress divided by tau, and mu the plastic viscosity. If the slip layer has no thickness, the result for
+    a Bingham fluid is
 
     - R tau / (4 mu) (1 - 4 x / 3 + x^4 / 3) in a pipe of radius R,
     - R tau / (3 mu) (1 - 3 x / 2 + x^3 / 2) in a channel of half width R.
 
-    The method :meth:`~.laws.FlowLaw.mean_velocity` serves the other laws.
+    For all other flow laws, the method :meth:`~.laws.FlowLaw.mean_velocity` computes the result.
     """
     inner = line.radius - line.slip_thickness
     own = np.asarray(stress, float) * inner / line.radius

@@ -42,7 +42,8 @@ class Outcome:
     """Energy gained without work, divided by the energy scale that the check for instability uses."""
     steps: int
     expected_outcome: str = ""
-    """Required result in this precision: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
+    """Required result of the run: "run" if it must be completed, otherwise a regular expression that the message of the
+    error must match. An empty text accepts a completed and a stopped run."""
 
     @property
     def acceptable(self) -> bool:
@@ -135,7 +136,11 @@ EITHER = ("friction 10", "time step 2 of the estimate")
 
 
 def expected_outcome(name: str, precision: str) -> str:
-    """Return what a scene must do: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
+    """Return the result that the run of the extreme scene `name` must have in the precision `precision`.
+
+    The result "run" means that the run must be completed. Any other text is a regular expression: the run must stop,
+    and its error message must match the expression. An empty text means that either outcome is acceptable.
+    """
     if name.startswith("corner") or name in EITHER:
         return ""
     only, _, reason = MUST_STOP.get(name, "run").rpartition(":")

@@ -100,9 +100,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
         """Return the viscosity at the corner where two cells meet, corrected if the edge of a plug lies in these cells.
 
-        `rate` is the difference of the cells' mean velocities divided by their distance, and `change` is the change of
-        the stress over one cell. If the edge of a plug lies in the cells, `rate` is larger than the shear rate at the
-        corner.
+        `rate` is the difference of the cells' mean velocities divided by the distance of the cells' centres [1/s].
+        `change` is the amount by which the shear stress changes from one side of a cell to the opposite side [Pa]. If
+        the edge of a plug lies in the cells, `rate` is larger than the shear rate at the corner.
         """
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):

@@ -162,7 +162,9 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
-        kind: wp.array(dtype=wp.int32)  # Kind of each face, such as LIQUID, shape (axes * slots,).
+        # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
+        # (axes * slots,).
+        kind: wp.array(dtype=wp.int32)
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
         start: wp.array(dtype=scalar)  # Velocity across each face before the forces of the step act [m/s].
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
@@ -171,14 +173,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
         slip: wp.array(dtype=scalar)
-        # Force of the wall in a cut cell, divided by the velocity at the wall. The wall lies between a face and the
-        # next face along an axis. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the
-        # next face lies.
+        # Friction force of a wall that passes between two neighbouring faces, divided by the velocity of the concrete
+        # relative to the wall. Both faces are perpendicular to axis a; the second face follows the first one along axis
+        # b. Shape (axes^2 * slots,); the index is (a * axes + b) * slots + c, where c is the cell of the first face.
         wall_stiffness: wp.array(dtype=scalar)
-        # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
+        # Friction force of the wall at the present velocity, with the same indices as `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
-        # The velocity at the wall in a cut cell is interpolated between a face and the next face along an axis.
-        # `wall_weight` is the weight of the next face, in the layout of `wall_stiffness`.
+        # The velocity at a wall that passes between two neighbouring faces is interpolated from the velocities of both
+        # faces. `wall_weight` is the weight of the second face, with the same indices as `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
@@ -216,8 +218,11 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * slots,).
         gap: wp.array(dtype=scalar)
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
-        shut: wp.array(dtype=wp.int32)  # Kind of each face that is closed, FIXED or INSIDE, shape (axes * slots,).
-        surface: wp.array(dtype=wp.int32)  # Number of the wall nearest to each face, shape (axes * slots,).
+        # Kind of each cell face that walls close, FIXED or INSIDE. There is one face for each axis and cell, shape
+        # (axes * slots,).
+        shut: wp.array(dtype=wp.int32)
+        # Number of the wall nearest to each cell face. There is one face for each axis and cell, shape (axes * slots,).
+        surface: wp.array(dtype=wp.int32)
 
     @wp.struct
     class Walls:

@@ -91,9 +91,10 @@ def edge_function(scalar, dimensions: int, law: str):
 
     @wp.func
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
-        """Return the apparent viscosity [Pa s] at a corner between two cells.
+        """Return the apparent viscosity at a corner where two cells meet [Pa s].
 
-        `rate` is the shear rate of both cells together, and `change` is the change of the stress over one cell.
+        `rate` is the mean of the shear rate over both cells [1/s]. `change` is the amount by which the shear stress
+        changes from one side of a cell to the opposite side [Pa].
         """
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):

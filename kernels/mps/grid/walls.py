@@ -59,8 +59,9 @@ def side_kernel(scalar, of: GridKind):
                             still = walls.velocity[wall][axis]
                             relative = mesh.velocity[r] - still
                             way = wp.where(relative < scalar(0.0), scalar(-1.0), scalar(1.0))
-                            # At a wall on the left or below, the shear stress has the sign of the relative velocity;
-                            # at a wall on the right or above, it has the opposite sign.
+                            # If the wall is to the left of the face or below it, the shear stress has the sign of
+                            # `relative`, the velocity of the concrete relative to the wall. If the wall is to the right
+                            # or above, the stress has the opposite sign.
                             turn = way * wp.where(side == 0, scalar(1.0), scalar(-1.0))
                             width = g.width[1 - axis]
                             ring = scalar(1.0)

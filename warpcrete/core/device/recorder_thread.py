@@ -67,7 +67,10 @@ class RecorderThread:
             yield_to_run()
 
     def close(self) -> None:
-        """Wait until the recorder thread has done all jobs, and end this thread; raise the error of a failed job."""
+        """End the recorder thread as soon as it has done all jobs in the queue, and wait for its end.
+
+        If a job failed, its error is raised.
+        """
         if self._thread is not None:
             with run_is_waiting():
                 self._jobs.put(None)

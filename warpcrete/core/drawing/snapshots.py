@@ -19,7 +19,8 @@ from ..device.simulation_protocol import SimulationOnDevice
 COPY_TIMEOUT = 60.0
 """Maximum time that copies from a device may take to arrive before an error is raised [s]."""
 POLL_INTERVAL = 1e-3
-"""Time between two checks whether copies have arrived [s]; each check takes Python's interpreter lock from the run."""
+"""Time between two checks whether the copies have arrived from the device [s]. More frequent checks would slow the
+simulation down, because it must wait while a check holds Python's interpreter lock."""
 
 
 def on_host(found: object) -> object:

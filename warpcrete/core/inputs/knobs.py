@@ -24,9 +24,9 @@ class Level:
     example, half the element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If
     the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
-    """Conversions of result quantities, by name. At this setting of the knob, a quantity may mean something else than
-    in the scene as given. A conversion is a pair (offset, factor): the value offset + factor * (value - offset) is
-    comparable with the scene as given."""
+    """Conversions of result quantities, by the quantity's name. A result of a run at this level of the knob may need a
+    conversion before it is comparable with the scene as given. For example, a pipe of half the length needs about half
+    the pressure. A conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
 
 
 @dataclass(frozen=True)

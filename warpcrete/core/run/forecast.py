@@ -32,7 +32,8 @@ class Forecast:
     limits: Mapping[str, float]
     """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
     governing: str
-    """Text that names what determines the time step: a physical effect, or a choice."""
+    """Text that states why the time step is not longer: the physical effect that limits it, or the parameter that was
+    chosen."""
     steps: float
     parts: Mapping[str, float]
     """Wall time of each part of the run [s], without recordings."""

@@ -203,14 +203,20 @@ class Batch(JointArrays):
         return self._flags
 
     def host_clock(self) -> np.ndarray:
-        """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
+        """Return simulated time, time step and other data of the time steps of each scene, shape (scenes, CLOCK).
+
+        The columns are listed in `kernels/dem/structs.py`. Callers must not change the array.
+        """
         if self._clock is None:
             self._read_flags()
         assert self._clock is not None
         return self._clock
 
     def _read_flags(self) -> None:
-        """Read flags and clocks from the device; on a CPU, use views of the arrays, which are always up to date."""
+        """Read the scenes' control flags and times from the device.
+
+        On a CPU, use views of these arrays; views are always up to date.
+        """
         if self.parallel:
             flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
             # If the host has a copy of the flags, keep it, because it may contain changes not yet sent to the device.
@@ -251,8 +257,9 @@ class Batch(JointArrays):
 
     @contextmanager
     def changing(self) -> Generator[None]:
-        """Let the code inside change flags, clocks or walls on the device, by launches or by writing to arrays.
+        """Let the code in a `with` block change control flags, times or walls on the device.
 
+        The code changes them by launches or by writing to arrays.
         The host's pending changes are sent first. Afterwards the host's copies are discarded, also after an exception.
         """
         self.flush()
@@ -302,7 +309,8 @@ class Batch(JointArrays):
 
         try:
             for count in launch_sizes:
-                # A GPU saves launches if one CUDA graph contains the steps of a piece and the work that follows.
+                # A GPU needs fewer launches if one CUDA graph contains all steps of a group and also the work that
+                # follows the group, such as a rebuild of the neighbour lists.
                 whole = self.parallel and count in (interval, DEVICE_CHECK_INTERVAL) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 appended = between_pieces if whole and self.device.is_cuda else None

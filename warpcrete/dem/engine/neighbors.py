@@ -303,7 +303,8 @@ class NeighborLists:
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
             # Write the neighbours into the rows of the list, with the contact history from the previous lists.
             Phase("fill", [*fill, self._transfer(old)]),
-            # Build the links of a GPU, one for the two list entries of a pair, so that a step computes each pair once.
+            # A GPU's neighbour list contains each pair of spheres twice. Build one link for each pair, so that a step
+            # computes the pair only once.
             Phase("links", self._link_stages(scan)),
             # List the triangles of meshes within reach of each sphere as its mesh candidates.
             Phase("candidates", fill_faces),

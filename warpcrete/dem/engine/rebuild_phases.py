@@ -21,14 +21,14 @@ class Phase:
 
 
 class Chunks:
-    """Group of launches of one kernel, one launch for the chunk of bodies of each CPU thread."""
+    """Group of launches of one kernel: one launch for each CPU thread, which processes its share of the bodies."""
 
     def __init__(self, stages: list[Stage], launch_chunks: Callable[[list[Stage]], None]) -> None:
         """Create a group of the launches `stages`, which `launch_chunks` will launch, each on its own CPU thread."""
         self.stages, self._in_parts = stages, launch_chunks
 
     def record(self) -> None:
-        """Record the launches of all chunks, without running them."""
+        """Record the launches of this group for a later replay, without running them."""
         for stage in self.stages:
             stage.record()
 

@@ -1,4 +1,4 @@
-"""Stages of one step of the discrete element method: contacts, walls, meshes, motion of walls and bodies, and clock."""
+"""Stages of one step of the discrete element method: contacts, walls, meshes, motion of walls and bodies, and time."""
 
 from __future__ import annotations
 

@@ -85,7 +85,10 @@ class HoldingBatch(Protocol):
         ...
 
     def host_clock(self) -> np.ndarray:
-        """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
+        """Return simulated time, time step and other data of the time steps of each scene, shape (scenes, CLOCK).
+
+        The columns are listed in `kernels/dem/structs.py`. Callers must not change the array.
+        """
         ...
 
     def reserve_loads(self, s: int, wanted: int) -> None:
@@ -112,7 +115,8 @@ class State:
     flags: DeviceArray
     """Control flags of the scene, such as halted or failed, shape (1, FLAGS); see `kernels/common/control.py`."""
     scenes: Scenes
-    """Struct `Scenes` of arrays with one row for the scene, such as its clock."""
+    """Struct `Scenes` of arrays with one row for the scene, which contains its simulated time and time step, for
+    example."""
     bodies: Bodies
     """Struct `Bodies` of arrays with one row for each body, such as positions and velocities."""
     spheres: Spheres

@@ -14,7 +14,7 @@ from ...core.device.arrays import DeviceArray
 
 
 class Scenes(Protocol):
-    """Arrays with one row for each scene: parameters, clock and others."""
+    """Arrays with one row for each scene: parameters, simulated time and time step, and others."""
 
     row: DeviceArray
     clock: DeviceArray

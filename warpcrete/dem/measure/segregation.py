@@ -50,9 +50,10 @@ def ball_points(count: int = POINTS) -> np.ndarray:
 
 
 def stones_of(state: State) -> Stones:
-    """Return centres, radii, volumes and aggregate sizes of all spheres of aggregates, ordered by permanent number.
+    """Return the centres, radii, volumes and sizes of all spheres of which the aggregates consist.
 
-    A sphere's volume is its share of the volume of the clump to which it belongs.
+    The spheres are ordered by their permanent numbers. The size of a sphere is that of the aggregate to which it
+    belongs. If the aggregate is a clump of several spheres, the volume of a sphere is its share of the clump's volume.
     """
     order = np.argsort(state.spheres.id.numpy())
     body = state.spheres.body.numpy()[order]

@@ -51,7 +51,7 @@ class Stepping(ABC):
     time: float
     steps: int
     abreast: int = 1
-    """Number of flows that share the GPU; set by :meth:`share`."""
+    """Number of flows that are simulated on the GPU at the same time; the method :meth:`share` sets it."""
     _launcher: Launcher
     _step: Step | None
     _goal: int = 0
@@ -121,7 +121,10 @@ class Stepping(ABC):
         return self._goal - self.steps
 
     def launch(self) -> None:
-        """Launch some of the steps that are left to the goal; on a GPU they run while Python goes on."""
+        """Launch some of the steps that the flow still needs to reach its goal.
+
+        On a GPU the method returns before the steps are completed.
+        """
         largest = self._largest_graph
         sizes = graph_sizes(min(self._steps_left, GRAPHS_PER_CHECK * largest), largest)
         self._launcher.replay(self.step, self._single_thread_step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))

@@ -51,12 +51,12 @@ class FreeDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of times that each drawn particle is drawn: once in two dimensions, else once per mirror image."""
+        """Number of images of each displayed particle, itself included: 1 in two dimensions; 1, 2 or 4 in three."""
         return len(self._mirrored)
 
     @property
     def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are drawn, shape (n,)."""
+        """Indices of the particles that are displayed, shape (n,)."""
         return self._places[0]
 
     @cached_property

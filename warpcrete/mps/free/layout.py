@@ -44,7 +44,10 @@ def free_cells(scene: FreeScene) -> tuple[int, ...]:
 
 
 def free_layout(scene: FreeScene) -> GridLayout:
-    """Return the layout of a vessel: walls, a gate if there is one, concrete, and air above and around it."""
+    """Return grid, walls and initial particles of a flow in a vessel.
+
+    If the scene has a gate, the gate is one of the walls. The grid also covers the air above and around the concrete.
+    """
     cells = free_cells(scene)
     axes = len(cells)
     extent = (scene.width, *((scene.depth,) if scene.depth else ()), scene.height)

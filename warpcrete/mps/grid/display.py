@@ -12,19 +12,19 @@ from ...core.drawing.paint import palette_colours
 
 
 class GridDisplay(Display):
-    """Display of a flow on a grid, of which some particles are drawn once or several times, as mirror images."""
+    """Display of a flow on a grid by some of its particles and, in symmetric flows, by their mirror images."""
 
     noun: ClassVar = "concrete"
 
     @property
     @abstractmethod
     def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are drawn, shape (n,)."""
+        """Indices of the particles that are displayed, shape (n,)."""
 
     @property
     @abstractmethod
     def copies(self) -> int:
-        """Number of times that each of these particles is drawn."""
+        """Number of images of each displayed particle: the particle itself and its mirror images."""
 
     def fields(self) -> dict[str, np.ndarray]:
         """Return speed [m/s] and pressure [Pa] of the drawn particles."""

@@ -145,7 +145,11 @@ class GridFlow(Stepping):
         self._goal_sent = False
 
     def launch(self) -> None:
-        """Launch some steps towards the goal; a GPU takes them on its current stream while Python goes on."""
+        """Launch some of the time steps that the flow still needs to reach its goal.
+
+        The goal is a time or a number of steps. On a GPU the method returns before the steps are completed; they run on
+        the current CUDA stream.
+        """
         if not self._goal_sent:
             launch(
                 self.clock_kernels.begin, 1, self.device, until=min(self._goal_time, 1e300), goal=self._goal,

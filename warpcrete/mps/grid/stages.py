@@ -137,7 +137,11 @@ class GridStep:
         return found
 
     def _disperse(self) -> list[Any]:
-        """Return stages that move crowded particles apart; they solve a system with the pressure's matrix."""
+        """Return stages that move particles out of crowded regions.
+
+        The displacements of the particles follow from a linear system that has the same matrix as the system for the
+        pressure.
+        """
         kernels, flow = crowd_kernels(self.scalar, self.kind), self.flow
         return [
             *self._cells(kernels.source, projection=flow.dispersion.arrays),

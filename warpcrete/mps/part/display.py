@@ -39,12 +39,12 @@ class PartDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of times that each drawn particle is drawn: twice if only half of the part is simulated."""
+        """Number of images of each displayed particle: 2 if only half of the part is simulated, otherwise 1."""
         return len(self._mirror_signs)
 
     @property
     def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are drawn, shape (n,)."""
+        """Indices of the particles that are displayed, shape (n,)."""
         count = self.simulation.state.count
         return np.arange(0, count, max(1, -(-count * self.copies // MAX_DRAWN_PARTICLES)))
 

@@ -119,7 +119,7 @@ def inlet_distance(scene: PartScene) -> Distance:
 
 
 def part_layout(scene: PartScene) -> GridLayout:
-    """Return the layout of the part, full of concrete at rest."""
+    """Return grid, walls and initial particles of the flow through a pipe part that is full of concrete."""
     room, frame = part_room(scene), Frame(scene)
     inlet = inlet_distance(scene)
     walls = [(bore_distance(scene), PLATE), (inlet, INLET)]

@@ -157,11 +157,11 @@ def run_blocking(
 def _parameters(
     part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters of one simulation.
+    """Return the scene parameters of one simulation that pumps concrete through a part.
 
-    The simulation ends as soon as the part is blocked. The friction and the modulus of the stones are raised to
-    :data:`FRICTION` and :data:`MODULUS` if they are smaller, because smoother or softer stones would pass bores that
-    block in reality. A contact law that belongs to the concrete stays unchanged.
+    The simulation ends as soon as the part is blocked. If the concrete has a contact law of its own, this law stays
+    unchanged. Otherwise the stones' friction is at least :data:`FRICTION` and their modulus at least :data:`MODULUS`,
+    because smoother or softer stones would pass bores that block in reality.
     """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)

@@ -58,15 +58,16 @@ the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the fricti
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
-    """Return the range of a part's friction, divided by the friction of straight pipe, or None without a range.
+    """Return the lowest and the highest friction of a part relative to straight pipe, or None.
 
-    The range consists of the lowest and the highest value. The straight pipe has the same length and bores as the part,
-    and `straight` is its friction [Pa]. The range depends on the part:
+    The range expresses the uncertainty of the part's friction. The straight pipe has the same length and bores as the
+    part, and `straight` is its friction [Pa]. There are four cases:
 
-    - If the line's file states a factor for the part, or a fit to a trial line determined the factor, the result is
-      what is stored with the factor: a range or None.
-    - For all other parts, it is the range of the model for this kind of part. Straight pipe needs no model, so the
-      result is None.
+    - A fit to pressures measured on a trial line gave the part's friction. The result is the range from this fit.
+    - The line's file states the part's friction. The result is None.
+    - The part is a straight pipe. The result is None.
+    - For all other parts, the result is the range in :data:`MODEL_ERRORS` for the kind of part, such as a bend. For a
+      valve, the upper end is :data:`VALVE_PRESSURE` divided by `straight` if that is higher.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:

@@ -222,7 +222,8 @@ def _store_results(reproduction: Reproduction, group: str, study: Study) -> None
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
-        # In files of version 0.2, each case belongs to a single key, stored as a text instead of a list.
+        # The file lists, for each case of the study, the keys under which its result is stored in the reproduction.
+        # Files of version 0.2 have a single key for each case, as a text instead of a list.
         for key in [named] if isinstance(named, str) else named:
             if case.name in study.results:
                 reproduction.results[key] = study.results[case.name]

@@ -41,9 +41,9 @@ class Setting:
     """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions of result quantities, by name. In a run with this setting, a quantity may mean something else than in
-    the scene as given; the conversion makes both comparable. A conversion is a pair (offset, factor); see
-    :class:`Level`."""
+    """Conversions of result quantities, by the quantity's name. A result of a run with this setting may need a
+    conversion before it is comparable with the scene as given. For example, a pipe of half the length needs about half
+    the pressure. A conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""
@@ -112,4 +112,5 @@ class Promise:
     The value is None if the run of the variant failed.
     """
     bound: float = math.inf
-    """Relative error that is promised, as a fraction."""
+    """Promised upper bound of the relative error of all result quantities, as a fraction; infinite if no setting is
+    promised."""

@@ -53,7 +53,8 @@ class Trade:
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
         self.points: list[Setting] = []
         self.tried: list[Setting] = []
-        """Settings that were run in variants of the scene."""
+        """Settings of the accuracy parameters with which variants of the scene were run; a variant is the study's scene
+        with some other parameters changed."""
         self.promises: list[Promise] = []
         self.spent = 0.0
         self.budget = math.inf

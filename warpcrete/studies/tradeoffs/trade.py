@@ -181,7 +181,8 @@ def resume_trade(
     """
     check_scheduler(scheduler, workers)
     record = read_record(folder / "trade.json")
-    # Refuse changed files before the scene is read, which may import one as a Python module.
+    # Before the scene is created, check that the study's files have not changed. The creation of the scene may import
+    # one of these files as a Python module, so a changed file would run.
     check_files(folder / "trade.json", record.get("files", {}))
     try:
         with names_from_file():

@@ -35,7 +35,7 @@ def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
 
 
 def _number(case: Case, key: str, unit: str) -> float:
-    """Return an entry of a case's section `test` in `unit`."""
+    """Return the number under `key` in the section `test` of a validation case, converted to `unit`."""
     return amount(f"case test: {key}", _entry(case, key), unit)
 
 

@@ -42,7 +42,8 @@ class Summary:
     inside: float
     """Share of the concretes inside the bands of their cases."""
     factor: float
-    """Median over the cases of the factor f of a band that reaches from prediction / f to prediction * f."""
+    """Median over the cases of the factor f of the prediction's uncertainty. The true value is expected between
+    prediction / f and prediction * f."""
 
 
 @dataclass(repr=False)
