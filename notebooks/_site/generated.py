@@ -217,12 +217,14 @@ def law_pages() -> dict[str, str]:
 def all_modules() -> dict[str, list[str]]:
     """Return the public modules of each package, by the package's name."""
     found: dict[str, list[str]] = {}
-    for info in pkgutil.walk_packages(warpcrete.__path__, "warpcrete."):
-        name = info.name
+    # In a checkout, kernels and scenes lie in the second folder of the package's path, next to folders that are no part
+    # of the package.
+    walked = {info.name: info.ispkg for info in pkgutil.walk_packages(warpcrete.__path__[:1], "warpcrete.")}
+    for name, is_package in (walked | dict.fromkeys(OPEN, False)).items():
         if name in OPEN or (not name.startswith(INTERNAL) and not any(p.startswith("_") for p in name.split("."))):
-            package = name if info.ispkg else name.rpartition(".")[0]
+            package = name if is_package else name.rpartition(".")[0]
             modules = found.setdefault(package, [])
-            if not info.ispkg and public_names(name):
+            if not is_package and public_names(name):
                 modules.append(name)
     return {name: modules for name, modules in found.items() if modules}
 

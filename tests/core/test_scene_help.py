@@ -49,6 +49,8 @@ def test_help_states_units_defaults_choices_and_other_names():
 
 @pytest.mark.parametrize("jedi", [False, True])
 def test_tab_completes_scenes_and_parameters(jedi):
+    if jedi:
+        pytest.importorskip("jedi", reason="IPython completes by jedi only where it is installed")
     shell = InteractiveShell()
     shell.user_ns["scenes"], shell.Completer.use_jedi = scenes, jedi
 

@@ -91,7 +91,7 @@ def test_every_page_is_in_a_table_of_contents():
 def public_names() -> list[tuple[str, object]]:
     """Return all public classes, functions, methods and properties, with those that modules define themselves."""
     found: list[tuple[str, object]] = []
-    for info in pkgutil.walk_packages(warpcrete.__path__, "warpcrete."):
+    for info in pkgutil.walk_packages(warpcrete.__path__[:1], "warpcrete."):
         if info.name.startswith(INTERNAL):
             continue
         module = importlib.import_module(info.name)
