@@ -134,9 +134,9 @@ def pytest_addoption(parser):
 def pytest_collection_modifyitems(config, items):
     for item in items:
         if item.get_closest_marker("linux") and sys.platform != "linux":
-            item.add_marker(pytest.mark.skip(reason="needs /proc, /dev/full or the affinity to cores of Linux"))
+            item.add_marker(pytest.mark.skip(reason="needs Linux: /proc, /dev/full or threads bound to cores"))
         if item.get_closest_marker("posix") and sys.platform == "win32":
-            item.add_marker(pytest.mark.skip(reason="needs signals or limits that Windows does not have"))
+            item.add_marker(pytest.mark.skip(reason="needs POSIX signals or limits, which Windows lacks"))
     if config.getoption("--gpu"):
         spared = [item for item in items if hasattr(item, "callspec") and item.callspec.params.get("device") == "cpu"]
         config.hook.pytest_deselected(items=spared)

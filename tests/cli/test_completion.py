@@ -1,4 +1,4 @@
-"""What shells complete: options, names and units."""
+"""Tests of shell completion: options, names and units."""
 
 import os
 import subprocess

@@ -106,7 +106,7 @@ def test_sums_of_a_row_are_those_of_separate_launches(device):
 
 def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypatch):
     if not find_device(device).is_cuda:
-        pytest.skip("a GPU's: a CPU estimates between two launches")
+        pytest.skip("only a GPU computes estimates within a graph of steps; a CPU computes them between two launches")
     scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=0.05)
     within, replay = [], Launcher.replay
 

@@ -109,7 +109,7 @@ def test_a_series_is_a_table(ran, monkeypatch):
 
 
 def test_a_series_is_a_dataset(ran, tmp_path, monkeypatch):
-    pytest.importorskip("xarray")
+    pytest.importorskip("xarray", reason="needs xarray, which the extra [test] installs")
     found = ran.to_xarray()
     assert set(found.data_vars) == set(ran.series) - {"time"} and found.sizes == {"time": len(ran.series["time"])}
     for name, column in ran.series.items():

@@ -1,4 +1,4 @@
-"""What editors, notebooks and `help` show about scenes: names, parameters, units, defaults."""
+"""Tests of `help`, signatures and tab completion of scenes: names, parameters, units, defaults."""
 
 import inspect
 import pydoc

@@ -27,7 +27,7 @@ register it also reads."""
 
 avx2 = pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64") or "x86-64-v3" not in cpu_flags(),
-    reason="looks for instructions of AVX2",
+    reason="needs a processor with AVX2, whose instructions the tests count in the compiled kernels",
 )
 
 

@@ -16,7 +16,7 @@ from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.scene.bodies import placed_bodies
 
 pytestmark = pytest.mark.skipif(
-    not wp.is_cuda_available(), reason="threads of a warp that share work are a GPU's: a CPU has one way only"
+    not wp.is_cuda_available(), reason="needs a GPU: only there do several threads share the work of a sphere"
 )
 
 

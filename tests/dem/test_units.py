@@ -97,7 +97,7 @@ def test_mesh_pipe_agrees_at_full_size(device):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(len(devices()) == 1, reason="compares a GPU with the CPU, and there is no GPU here")
+@pytest.mark.skipif(len(devices()) == 1, reason="needs a GPU to compare its run with one on the CPU")
 def test_devices_agree_within_the_scatter_of_seeds():
     device = devices()[-1]
     here, there = figures(pumped(device)), figures(pumped("cpu"))

@@ -13,8 +13,8 @@ import pytest
 pytestmark = pytest.mark.thorough
 
 nbformat = pytest.importorskip("nbformat", reason="a GPU machine may lack what runs notebooks")
-NotebookClient = pytest.importorskip("nbclient").NotebookClient
-pytest.importorskip("ipykernel")
+NotebookClient = pytest.importorskip("nbclient", reason="needs nbclient, which runs notebooks").NotebookClient
+pytest.importorskip("ipykernel", reason="needs a kernel that runs the cells of notebooks")
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 TOLERANCE = 0.01

@@ -76,7 +76,7 @@ def test_threads_are_limited_by_cells_and_chunks(monkeypatch):
     [("about an axis", nullcontext), ("in space", nullcontext), ("about an axis", divide_work_like_gpu)],
 )
 def test_solves_skip_rows_without_concrete(device, kind, way):
-    """What such rows hold does not matter, so not-a-number in them changes no bit of the flow."""
+    """Fill these rows with not-a-number, which must not change a bit of the flow."""
     hashes = []
     for spoilt in (False, True):
         with way():

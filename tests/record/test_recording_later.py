@@ -183,7 +183,7 @@ def test_what_is_worked_out_of_a_moment_is_that_of_all_who_draw_it(device):
 def test_copies_that_never_come_are_told(device, monkeypatch):
     array = wp.zeros(3, dtype=wp.float32, device=device)
     if not array.device.is_cuda:
-        pytest.skip("on a CPU copies are there at once")
+        pytest.skip("needs a GPU: on a CPU copies to the host are complete at once")
     monkeypatch.setattr(moments, "COPY_TIMEOUT", 0.0)
     copies = PendingCopies({"a": array}, PinnedPool())
     wp.synchronize()

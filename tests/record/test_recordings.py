@@ -121,7 +121,7 @@ def test_usd_puts_every_sphere_where_it_is(recorded):
 
 def test_usd_reads_the_same_by_a_program_that_has_nothing_of_pixar_s(recorded):
     """LightUSD, with readers of its own: bodies, their sizes and colours, turns, walls."""
-    lightusd = pytest.importorskip("lightusd")
+    lightusd = pytest.importorskip("lightusd", reason="needs a second reader of USD, which the extra [test] installs")
     from pxr import Usd, UsdGeom
 
     folder, kept = recorded

@@ -46,7 +46,7 @@ def test_the_narrowest_part_is_simulated_with_dry_stones_of_true_size():
 
 
 def test_the_largest_stone_of_a_line_is_simulated():
-    """Of a concrete without a sieve curve; the sizes keep their ratios, also when they are enlarged."""
+    """Scale the sizes of a concrete without a sieve curve; their ratios stay, also when they are enlarged."""
     for coarse, largest in ((1.0, 0.016), (1.5, 0.024)):
         line = line_of(LINE | {"largest_stone": "16 mm"})
         own = _parameters(line.parts[1], line, "zhan", 1e-3, Elements(coarse=coarse), 7)

@@ -53,7 +53,7 @@ def test_a_row_is_a_case_with_every_number_it_came_to(study):
 
 
 def test_a_dataset_has_every_case_with_units(study):
-    pytest.importorskip("xarray")
+    pytest.importorskip("xarray", reason="needs xarray, which the extra [test] installs")
     found = study.to_xarray()
     columns, units = columns_of(study)
     assert found["case"].to_numpy().tolist() == columns["case"] and set(found.data_vars) == set(columns) - {"case"}
@@ -72,12 +72,12 @@ def test_parquet_keeps_units_and_what_has_no_one_type(study):
     assert all(read[name].to_pylist() == values for name, values in columns.items() if name != "shapes")
     assert read.schema.field("peak_pressure").metadata == {b"unit": b"Pa"}
     assert read.schema.field("steps").metadata is None and read.schema.metadata[b"scene"] == b"pipe"
-    pandas = pytest.importorskip("pandas")
+    pandas = pytest.importorskip("pandas", reason="needs pandas, which the extra [test] installs")
     assert pandas.read_parquet(path).attrs["units"] == {"velocity": "m/s", "peak_pressure": "Pa"}
 
 
 def test_a_study_shows_itself(study):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", reason="needs pandas, which the extra [test] installs")
     table = study.table()
     assert table.loc["001", "peak_pressure"] == 3e4 and table.attrs["units"]["peak_pressure"] == "Pa"
     assert np.isnan(table.loc["003", "peak_pressure"])
@@ -90,7 +90,7 @@ def test_a_study_shows_itself(study):
 
 @pytest.mark.thorough
 def test_a_study_comes_back_with_its_runs(tmp_path):
-    pandas = pytest.importorskip("pandas")
+    pandas = pytest.importorskip("pandas", reason="needs pandas, which the extra [test] installs")
     out = tmp_path / "study"
     made = run_study("pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE, out=out, device="cpu", processes=1)
     (out / made.cases[1].name / "result.json").unlink()

@@ -113,7 +113,7 @@ def test_workers_find_the_same_errors(name, alone, tmp_path):
 @pytest.mark.linux
 def test_a_lost_worker_and_an_interruption_lose_no_run_that_was_done(alone, tmp_path):
     if alone["pipe"].device != "cpu":
-        pytest.skip("makes two workers on one CPU; a GPU has one, and what a worker does there test_cluster covers")
+        pytest.skip("needs a CPU, which can have two workers; a GPU has one, and test_cluster covers it")
     out = tmp_path / "t"
     options = [f"--{name.replace('_', '-')}={value}" for name, value in PIPE.items()]
     code = f"import os; os.sched_setaffinity(0, range(os.cpu_count())); {COMMAND}"

@@ -28,7 +28,7 @@ class FlowRun(Simulation):
     goal: ClassVar[str] = "steady"
     """Key of the run's result under which the value of `steady` is stored."""
     cure: ClassVar[str] = "use a smaller 'time_step'"
-    """What to try if a value of the time series is not finite."""
+    """Advice for the user if a value of the time series is not finite."""
 
     def set_up(self) -> None:
         """Start with an empty time series; the particles take much memory and are therefore placed later."""
