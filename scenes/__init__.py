@@ -57,7 +57,8 @@ def _second(file: ModuleType) -> ModuleType:
     name = f"{file.__name__}_dem"
     if name not in sys.modules:
         head = (file.__doc__ or "").partition("\n")[0]
-        module = sys.modules[name] = ModuleType(name, f"{head.rpartition(', ')[0]}, by discrete elements.")
+        title = head.rpartition(", ")[0] or head.rstrip(".")
+        module = sys.modules[name] = ModuleType(name, f"{title}, by discrete elements.")
         for part in ("scene", "check", "trading"):
             if hasattr(file, f"{part}_dem"):
                 setattr(module, part, getattr(file, f"{part}_dem"))

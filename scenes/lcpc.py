@@ -59,12 +59,14 @@ def _at_rest(k: Outcome, place: int) -> float | None:
 def _yield_stress(k: Outcome) -> float | None:
     """Return the yield stress that follows from the spread length [Pa].
 
-    It is None if the concrete did not spread or reached the far end, or if its weight is not known.
+    It is None if the concrete would rest deeper than its column or reached the far end, or if its weight is not known.
     """
     reach = k.last("front")
     if not k.size["column_length"] < reach <= k.size["length"] - AT_THE_END or not k.density * k.whole:
         return None
-    return box_yield_stress(reach, k.whole, k.size["width"], k.density, k.gravity)
+    found = box_yield_stress(reach, k.whole, k.size["width"], k.density, k.gravity)
+    near = box_at_rest(k.whole, k.size["length"], k.size["width"], found, k.density, k.gravity)[0]
+    return found if near < k.whole / (k.size["column_length"] * k.size["width"]) else None
 
 
 LCPC_BOX = StandardTest(

@@ -1,4 +1,4 @@
-"""Functions of the search for neighbouring spheres, which `half_search` (CPU) and `full_search` (GPU) share."""
+"""Functions that `half_search` (CPU) and `full_search` (GPU) share, and one that finds a pair in a list."""
 
 import functools
 from types import SimpleNamespace

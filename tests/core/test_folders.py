@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import psutil
 import pytest
@@ -486,7 +487,14 @@ def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
     """Work with Python's library of Windows, which has no `fcntl` and fewer flags of files."""
     monkeypatch.setattr(folders, "fcntl", None)
     monkeypatch.delattr(os, "O_CLOEXEC")
-    lock = FolderLock(tmp_path)
+    lock, unlink = FolderLock(tmp_path), Path.unlink
+
+    def unlink_closed(path, missing_ok=False):
+        if lock._file >= 0:
+            raise PermissionError("Windows removes only files that are closed")
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", unlink_closed)
     assert (tmp_path / LOCK).is_file()
     lock.release()
     assert not (tmp_path / LOCK).exists()

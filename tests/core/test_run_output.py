@@ -2,6 +2,7 @@
 
 import errno
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -170,6 +171,44 @@ def test_a_save_that_failed_can_be_repeated(tmp_path, monkeypatch):
     assert run.folder is None and run.finished and run.result["finished"]
     run.save(tmp_path / "run")
     assert warpcrete.load(tmp_path / "run").finished and LOCK not in files(tmp_path / "full")
+
+
+def test_an_interrupted_save_says_so_and_can_be_repeated(tmp_path, monkeypatch):
+    run = Simulation(scenes.channel(**FLOW), **SETTINGS).run()
+
+    def interrupt(recorder, simulation, row):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("warpcrete.record.run_folder.TableRecorder.sample", interrupt)
+        run.save(tmp_path / "cut")
+    assert run.folder is None and run.finished and run.result["finished"]
+    assert not contents(tmp_path / "cut").get("result.json", {"finished": False})["finished"]
+    run.save(tmp_path / "run")
+    assert warpcrete.load(tmp_path / "run").finished
+
+
+def test_a_copy_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    run = Simulation(scenes.channel(**FLOW), **SETTINGS, out=tmp_path / "run").run()
+
+    def full(source, target):
+        if Path(target).name == "series.csv":
+            raise OSError(errno.ENOSPC, "no space")
+        return copy(source, target)
+
+    copy = shutil.copyfile
+    with monkeypatch.context() as patched, pytest.raises(RunFolderError, match=r"series.csv': cannot be written"):
+        patched.setattr("shutil.copyfile", full)
+        run.save(tmp_path / "copy")
+    assert not (tmp_path / "copy").exists()
+    run.save(tmp_path / "copy")
+    assert warpcrete.load(tmp_path / "copy").finished
+
+
+def test_a_frame_interval_of_zero_is_refused_with_a_folder_as_well(tmp_path):
+    with pytest.raises(SceneError, match="frame_interval = 0"):
+        Simulation(scenes.channel(**FLOW), out=tmp_path / "run", frame_interval=0)
+    assert not files(tmp_path)
 
 
 def test_a_run_without_a_state_cannot_be_saved(tmp_path, monkeypatch):

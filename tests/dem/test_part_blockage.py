@@ -53,6 +53,7 @@ def test_a_run_that_is_too_short_to_show_a_blockage_says_so():
     assert "0.1 m only" in words(0.1, 0.9)
     assert "at least 0.90 times" in words(0.5, 0.9)
     assert "move the piston further" in words(0.5, 0.1)
+    assert "too few aggregates" in words(0.5, None)
 
 
 def test_segregation_in_a_cone_of_evenly_spread_stones():

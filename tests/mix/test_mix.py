@@ -200,6 +200,7 @@ def test_an_ingredient_that_may_be_powder_leaves_the_paste_unknown():
         ("crushed limestone", "stone"), ("limestone 8/16", "stone"), ("limestone 4-16 mm", "stone"),
         ("limestone powder", "powder"), ("limestone", "powder"), ("limestone sand", "stone"),
         ("crushed quartz", "stone"), ("Type I/II cement", "powder"), ("Type I/II", "powder"),
+        ("limestone 0/0.063 mm", "powder"), ("expansive agent", "powder"),
         ("viscosity-modifying admixture", "liquid"), ("anti-washout agent", "liquid"),
     ],
 )  # fmt: skip
@@ -212,7 +213,8 @@ def test_words_of_an_ingredient_say_what_it_is(name, kind):
 
 def test_a_hydration_stabilizer_thickens_nothing():
     assert is_thickener("viscosity-modifying admixture") and is_thickener("VMA") and is_thickener("stabilizer")
-    assert not is_thickener("hydration stabilizer") and not is_thickener("superplasticizer")
+    assert not is_thickener("hydration stabilizer") and not is_thickener("viscosity-reducing admixture")
+    assert not is_thickener("retarder") and not is_thickener("superplasticizer")
 
 
 def test_factors_of_age_reach_the_band_of_a_mix(tmp_path):

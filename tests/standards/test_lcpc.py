@@ -61,6 +61,8 @@ def test_the_yield_stress_follows_from_the_length_short_of_the_far_end(name):
     thin = made.run()["apparent_yield_stress"]
     made.series["front"][-1] = 0.5
     assert made.run()["apparent_yield_stress"] > 2 * thin
+    made.series["front"][-1] = 0.25  # the theory would have it rest deeper than the column in which it started
+    assert "apparent_yield_stress" not in made.run().result
     made.series["front"][-1] = 0.2  # concrete that keeps the form of its column bears an unknown yield stress
     assert "apparent_yield_stress" not in made.run().result
     made.series["front"][-1] = 1.19

@@ -52,6 +52,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     for part in unknown[:1]:
         click.echo(f"note: part {part.number}, {part.label}, is sharper than all parts in the table of simulated "
                    "parts, so it is simulated now; --theory answers without", err=True)  # fmt: skip
+    needed = () if settings["blocking"] is None else ("device", "threads")
+    for name, usual in () if requested or unknown else FLOW_OPTIONS.items():
+        if name not in needed and settings[name] != usual:
+            raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
     if requested or unknown:
         if _simulated(given, method, out, stop, settings, unless_known=not requested):
             raise SystemExit(CHECK_FAILED)
@@ -100,10 +104,6 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
     for name in changed(only_dem) if method == "flow" else ():
         raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
-    needed = () if settings["blocking"] is None else ("device", "threads")
-    unused = {name: usual for name, usual in FLOW_OPTIONS.items() if name not in needed}
-    for name in () if heavy else changed(unused):
-        raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
         raise click.UsageError(f"{name}: has no effect with '--method dem'; use '--method both', or leave out {name}")

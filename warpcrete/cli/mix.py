@@ -53,7 +53,8 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     """Return the contents of a concrete's file, with the sections `elements` and `flow` calculated from a mix."""
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     elements = PipeParameters.implied({"concrete": name})
-    return {"name": mix.name, "source": source, "elements": dict(elements), "flow": mix.flow}
+    flow = {key: getattr(mix.concrete, key) for key in mix.flow}
+    return {"name": mix.name, "source": source, "elements": dict(elements), "flow": flow}
 
 
 STIFF = 700.0
@@ -62,9 +63,9 @@ STIFF = 700.0
 
 def _cone(mix: Mix) -> str:
     """Return a command line that simulates a slump cone of the mix with discrete elements."""
-    law = "mortar" if mix["yield stress"].value < STIFF else "plastic"
+    law = "mortar" if mix.concrete.yield_stress < STIFF else "plastic"
     found = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
-    found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix['viscosity'].value:.4g}"
+    found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix.concrete.viscosity:.4g}"
     given = mix.given
     if given.largest is not None:
         low = given.sizes[0] if given.sizes is not None else given.sieve[0][0]  # type: ignore[index]

@@ -12,6 +12,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from ..core.errors import WarpcreteError
+
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
 
@@ -54,7 +56,12 @@ class LazyGroup(click.Group):
     """Group of subcommands whose options are built only when a subcommand is used."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, by_method(args))
+        try:
+            args = by_method(args)
+        except (click.UsageError, WarpcreteError):
+            if not ctx.resilient_parsing:  # A shell that completes a line has words that are not complete.
+                raise
+        return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(scenes())
@@ -66,7 +73,7 @@ class LazyGroup(click.Group):
         return _scene_command(cmd_name, modules[cmd_name]) if cmd_name in modules else None
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        if args and self.get_command(ctx, args[0]) is None:
+        if args and not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             load("options").check_scene(args[0], scenes(), ", or the path of a scene.json")
         return super().resolve_command(ctx, args)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from ..scenes import METHODS, modules
 from . import calibrate, explain, study, trade
 from .completion import DEVICES, names
 from .options import flag, kind_of
+from .scene_commands import by_method
 
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "study": dict.fromkeys(study.FLAGS, bool) | study.SETTINGS,
@@ -35,14 +37,18 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
     `given` are the words before the one that is completed. After an option follow its values; options of `study` take
     several.
     """
-    scene = next(iter(given), None)
+    last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
+    if list(given[-2:-1]) == ["--method"]:
+        last = ""  # This option takes one value, which is there already.
+    with suppress(click.UsageError, WarpcreteError):
+        given = by_method(list(given))
+    scene = next((word for word in given[:1] if not word.startswith("-")), None)
     module = None if scene is None else modules().get(scene)
     fields = {} if module is None else _fields(module, given)
     own = SETTINGS[command]
     if incomplete.startswith("-"):
         options = [flag(name) for name in dict.fromkeys([*own, *fields, *(() if scene is None else ("method",))])]
         return names(["--help", *options], incomplete)
-    last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
     if last in VALUES:
         return names(VALUES[last], incomplete)
     if last.replace("-", "_") in fields:

@@ -164,13 +164,7 @@ class Course:
         """
         field = f"part {number}, hose"
         given = said.get("points")
-        if "length" in said and given is not None:
-            refuse(
-                f"{field}: length",
-                said["length"],
-                "cannot be given together with 'points'",
-                "leave out 'length' or 'points'",
-            )
+        _refuse_both(field, said, "length", "points")
         if "length" in said:
             length = get("length", "m")
             positive(f"{field}: length", length, "m")
@@ -274,16 +268,17 @@ class Course:
         return part, rotated_pieces(mesh.axis.pieces, directions)
 
 
+def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> None:
+    """Refuse a part whose entries state both `one` and `other`."""
+    if one in said and said.get(other) is not None:
+        refuse(f"{field}: {one}", said[one], f"cannot be given together with {other!r}",
+               f"leave out {one!r} or {other!r}")  # fmt: skip
+
+
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
     """Return the friction that a part's entries state, relative to straight pipe of its length; None without these."""
     field = f"part {part.number}, {part.kind}"
-    if "factor" in said and "equivalent" in said:
-        refuse(
-            f"{field}: factor",
-            said["factor"],
-            "cannot be given together with 'equivalent'",
-            "leave out 'factor' or 'equivalent'",
-        )
+    _refuse_both(field, said, "factor", "equivalent")
     if "factor" in said:
         factor = get("factor", "1")
         between(

@@ -72,10 +72,13 @@ def _words(name: str) -> list[str]:
 def is_thickener(name: str) -> bool:
     """Return whether the name of an ingredient means a viscosity-modifying admixture.
 
-    A "stabilizer" is such an admixture, but a "hydration stabilizer" is not, because it is a retarder.
+    A "stabilizer" is such an admixture, but a "hydration stabilizer" is not, because it is a retarder. A viscosity
+    reducer is not one either.
     """
     words = _words(name)
-    return "hydration" not in words and any(word in THICKENERS or word.startswith("viscosity") for word in words)
+    if "hydration" in words or any(word.startswith("reduc") for word in words):
+        return False
+    return any(word in THICKENERS or word.startswith("viscosity") for word in words)
 
 
 def is_plasticizer(name: str) -> bool:
@@ -118,9 +121,12 @@ def _noun(name: str) -> str:
     Limestone sand is sand, silica fume is powder, and limestone that is crushed or has a grain size ("limestone 8/16")
     is aggregate. "Type" stands for cement only if there is no other word, as in "Type I/II".
     """
-    known = [word for word in _words(name) if word in DENSITIES]
+    words = _words(name)
+    if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
+        return "powder"
+    known = [word for word in words if word in DENSITIES]
     noun = ([word for word in known if word != "type"] or known or [""])[-1]
-    stony = "crushed" in known or re.search(r"\d\s*[/-]\s*\d", name) is not None
+    stony = "crushed" in known or re.search(r"\d\s*[/-]\s*[1-9]", name) is not None
     return "aggregate" if noun in ROCKS and stony else noun
 
 

@@ -13,8 +13,7 @@ from ..core.run.method import results_of
 from ..core.run.tables import Table
 from ..core.units import quantity
 from ..theory.pipe import velocity
-from . import grid_probes as grid_probes
-from . import probes
+from . import grid_probes, probes
 from .common.run import FlowRun
 from .display import FlowDisplay
 from .grid.flow import GridFlow

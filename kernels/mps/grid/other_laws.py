@@ -139,7 +139,7 @@ def edge_function(scalar, dimensions: int, law: str):
             s = next
             if wp.abs(step) <= scalar(1.0e-4) * s:
                 break
-        return s / rate
+        return viscosity * s / plain
 
     return apparent_at_edge
 

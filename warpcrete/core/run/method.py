@@ -149,7 +149,9 @@ def run_in_turn(
                 raise KeyboardInterrupt
             if checkpoint is not None:
                 simulation.begin(checkpoint)
-            outcomes.append(simulation.run())
+            run = simulation.run()
+            run.final_state = None  # The states of many runs would fill the memory, and these runs are not saved.
+            outcomes.append(run)
         except (Exception, KeyboardInterrupt) as error:
             outcomes.append(error)
         finally:

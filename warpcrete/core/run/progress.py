@@ -49,7 +49,8 @@ class ProgressBar:
             self.close()
             self._phase = phase
             self._start = self._shown = now
-            self._tenths = 0
+            self._first = min(fraction, 1.0)  # A resumed run begins with what an earlier process has done.
+            self._tenths = int(LINES_PER_PHASE * self._first + 1e-9)
         if self._as_lines:
             self._write_line(now, min(fraction, 1.0), figures)
         else:
@@ -62,7 +63,8 @@ class ProgressBar:
             return
         self._shown, self._tenths = now, tenths
         elapsed = now - self._start
-        left = f"about {_clock(elapsed * (1 - fraction) / fraction)} left" if 0 < fraction < 1 else ""
+        done = fraction - self._first
+        left = f"about {_clock(elapsed * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
         parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
         print(f"{self._phase}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
@@ -71,7 +73,7 @@ class ProgressBar:
             from tqdm.auto import tqdm
 
             layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
-            self._bar = tqdm(total=1.0, desc=self._phase, bar_format=layout)
+            self._bar = tqdm(total=1.0, initial=fraction, desc=self._phase, bar_format=layout)
         elif fraction < 1.0 and now - self._shown < REDRAW_INTERVAL:
             return
         self._shown = now

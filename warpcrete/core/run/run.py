@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
@@ -19,7 +20,7 @@ from ..inputs.origin import readable
 from ..narrowing import is_dict
 from ..units import shown
 from .files import LOCK, PARTIAL, cannot_write, check_new
-from .folders import FolderLock, make_folder
+from .folders import FolderLock, new_folder
 from .output import RunOutput, output_of
 from .quantities import Quantities
 from .tables import Table, dataframe, dataset
@@ -162,15 +163,14 @@ class Run:
     def save(self, folder: str | Path | RunOutput) -> Path:
         """Write the run into a new run folder, as `warpcrete run --out` does, and return the folder's path.
 
-        A run that has a folder is copied. For any other run, recordings hold all curves but only the last frame; pass
-        `out` to :class:`warpcrete.Simulation` to record every frame. The folder of a run that stopped early at a sample
-        holds a checkpoint, with which `warpcrete run --resume` continues it. A :class:`warpcrete.RunFolder` selects
-        recordings and colours. Raises :class:`RunFolderError` if the folder is not new or cannot be written, and
-        :class:`WarpcreteError` if the run kept no state.
+        A run that has a folder is copied with the recordings that it has. For any other run, recordings hold all curves
+        but only the last frame; pass `out` to :class:`warpcrete.Simulation` to record every frame. The folder of a run
+        that stopped early at a sample holds a checkpoint, with which `warpcrete run --resume` continues it. A
+        :class:`warpcrete.RunFolder` selects recordings and colours. Raises :class:`RunFolderError` if the folder is not
+        new or cannot be written, and :class:`WarpcreteError` if the run kept no state.
         """
-        path = folder if isinstance(folder, str | Path) else folder.path
-        check_new(Path(path))
         output = output_of(folder)
+        check_new(output.path)
         if self.folder is not None:
             _copy_folder(self.folder, output.path)
         elif self.final_state is None:
@@ -218,23 +218,30 @@ class Run:
 
 
 def _copy_folder(source: Path, target: Path) -> None:
-    """Copy the files of a run folder into a new folder, while both folders are locked."""
+    """Copy the files of a run folder into a new folder, while both folders are locked.
+
+    A folder that cannot be written, such as an archive, needs no lock. If a file cannot be copied, nothing remains.
+    """
     if not source.is_dir():
         raise RunFolderError(f"'{source}': is the folder of the run and no longer exists; restore it")
-    source_lock = FolderLock(source)
+    source_lock = FolderLock(source) if os.access(source, os.W_OK) else None
+    copied: list[Path] = []
     try:
-        target_lock = make_folder(target)
-        try:
-            for path in sorted(source.iterdir()):
-                if path.is_file() and path.name != LOCK and not path.name.startswith(PARTIAL):
-                    try:
-                        shutil.copyfile(path, target / path.name)
-                    except OSError as error:
-                        raise cannot_write(target / path.name, error) from error
-        finally:
-            target_lock.release()
+        with new_folder(target):
+            try:
+                for path in sorted(source.iterdir()):
+                    if path.is_file() and path.name != LOCK and not path.name.startswith(PARTIAL):
+                        copied.append(target / path.name)
+                        shutil.copyfile(path, copied[-1])
+            except BaseException as error:
+                for path in copied:
+                    path.unlink(missing_ok=True)
+                if isinstance(error, OSError):
+                    raise cannot_write(copied[-1] if copied else target, error) from error
+                raise
     finally:
-        source_lock.release()
+        if source_lock is not None:
+            source_lock.release()
 
 
 def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:

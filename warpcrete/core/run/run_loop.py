@@ -20,7 +20,7 @@ from ..device.device import checked_threads, find_device, scalar_of
 from ..device.launching import report_compiling
 from ..device.simulation_protocol import Stepped
 from ..drawing.display import Display
-from ..errors import RunFolderError, SceneError, WarpcreteError, between, refuse
+from ..errors import RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from ..units import number as number_of
 from . import checkpoint
 from .files import is_full
@@ -151,6 +151,8 @@ class Simulation:
         self.recorders = list(recorders)
         self.folder: Path | None = None
         """Run folder that the simulation writes; None if there was no argument `out`."""
+        if frame_interval is not None:
+            positive("frame_interval", frame_interval, "s")
         if out is not None:
             self._use_folder(output_of(out))
         self._recording = Recording(self, self.recorders)
@@ -431,6 +433,8 @@ class Simulation:
                     self._frame()
                 finished = yield from self._loop()
             except KeyboardInterrupt:
+                if self._ended_run is not None:
+                    raise  # The folder is not complete, so its caller must not take it for saved.
                 interrupted = True
             except Exception as error:
                 if not is_full(error):
@@ -469,7 +473,7 @@ class Simulation:
         if run is None:
             run = self.result(finished)
             run.interrupted = interrupted
-        run.finished = run.result["finished"] = run.finished and not recording.failures
+        run.finished = run.result["finished"] = finished and run.finished and not recording.failures
         recording.finish(run)
         if written and path is not None:
             if run.finished:

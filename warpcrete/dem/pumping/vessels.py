@@ -20,6 +20,7 @@ from ..scene.clumps import templates
 from ..scene.containers import Fill, MeshContainer
 from ..scene.scene import Bonds, Settle, TimeStep, Vessel, Watch
 from ..scene.sizes import Gaussian, Sizes, Uniform
+from .parameter_groups import BY_ITSELF
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
@@ -44,7 +45,6 @@ WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
 WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
 WITH_PLASTIC = Needs("law", lambda law: law == "plastic", "is plastic")
 WITH_ROLLING = Needs("law", lambda law: law == "rolling", "is rolling")
-BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is left out")
 
 
 @dataclass(frozen=True, kw_only=True)

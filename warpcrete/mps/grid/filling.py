@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .geometry import Room
+from .geometry import SAMPLES_PER_CELL, Room
 
 THREE_POINTS = 0.125, 0.5, 0.875
 """Positions of three particles along a cell, in cell widths.
@@ -14,8 +14,6 @@ THREE_POINTS = 0.125, 0.5, 0.875
 At these positions, the particles' hat-function weights add up to the weights of an evenly filled cell: 0.75 about the
 cell's own middle and 0.125 about the middle of each neighbour.
 """
-SAMPLES_PER_CELL = {2: 8, 3: 4}
-"""Number of sample points of a cell along each axis for the fraction that concrete fills."""
 MAX_MASS = 3.0
 """Maximum mass of a particle, relative to a particle of normal mass; the minimum is 1 / MAX_MASS."""
 

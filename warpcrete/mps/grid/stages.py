@@ -31,7 +31,7 @@ from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
 CHUNKS = 32
 """Number of chunks into which a CPU divides the rows of a linear system.
 
-Each chunk forms one partial sum. Sums therefore have the same bits for all numbers of threads, which is at most CHUNKS.
+Each chunk forms one partial sum. Sums therefore have the same bits for any number of threads up to CHUNKS, the maximum.
 """
 EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 # Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The

@@ -23,15 +23,15 @@ def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float
     The coordinates of a point are the free parameters, each scaled from its range to 0 to 1. The best point is the one
     whose closed-form predictions fit the targets best. The list is empty if no target has a closed form.
     """
-    known = [
-        target for target in task.fitted if _closed_form(task, target, [0.5] * len(task.free), modules) is not None
-    ]
-    if not known:
-        return []
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(task.free), seed=0).random_base2(int(math.log2(START_CANDIDATES)))
-    return [points[int(np.argmin([_misfit(task, known, point, modules) for point in points]))].tolist()]
+    known = [target for target in task.fitted
+             if any(_closed_form(task, target, point, modules) is not None for point in points)]  # fmt: skip
+    misfits = [_misfit(task, known, point, modules) for point in points] if known else []
+    if not np.isfinite(min(misfits, default=np.inf)):
+        return []
+    return [points[int(np.argmin(misfits))].tolist()]
 
 
 def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, Any]) -> float:

@@ -23,7 +23,7 @@ from ...theory.bands import wilson_interval
 from ..cases import Case
 from ..study import resume_study, run_listed
 from ..study_result import Study
-from .elements import SCENE, SIZE_PARAMETERS, Elements, part_parameters
+from .elements import SCENE, Elements, part_parameters
 from .line_folder import PARTS
 
 FOLDER = "blocking"
@@ -168,12 +168,6 @@ def _parameters(
     own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter,
             "stop_when_blocked": True}  # fmt: skip
     given = modules()[SCENE].scene.declared(own)
-    if line.largest_stone is not None and given.sizes in ("gaussian", "uniform"):
-        # The concrete states no sieve curve. The scene's default sizes are scaled such that the largest is the line's.
-        factor = (elements.coarse or 1.0) * line.largest_stone / given.size_max
-        own |= {name: factor * getattr(given, name) for name in SIZE_PARAMETERS if getattr(given, name) is not None}
-        own["plug_ball"] = factor * given.plug_ball
-        given = modules()[SCENE].scene.declared(own)
     if given.contact is not None:
         return own
     wall = given.friction if given.wall_friction is None else given.wall_friction

@@ -167,6 +167,12 @@ def part_parameters(
             own |= {"outlet_diameter": part.outlet, "taper": part.length}
         if part.mesh:
             own |= {"unit": "mesh", "wall": part.mesh.file, "wall_scale": part.mesh.scale}
+    given = modules()[SCENE].scene.declared(dict(own))
+    if line.largest_stone is not None and given.sizes in ("gaussian", "uniform"):
+        # The concrete states no sieve curve. The scene's default sizes are scaled such that the largest is the line's.
+        ratio = line.largest_stone / given.size_max
+        names = [name for name in (*SIZE_PARAMETERS, "plug_ball") if getattr(given, name) is not None]
+        own |= {name: ratio * getattr(given, name) for name in names}
     own = scaled_parameters(own, min(each.narrow for each in line.parts), elements)
     if pressed:
         own["plug_pressure"] = PLUG_PRESSURE_RATIO * own["modulus"]

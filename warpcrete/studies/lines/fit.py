@@ -74,6 +74,8 @@ class FittedConstant:
     def text(self) -> str:
         """Name, value and confidence interval of the constant as text, or a remark that it was not determined."""
         unit = f" {self.unit}" if self.unit else ""
+        if not self.fitted and not self.unit:
+            return f"{self.name}: not determined by these points; each bend keeps the factor of the table"
         if not self.fitted:
             return f"{self.name} {self.value:.4g}{unit} (not determined by these points, kept)"
         return f"{self.name} {self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"

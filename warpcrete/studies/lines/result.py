@@ -23,9 +23,9 @@ from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, is_in_library, range_of, u
 from .losses import GRAVITY, friction, straight_friction, with_layer_factor
 from .practice import PracticeRow, practice_lines, practice_rows
 
-HIGHEST_PUMP = 400e5
-"""Highest pressure of concrete that a pump is known to deliver [Pa]: the pump of Burj Khalifa
-(https://www.khl.com/news/world-record-pump-height/1006787.article)."""
+HIGHEST_PUMP = 500e5
+"""Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
+(https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
 
 
 @dataclass(frozen=True)

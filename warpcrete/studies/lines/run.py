@@ -56,6 +56,7 @@ def run_line(
     without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
     stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. With `unless_known` as well,
     only parts that the table of simulated parts does not cover are simulated, and the others are answered by theory.
+    A bore from a mesh counts as covered, because the range of its friction is that of a reducer.
 
     The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
     `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see

@@ -136,6 +136,10 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     if flows and len(flows) != len(measured):
         refuse("case measured", len(measured), f"must have one value for each of the {len(flows)} flows")
     concretes, ends = _scatter(_mapping(given, "scatter"), unit)
+    usable = len(measured) == 1 and given["kind"] not in ("line", BLOCKING)
+    if ends is not None and not (usable and ends[0] <= measured[0] <= ends[1]):
+        refuse("case scatter", dict(given["scatter"]), "belongs to a single measured value between its 'from' and "
+               "'to', and not to a case of kind 'line' or 'blocking'")  # fmt: skip
     where = str(given.get("where", ""))
     return Case(
         name=str(given["id"]),
