@@ -37,6 +37,17 @@ def test_a_log_gets_a_line_per_tenth(clock, capsys):
     assert lines[-1] == "running: 100 %, 01:40 elapsed, pressure 31.7 kPa, steps/s 1234"
 
 
+def test_a_resumed_run_counts_what_this_process_does(clock, capsys):
+    """From 80 % on, a percent takes 60 s: at 90 % another ten minutes are left."""
+    bar = ProgressBar()
+    for minute in range(21):
+        clock.time = 100.0 + 60 * minute
+        bar("running", 0.8 + 0.01 * minute, {})
+    lines = lines_of(capsys)
+    assert lines[0] == "running: 81 %, 01:00 elapsed, about 19:00 left"
+    assert "running: 90 %, 10:00 elapsed, about 10:00 left" in lines
+
+
 def test_a_log_of_slow_work_gets_a_line_every_30_seconds(clock, capsys):
     bar = ProgressBar()
     for second in range(0, 7201):

@@ -230,6 +230,9 @@ def test_factors_of_age_reach_the_band_of_a_mix(tmp_path):
         for one, other in zip(ends, old.variants[cause], strict=True):
             assert other.viscosity == pytest.approx(1.5 * one.viscosity)
             assert other.slip_yield == pytest.approx(2 * one.slip_yield)
+    done = CliRunner().invoke(cli, ["mix", str(tmp_path / "old.yaml"), "--out", str(tmp_path / "written.yaml")])
+    written = concrete(str(tmp_path / "written.yaml")).flow
+    assert done.exit_code == 0 and float(written["yield_stress"]) == pytest.approx(old.concrete.yield_stress, rel=1e-3)
 
 
 def test_ounces_of_admixture_are_fluid_ounces():
