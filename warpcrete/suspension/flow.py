@@ -1,0 +1,135 @@
+"""Grid flow of a mortar with rigid aggregates: one time step, which the host launches stage by stage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.device.launching import Stage, launch
+from ..kernels.common.control import HALTED
+from ..kernels.mps.grid.bins import bin_kernels
+from ..kernels.mps.grid.cells import DT
+from ..kernels.mps.grid.forces import momentum_kernel
+from ..kernels.mps.grid.pressure import pressure_kernels
+from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
+from ..kernels.mps.grid.walls import wall_kernel
+from ..kernels.mps.structs import PRESSURE
+from ..kernels.suspension.bodies import block_kernel, cover_kernels
+from ..kernels.suspension.strain import strain_kernels
+from ..mps.grid.flow import GridFlow
+from ..mps.grid.stages import GridStep
+from ..mps.grid.state import GridState
+from .aggregates import Aggregates, BodyState
+from .solve import CoupledSolve, Tolerances
+
+
+class SuspensionStep(GridStep):
+    """Stages of a time step before and after the coupled solve, for one thread."""
+
+    def before(self) -> list[Any]:
+        """Return the stages that set up the equations of the step."""
+        flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
+        bins, serial = bin_kernels(scalar, kind), not flow.parallel
+        cover, strain = cover_kernels(scalar, kind), strain_kernels(scalar, kind)
+        count = flow.aggregates.count
+        return [
+            *self._alone(bins.clear, slots),
+            *self._alone(bins.tally, flow.count),
+            *self._alone(bins.allot, slots),
+            *self._shared(bins.sort, flow.count),
+            *self._cells(bins.order),
+            *self._cells(gather_kernel(scalar, kind)),
+            *self._alone(cover.clear, 4 * slots),
+            *self._alone(cover.claim, count),
+            *self._alone(cover.collect, count),
+            *self._alone(cover.carry, count),
+            *self._alone(strain.rates, slots),
+            *self._alone(strain.viscosity, slots),
+            *self._cells(wall_kernel(scalar, kind)),
+            *self._cells(momentum_kernel(scalar, serial, kind), mesh=flow.cut, matrix=flow.viscous.matrix,
+                         viscous=flow.viscous.arrays),
+            *self._used_rows(flow.viscous),
+            *self._alone(block_kernel(scalar, serial, kind), count, matrix=flow.viscous.matrix, dt=flow.current_step),
+            *self._cells(pressure_kernels(scalar, serial, kind).divergence, matrix=flow.projection.matrix,
+                         projection=flow.projection.arrays),
+            *self._used_rows(flow.projection),
+        ]  # fmt: skip
+
+    def after(self) -> list[Any]:
+        """Return the stages that move the mortar and the aggregates."""
+        flow, kind, scalar = self.flow, self.kind, self.scalar
+        return [
+            *self._extrapolate(),
+            *self._shared(
+                advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]
+            ),
+            *self._alone(cover_kernels(scalar, kind).move, flow.aggregates.count, dt=flow.current_step),
+            *self._alone(flow.clock_kernels.tick, 1),
+        ]
+
+    def pressure_solve(self, tolerance: float) -> list[Any]:
+        """Return the stage that solves for the pressure increment."""
+        return self._solve(self.flow.projection, PRESSURE, self.flow.mesh.increment, tolerance)
+
+
+class SuspensionFlow(GridFlow):
+    """Flow of a mortar on a grid in space, with rigid aggregates in it."""
+
+    def __init__(
+        self, state: GridState, aggregates: Aggregates, *, tolerances: Tolerances | None = None
+    ) -> None:
+        super().__init__(state, threads=1)
+        down = np.array([0.0, 0.0, -state.scene.gravity])
+        self.aggregates = BodyState(aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device)
+        # A second view of the mesh, whose viscosities are those of the samples' mortar.
+        self.cut = state.structs.Fields()
+        for name in state.structs.Fields.vars:
+            setattr(self.cut, name, getattr(self.mesh, name))
+        self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
+        self.coupled = CoupledSolve(self, tolerances or Tolerances())
+        self._stages = SuspensionStep(self, range(1))
+        self._residual = self.projection.arrays.residual
+
+    @property
+    def kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        return self._kernel_arrays
+
+    @property
+    def _kernel_arrays(self) -> dict[str, Any]:
+        return super()._kernel_arrays | {
+            "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut
+        }
+
+    @property
+    def current_step(self) -> float:
+        """Length of the present time step [s]."""
+        return float(self.mesh.clock.numpy()[int(DT)])
+
+    def solve_pressure(self, inflow: wp.array, tolerance: float) -> None:
+        """Solve for the pressure increment that removes a net inflow into the cells, and store it in the mesh."""
+        from ..kernels.suspension.coupling import add_kernel
+
+        self.mesh.increment.zero_()
+        self._residual.zero_()
+        launch(add_kernel(self.scalar), len(inflow), self.device, one=inflow,
+               factor=self.scene.concrete.density / self.current_step, result=self._residual)  # fmt: skip
+        self.pressure_threshold.zero_()
+        for stage in self._stages.pressure_solve(tolerance):
+            stage()
+
+    def launch(self) -> None:
+        """Take the steps that the flow still needs to reach its goal; the host launches every stage."""
+        self.begin_goal()
+        while not self.flags.numpy()[int(HALTED)]:
+            self.take_step()
+
+    def take_step(self) -> None:
+        """Take one time step."""
+        for stage in self._stages.before():
+            stage()
+        self.coupled.solve()
+        for stage in self._stages.after():
+            stage()

@@ -1,0 +1,229 @@
+"""Coupled solve of mortar velocity, rigid aggregates and pressure in one time step.
+
+One pressure increment per step, as in a flow without aggregates, leaves the velocities of aggregates wrong by a third.
+Here generalised conjugate residuals (Eisenstat, Elman & Schultz 1983) solve for velocities and pressure together, to a
+stated error. Its preconditioner is that of Cahouet & Chabard (1988): the pressure of the residual inflow is the
+solution of a pressure solve plus the viscosity times the inflow, and a viscous solve gives the velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.device.launching import Stage, completed
+from ..core.errors import ConvergenceError
+from ..kernels.common.reductions import BLOCK
+from ..kernels.suspension.coupling import (
+    RZ_AFTER,
+    RZ_FIRST,
+    SUMS,
+    coupling_kernels,
+    sum_kernel,
+    velocity_kernels,
+    vector_struct,
+)
+from ..kernels.suspension.coupling import PQ, RZ
+from ..mps.common.allocation import allocate
+
+CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
+CHECKED = 5
+"""Number of iterations of the viscous solve between two looks at its residual."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Errors to which the coupled solve and the solves of its preconditioner are taken."""
+
+    coupled: float = 1e-4
+    """Norm of the residual, divided by that of the momentum of the flow."""
+    viscous: float = 1e-2
+    """Reduction of the residual by the viscous solves of the preconditioner."""
+    pressure: float = 1e-2
+    """Reduction of the residual by the pressure solves of the preconditioner."""
+    outer: int = 40
+    """Maximum number of iterations of the coupled solve."""
+    inner: int = 5000
+    """Maximum number of iterations of a viscous solve."""
+
+
+class CoupledSolve:
+    """Solver of the coupled equations of one flow; `flow` is a :class:`SuspensionFlow`."""
+
+    def __init__(self, flow: Any, tolerances: Tolerances) -> None:
+        self.flow, self.tolerances = flow, tolerances
+        self.device, self.scalar = flow.device, flow.scalar
+        serial = not flow.parallel
+        self.tasks = CPU_TASKS if serial else GPU_TASKS
+        self.velocity = velocity_kernels(self.scalar, serial, flow.state.layout.kind)
+        self.coupling = coupling_kernels(self.scalar, serial, flow.state.layout.kind)
+        self.add_up = sum_kernel(serial)
+        self.count = flow.aggregates.count
+        self.partial = wp.zeros(self.tasks + self.count, dtype=wp.float64, device=self.device)
+        self.sums = wp.zeros(SUMS, dtype=wp.float64, device=self.device)
+        self.residual, self.inner_residual, self.direction, self.product = (self._vector() for _ in range(4))
+        self.solution, self.part = self._vector(), self._vector()
+        self.tried: list[tuple[Any, Any]] = []
+        self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
+        self.outer = 0
+        self.inner = 0
+        self.error = 0.0
+
+    def _vector(self) -> Any:
+        slots = self.flow.state.slots
+        return allocate(
+            vector_struct(self.scalar), self.device, faces=3 * slots, linear=self.count, angular=self.count, cells=slots
+        )
+
+    def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
+        Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)()
+
+    @property
+    def _arrays(self) -> dict[str, Any]:
+        flow = self.flow
+        return flow.kernel_arrays | {
+            "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
+            "dt": flow.current_step, "bodies": flow.aggregates.bodies, "cover": flow.aggregates.cover, "cut": flow.cut,
+        }  # fmt: skip
+
+    def _sum(self, slot: int) -> None:
+        serial = not self.flow.parallel
+        self._launch(self.add_up, 1 if serial else BLOCK, block=BLOCK, count=self.tasks + self.count, slot=slot)
+
+    def _inner_product(self, one: Any, two: Any) -> float:
+        self._launch(self.coupling.inner, self.tasks + self.count, one=one, two=two)
+        return float(self.partial.numpy().sum())
+
+    def _add(self, factor: float, one: Any, result: Any) -> None:
+        self._launch(self.coupling.add, self.tasks + self.count, factor=factor, one=one, result=result)
+
+    def solve(self) -> None:
+        """Solve for the velocities and pressures at the end of the step, and store them.
+
+        Raises :class:`ConvergenceError` if the tolerance is not reached.
+        """
+        flow, named = self.flow, self.coupling
+        all_tasks, slots = self.tasks + self.count, flow.state.slots
+        # The faces have been given their share of the old pressure's force as if no aggregate covered a part of them,
+        # and the inflow as if the mortar had the whole of their area. Correct both for the covered parts.
+        start = self.product
+        bodies = flow.aggregates.bodies
+        for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
+            wp.copy(getattr(start, name), array)
+        self._launch(self.velocity.blend, self.count, x=start, flow=start.faces)
+        self._launch(_add_faces(self.scalar), 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
+        self._launch(named.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)
+        self._launch(named.start, all_tasks, viscous=flow.viscous.arrays, projection=flow.projection.arrays,
+                     residual=self.residual)  # fmt: skip
+        self._launch(self.velocity.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
+        self._launch(named.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
+        self._push(1.0, self.residual, edges_only=True)
+        for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
+            array.zero_()
+        self.inner, history = 0, []
+        for outer in range(self.tolerances.outer):
+            self.error = self._relative_error()
+            history.append(self.error)
+            if self.error <= self.tolerances.coupled:
+                break
+            change, effect = self._direction(outer)
+            self._precondition(self.residual, change)
+            self._multiply(change, effect)
+            for earlier, its_effect in self.tried[:outer]:
+                factor = self._inner_product(effect, its_effect)
+                self._add(-factor, earlier, change)
+                self._add(-factor, its_effect, effect)
+            size = np.sqrt(self._inner_product(effect, effect))
+            if not size > 0:
+                break
+            self._scale(1 / size, change)
+            self._scale(1 / size, effect)
+            factor = self._inner_product(self.residual, effect)
+            self._add(factor, change, self.solution)
+            self._add(-factor, effect, self.residual)
+        else:
+            self.error = self._relative_error()
+        self.outer = len(history) - 1
+        if self.error > self.tolerances.coupled:
+            raise ConvergenceError(
+                flow.time, "coupled", len(history), history, self.error, self.tolerances.outer
+            )
+        self._launch(named.finish, all_tasks, solution=self.solution)
+
+    def _relative_error(self) -> float:
+        left = self._inner_product(self.residual, self.residual)
+        self._launch(self.coupling.scale_of, self.tasks + self.count, change=self.solution)
+        whole = float(self.partial.numpy().sum())
+        return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
+
+    def _direction(self, number: int) -> tuple[Any, Any]:
+        if number >= len(self.tried):
+            self.tried.append((self._vector(), self._vector()))
+        return self.tried[number]
+
+    def _scale(self, factor: float, one: Any) -> None:
+        self._add(factor - 1.0, one, one)
+
+    def _push(self, factor: float, into: Any, edges_only: bool = False) -> None:
+        """Add a multiple of the pressure forces `self.force` to the forces on mortar faces and aggregates.
+
+        With `edges_only`, the faces have already got these forces, apart from the parts that aggregates cover.
+        """
+        if edges_only:
+            self._launch(self.velocity.reduce, self.count, forces=self.force, factor=-factor, result=into)
+        else:
+            self._launch(_add_faces(self.scalar), len(self.force), one=self.force, factor=factor, result=into.faces)
+        self._launch(self.velocity.push, self.count, forces=self.force, factor=factor, result=into)
+
+    def _precondition(self, residual: Any, change: Any) -> None:
+        """Compute an approximate solution `change` for a residual."""
+        flow, slots = self.flow, self.flow.state.slots
+        flow.solve_pressure(residual.cells, self.tolerances.pressure)
+        self._launch(self.coupling.press, slots, residual=residual, solved=flow.mesh.increment, result=change)
+        self._launch(self.coupling.pressure_force, slots, pressure=change.cells, forces=self.force)
+        own = self.inner_residual
+        for name in ("faces", "linear", "angular"):
+            wp.copy(getattr(own, name), getattr(residual, name))
+        self._push(1.0, own)
+        self._solve_velocity(change)
+
+    def _solve_velocity(self, solution: Any) -> None:
+        """Solve for the velocities that the forces in `inner_residual` cause."""
+        k, all_tasks = self.velocity, self.tasks + self.count
+        named = {"solution": solution, "residual": self.inner_residual, "direction": self.direction}
+        self._launch(k.begin, all_tasks, **named)
+        self._sum(int(RZ))
+        self._launch(k.shift, 1, first=1)
+        for number in range(self.tolerances.inner):
+            if number % CHECKED == 0:
+                sums = self.sums.numpy()
+                if sums[int(RZ)] <= self.tolerances.viscous**2 * sums[int(RZ_FIRST)]:
+                    return
+            self._launch(k.multiply, self.tasks, direction=self.direction, result=self.product)
+            self._launch(k.gather, self.count, direction=self.direction, result=self.product)
+            self._sum(int(PQ))
+            self._launch(k.update, all_tasks, result=self.product, **named)
+            self._sum(int(RZ_AFTER))
+            self._launch(k.turn, all_tasks, direction=self.direction, result=self.product)
+            self._launch(k.shift, 1, first=0)
+            self.inner += 1
+
+    def _multiply(self, change: Any, effect: Any) -> None:
+        """Compute the effect of a change of velocities and pressure on the residual."""
+        slots = self.flow.state.slots
+        self._launch(self.velocity.multiply, self.tasks, direction=change, result=effect)
+        self._launch(self.velocity.gather, self.count, direction=change, result=effect)
+        self._launch(self.coupling.pressure_force, slots, pressure=change.cells, forces=self.force)
+        self._push(-1.0, effect)
+        wp.copy(self.force, change.faces)
+        self._launch(self.velocity.blend, self.count, x=change, flow=self.force)
+        self._launch(self.coupling.inflow, slots, change=self.force, sign=-1.0, result=effect.cells)
+
+
+def _add_faces(scalar: Any) -> Any:
+    from ..kernels.suspension.coupling import add_kernel
+
+    return add_kernel(scalar)
