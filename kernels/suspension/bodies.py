@@ -18,7 +18,7 @@ from ..common.control import HALTED
 from ..common.types import types
 from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
-from ..mps.structs import array_structs, mps_types, row_place
+from ..mps.structs import mps_types
 
 FULL = wp.constant(1 << 20)
 """Integer that stands for a sample that is filled by aggregates.
@@ -53,6 +53,11 @@ def body_structs(scalar) -> SimpleNamespace:
         # (3 slots,).
         claims: wp.array(dtype=wp.int32)
         owner: wp.array(dtype=wp.int32)
+        # Number of cells whose last free face this is, and 1 + the number of the aggregate that has their other faces,
+        # shape (3 slots,).
+        closing: wp.array(dtype=wp.int32)
+        closer: wp.array(dtype=wp.int32)
+        shared: wp.array(dtype=wp.int32)  # 1 for cells of which two aggregates have faces, shape (slots,).
         # Number of aggregates that cover part of a face, 1 + the number of the last of them, and the covered part of the
         # face's area times FULL, shape (3 slots,).
         touches: wp.array(dtype=wp.int32)
@@ -195,6 +200,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     - `clear`, with one task per face or sample, forgets what was covered in the last step.
     - `claim`, with one task per aggregate, marks faces and adds the aggregate's part of each sample.
+    - `close`, `shut`, `share` and `release` free the faces between aggregates that are close to each other.
     - `collect`, with one task per aggregate, lists the faces that move with it.
     - `carry`, with one task per aggregate, sets the velocity of these faces.
     - `move`, with one task per aggregate, moves and turns it by one step.
@@ -216,6 +222,8 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
             cover.owner[k] = 0
             cover.claims[k] = 0
             cover.touches[k] = 0
+            cover.closing[k] = 0
+            cover.closer[k] = 0
             cover.toucher[k] = 0
             cover.covered[k] = 0
 
@@ -248,6 +256,84 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                             wp.atomic_add(cover.solid, number + sample * g.slots, wp.int32(part * scalar(FULL)))
 
     @wp.kernel(enable_backward=False, module="unique")
+    def close(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
+        """Find the last free face of cells whose other faces move with the same aggregate, and let it move with them.
+
+        The mortar in such a cell cannot deform, so its last face has the velocity of the aggregate anyway. `claims` and
+        `owner` of the face change after all cells have been looked at (`closing`, `closer`).
+        """
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        if mesh.liquid[number] == 0:
+            return
+        c = places.cell(g, number)
+        owner = wp.int32(0)
+        left = wp.int32(-1)
+        free = wp.int32(0)
+        for axis in range(3):
+            for side in range(2):
+                r = places.at(g, places.moved(c, axis, side)) + axis * g.slots
+                own = cover.owner[r]
+                if own == 0 or mesh.kind[r] != LIQUID:
+                    free += 1
+                    left = r
+                elif owner == 0 or own == owner:
+                    owner = own
+                else:
+                    free += 2
+        if free == 1 and owner != 0 and mesh.kind[left] == LIQUID:
+            wp.atomic_add(cover.closing, left, 1)
+            wp.atomic_max(cover.closer, left, owner)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def shut(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
+        """Let the faces that `close` has found move with their aggregate, with one task per face."""
+        if flags[HALTED] != 0:
+            return
+        r = wp.tid()
+        if cover.closing[r] > 0:
+            cover.claims[r] = cover.claims[r] + cover.closing[r]
+            cover.owner[r] = cover.closer[r]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def share(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
+        """Find the cells of which two aggregates have faces, or one of whose faces two aggregates contain."""
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = places.cell(g, number)
+        found = wp.int32(0)
+        shared = wp.int32(0)
+        if mesh.liquid[number] != 0:
+            for axis in range(3):
+                for side in range(2):
+                    r = places.at(g, places.moved(c, axis, side)) + axis * g.slots
+                    own = cover.owner[r]
+                    if own != 0:
+                        if cover.claims[r] > 1 or (found != 0 and own != found):
+                            shared = 1
+                        found = own
+        cover.shared[number] = shared
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def release(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
+        """Give the faces of shared cells a velocity of their own.
+
+        If all faces of a cell moved with two aggregates, the mortar in it could not leave, and the aggregates would be
+        glued together.
+        """
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = places.cell(g, number)
+        for axis in range(3):
+            r = number + axis * g.slots
+            if cover.owner[r] != 0:
+                if cover.shared[number] != 0 or cover.shared[places.at(g, places.moved(c, axis, -1))] != 0:
+                    cover.owner[r] = 0
+
+    @wp.kernel(enable_backward=False, module="unique")
     def collect(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, cover: Cover):
         if flags[HALTED] != 0:
             return
@@ -260,14 +346,10 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     number = places.at(g, whole(i, j, k))
                     for axis in range(3):
                         r = number + axis * g.slots
-                        # A face that two aggregates contain moves with none of them.
                         if cover.owner[r] == b + 1:
-                            if cover.claims[r] > 1:
-                                cover.owner[r] = 0
-                            else:
-                                cover.faces[cover.first[b] + count] = r
-                                cover.part[cover.first[b] + count] = scalar(1.0)
-                                count += 1
+                            cover.faces[cover.first[b] + count] = r
+                            cover.part[cover.first[b] + count] = scalar(1.0)
+                            count += 1
         cover.count[b] = count
         for k in range(low[2], high[2] + 1):
             for j in range(low[1], high[1] + 1):
@@ -306,56 +388,6 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if size > scalar(0.0):
             bodies.turn[b] = wp.normalize(wp.mul(wp.quat_from_axis_angle(angle / size, size), quat(bodies.turn[b])))
 
-    return SimpleNamespace(clear=clear, claim=claim, collect=collect, carry=carry, move=move)
-
-
-@functools.cache
-def block_kernel(scalar, serial: bool, of: GridKind):
-    """Build the kernel that inverts the blocks of the reduced matrix P^T A P of each aggregate.
-
-    An aggregate has one block for its velocity and one for its spin. They precondition the conjugate gradients; the
-    coupling of velocity and spin is left out. The kernel runs with one task per aggregate.
-    """
-    t = mps_types(scalar, 3)
-    vec = t.vec
-    mat33 = types(scalar).mat33
-    Grid = grid_parameters_struct(scalar, 3)
-    structs = body_structs(scalar)
-    Bodies, Cover = structs.Bodies, structs.Cover
-    Matrix = array_structs(scalar, 2).Matrix
-    Fields = grid_structs(scalar, 3).Fields
-    f = body_functions(scalar, of)
-    entry = row_place(serial)
-
-    @wp.func
-    def unit(axis: wp.int32) -> vec:
-        e = vec()
-        e[axis] = scalar(1.0)
-        return e
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def blocks(g: Grid, flags: wp.array(dtype=wp.int32), matrix: Matrix, cover: Cover, mesh: Fields, bodies: Bodies, dt: scalar):
-        if flags[HALTED] != 0:
-            return
-        b = wp.tid()
-        whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar)
-        round = bodies.extra_inertia[b] / dt * wp.identity(n=3, dtype=scalar)
-        rows = 3 * g.slots
-        for k in range(cover.count[b]):
-            r = cover.faces[cover.first[b] + k]
-            axis = r / g.slots
-            e = unit(axis)
-            turned = wp.cross(f.lever(g, bodies, b, r), e)
-            whole += matrix.diagonal[r] * wp.outer(e, e)
-            round += matrix.diagonal[r] * wp.outer(turned, turned)
-            for n in range(matrix.near_count[r]):
-                place = entry(r, n, rows, matrix.near_capacity)
-                o = matrix.near[place]
-                if cover.owner[o] == b + 1:
-                    other = unit(o / g.slots)
-                    whole -= matrix.coefficient[place] * wp.outer(e, other)
-                    round -= matrix.coefficient[place] * wp.outer(turned, wp.cross(f.lever(g, bodies, b, o), other))
-        bodies.mobility[b] = wp.inverse(whole)
-        bodies.spin_mobility[b] = wp.inverse(round)
-
-    return blocks
+    return SimpleNamespace(
+        clear=clear, claim=claim, close=close, shut=shut, share=share, release=release, collect=collect, carry=carry, move=move
+    )

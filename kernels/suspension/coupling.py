@@ -22,6 +22,7 @@ from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_stru
 from ..mps.grid.places import grid_functions
 from ..mps.structs import array_structs
 from .bodies import body_functions, body_structs
+from .pairs import pair_kernels, pair_struct
 
 # Indices of the array of sums of a solve by conjugate gradients.
 RZ = wp.constant(0)  # Product of residual and preconditioned residual.
@@ -114,6 +115,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Matrix = array_structs(scalar, 2).Matrix
     Vector = vector_struct(scalar)
     f = body_functions(scalar, of)
+    Pairs, between = pair_struct(scalar), pair_kernels(scalar, of).apply
     own = share_functions(serial)
     product = (row_product if serial else entry_product)(scalar, scalar)
     vec3 = types(scalar).vec3
@@ -201,12 +203,13 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Grid, tasks: wp.int32, dt: scalar, bodies: Bodies, cover: Cover, direction: Vector, result: Vector,
-        partial: wp.array(dtype=wp.float64),
+        g: Grid, tasks: wp.int32, dt: scalar, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
+        result: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         b = wp.tid()
         force, torque = resultant(g, bodies, cover, b, result.faces)
-        result.linear[b] = force + bodies.extra_mass[b] / dt * direction.linear[b]
+        force += bodies.extra_mass[b] / dt * direction.linear[b] + between(pairs, direction.linear, b)
+        result.linear[b] = force
         result.angular[b] = torque + bodies.extra_inertia[b] / dt * direction.angular[b]
         partial[tasks + b] = pair(direction, result, b)
 

@@ -10,6 +10,7 @@ import warp as wp
 
 from ..core.errors import refuse
 from ..kernels.suspension.bodies import body_structs
+from ..kernels.suspension.pairs import CAPACITY, pair_struct
 from ..mps.common.allocation import allocate
 from ..mps.grid.layout import GridLayout
 
@@ -74,7 +75,12 @@ class BodyState:
         room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
-            structs.Cover, device, claims=3 * slots, owner=3 * slots, solid=4 * slots, count=count,
+            structs.Cover, device, shared=slots, closing=3 * slots, closer=3 * slots, claims=3 * slots, owner=3 * slots, solid=4 * slots, count=count,
             touches=3 * slots, toucher=3 * slots, covered=3 * slots, touched=count, part=int(room.sum()),
             first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()),
+        )  # fmt: skip
+        entries = count * int(CAPACITY)
+        self.pairs = allocate(
+            pair_struct(scalar), device, count=count, other=entries, normal=entries, resistance=entries, push=entries,
+            gap=entries, smallest_gap=count, full=1,
         )  # fmt: skip

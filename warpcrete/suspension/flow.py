@@ -16,13 +16,18 @@ from ..kernels.mps.grid.pressure import pressure_kernels
 from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
 from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
-from ..kernels.suspension.bodies import block_kernel, cover_kernels
+from ..kernels.suspension.blocks import block_kernel
+from ..kernels.suspension.bodies import cover_kernels
+from ..kernels.suspension.pairs import pair_kernels
 from ..kernels.suspension.strain import strain_kernels
 from ..mps.grid.flow import GridFlow
 from ..mps.grid.stages import GridStep
 from ..mps.grid.state import GridState
 from .aggregates import Aggregates, BodyState
 from .solve import CoupledSolve, Tolerances
+
+CUTOFF_CELLS = 1.5
+"""Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force."""
 
 
 class SuspensionStep(GridStep):
@@ -43,8 +48,14 @@ class SuspensionStep(GridStep):
             *self._cells(gather_kernel(scalar, kind)),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
+            *self._alone(cover.close, slots),
+            *self._alone(cover.shut, 3 * slots),
+            *self._alone(cover.share, slots),
+            *self._alone(cover.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(cover.carry, count),
+            *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count, dt=flow.current_step,
+                         cutoff=flow.cutoff, roughness=flow.roughness),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -78,7 +89,7 @@ class SuspensionFlow(GridFlow):
     """Flow of a mortar on a grid in space, with rigid aggregates in it."""
 
     def __init__(
-        self, state: GridState, aggregates: Aggregates, *, tolerances: Tolerances | None = None
+        self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, tolerances: Tolerances | None = None
     ) -> None:
         super().__init__(state, threads=1)
         down = np.array([0.0, 0.0, -state.scene.gravity])
@@ -88,6 +99,7 @@ class SuspensionFlow(GridFlow):
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
+        self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._stages = SuspensionStep(self, range(1))
         self._residual = self.projection.arrays.residual
@@ -100,8 +112,9 @@ class SuspensionFlow(GridFlow):
     @property
     def _kernel_arrays(self) -> dict[str, Any]:
         return super()._kernel_arrays | {
-            "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut
-        }
+            "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut,
+            "pairs": self.aggregates.pairs,
+        }  # fmt: skip
 
     @property
     def current_step(self) -> float:

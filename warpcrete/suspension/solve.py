@@ -18,6 +18,8 @@ from ..core.device.launching import Stage, completed
 from ..core.errors import ConvergenceError
 from ..kernels.common.reductions import BLOCK
 from ..kernels.suspension.coupling import (
+    PQ,
+    RZ,
     RZ_AFTER,
     RZ_FIRST,
     SUMS,
@@ -26,7 +28,7 @@ from ..kernels.suspension.coupling import (
     velocity_kernels,
     vector_struct,
 )
-from ..kernels.suspension.coupling import PQ, RZ
+from ..kernels.suspension.pairs import pair_kernels
 from ..mps.common.allocation import allocate
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
@@ -87,6 +89,7 @@ class CoupledSolve:
         return flow.kernel_arrays | {
             "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
             "dt": flow.current_step, "bodies": flow.aggregates.bodies, "cover": flow.aggregates.cover, "cut": flow.cut,
+            "pairs": flow.aggregates.pairs,
         }  # fmt: skip
 
     def _sum(self, slot: int) -> None:
@@ -119,6 +122,7 @@ class CoupledSolve:
         self._launch(named.start, all_tasks, viscous=flow.viscous.arrays, projection=flow.projection.arrays,
                      residual=self.residual)  # fmt: skip
         self._launch(self.velocity.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
+        self._launch(pair_kernels(self.scalar, flow.state.layout.kind).load, self.count, force=self.residual.linear)
         self._launch(named.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
         for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
