@@ -30,7 +30,7 @@ PQ = wp.constant(1)  # Product of the search direction and its product with the 
 RZ_AFTER = wp.constant(2)  # Product of residual and preconditioned residual after the step.
 RZ_FIRST = wp.constant(3)  # Product of residual and preconditioned residual at the start of the solve.
 SUMS = 4
-COMPRESSION = wp.constant(2.0)
+COMPRESSION = wp.constant(1.0)
 """Pressure that a divergence of the velocity causes in a viscous fluid, over viscosity and divergence.
 
 A velocity field that is the gradient of a potential has the viscous force 2 mu times the gradient of its divergence."""

@@ -9,8 +9,9 @@ import warp as wp
 
 from ..core.device.launching import Stage, launch
 from ..kernels.common.control import HALTED
-from ..kernels.mps.grid.bins import bin_kernels
+from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ..kernels.mps.grid.cells import DT
+from ..kernels.mps.grid.filling import fill_kernel
 from ..kernels.mps.grid.forces import momentum_kernel
 from ..kernels.mps.grid.pressure import pressure_kernels
 from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
@@ -41,10 +42,13 @@ class SuspensionStep(GridStep):
         count = flow.aggregates.count
         return [
             *self._alone(bins.clear, slots),
+            *(self._cells(lift_kernel(scalar, kind), slots=slots, after=flow.state.opened)
+              if len(self.layout.opens) else []),
             *self._alone(bins.tally, flow.count),
             *self._alone(bins.allot, slots),
             *self._shared(bins.sort, flow.count),
             *self._cells(bins.order),
+            *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
             *self._cells(gather_kernel(scalar, kind)),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
@@ -72,6 +76,8 @@ class SuspensionStep(GridStep):
         """Return the stages that move the mortar and the aggregates."""
         flow, kind, scalar = self.flow, self.kind, self.scalar
         return [
+            *(self._speeds() if flow.adaptive else []),
+            *([] if flow.full else self._disperse()),
             *self._extrapolate(),
             *self._shared(
                 advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]

@@ -42,11 +42,11 @@ class Tolerances:
 
     coupled: float = 1e-4
     """Norm of the residual, divided by that of the momentum of the flow."""
-    viscous: float = 1e-2
+    viscous: float = 0.1
     """Reduction of the residual by the viscous solves of the preconditioner."""
-    pressure: float = 1e-2
+    pressure: float = 0.1
     """Reduction of the residual by the pressure solves of the preconditioner."""
-    outer: int = 40
+    outer: int = 60
     """Maximum number of iterations of the coupled solve."""
     inner: int = 5000
     """Maximum number of iterations of a viscous solve."""
@@ -151,6 +151,8 @@ class CoupledSolve:
         else:
             self.error = self._relative_error()
         self.outer = len(history) - 1
+        import os
+        if os.environ.get("SHOW"): print([f"{h:.1e}" for h in history], "dt", flow.current_step, "in", self.inner, flush=True)
         if self.error > self.tolerances.coupled:
             raise ConvergenceError(
                 flow.time, "coupled", len(history), history, self.error, self.tolerances.outer
