@@ -6,7 +6,7 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.types import types
-from ..mps.grid.cells import GridKind, grid_parameters_struct
+from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.structs import array_structs, mps_types, row_place
 from .bodies import body_functions, body_structs
 from .pairs import pair_kernels, pair_struct
@@ -26,6 +26,7 @@ def block_kernel(scalar, serial: bool, of: GridKind):
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix = array_structs(scalar, 2).Matrix
+    Fields = grid_structs(scalar, 3).Fields
     Pairs, resistance_block = pair_struct(scalar), pair_kernels(scalar, of).resistance_block
     f = body_functions(scalar, of)
     entry = row_place(serial)
@@ -38,11 +39,12 @@ def block_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def blocks(
-        g: Grid, flags: wp.array(dtype=wp.int32), matrix: Matrix, cover: Cover, pairs: Pairs, bodies: Bodies, dt: scalar
+        g: Grid, flags: wp.array(dtype=wp.int32), matrix: Matrix, mesh: Fields, cover: Cover, pairs: Pairs, bodies: Bodies
     ):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
+        dt = scalar(mesh.clock[DT])
         whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resistance_block(pairs, b)
         round = bodies.extra_inertia[b] / dt * wp.identity(n=3, dtype=scalar)
         rows = 3 * g.slots

@@ -16,7 +16,7 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.types import types
-from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
 
@@ -374,10 +374,11 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
             mesh.velocity[r] = f.carried(bodies.velocity[b], bodies.spin[b], f.lever(g, bodies, b, r), r / g.slots)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def move(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, dt: scalar):
+    def move(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
+        dt = scalar(mesh.clock[DT])
         x = bodies.centre[b] + dt * (bodies.velocity[b] - vec(scalar(0.0), scalar(0.0), g.frame))
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]

@@ -18,7 +18,7 @@ import warp as wp
 from ..common.reductions import total
 from ..common.rows import entry_product, row_product
 from ..common.types import types
-from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import array_structs
 from .bodies import body_functions, body_structs
@@ -114,6 +114,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix = array_structs(scalar, 2).Matrix
     Vector = vector_struct(scalar)
+    Fields = grid_structs(scalar, 3).Fields
     f = body_functions(scalar, of)
     Pairs, between = pair_struct(scalar), pair_kernels(scalar, of).apply
     own = share_functions(serial)
@@ -203,10 +204,11 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Grid, tasks: wp.int32, dt: scalar, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
+        g: Grid, tasks: wp.int32, mesh: Fields, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
         result: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         b = wp.tid()
+        dt = scalar(mesh.clock[DT])
         force, torque = resultant(g, bodies, cover, b, result.faces)
         force += bodies.extra_mass[b] / dt * direction.linear[b] + between(pairs, direction.linear, b)
         result.linear[b] = force
@@ -329,6 +331,7 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     - `start` sets the residual from the forces and inflows at the beginning of the step.
     - `pressure_force` computes the forces of a pressure field on the faces.
     - `inflow` computes the net inflow into the cells that a change of the velocities causes.
+    - `request` sets up a pressure solve that removes an inflow.
     - `press` computes the pressure of the preconditioner: the solution of the pressure solve plus the viscous part.
     - `inner` computes partial sums of the weighted inner product of two vectors.
     - `scale_of` does the same for the squared momentum of the flow, with which residuals are compared.
@@ -348,15 +351,15 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     vec3 = types(scalar).vec3
 
     @wp.func
-    def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32, dt: scalar) -> scalar:
+    def cell_weight(g: Grid, cut: Fields, c: wp.int32) -> scalar:
         """Return the pressure that a net inflow of one unit of volume per time into a cell is worth."""
-        inertia = g.density * g.width[0] * g.width[0] / dt
+        inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
         return (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g)
 
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, viscous: Solve, projection: Solve,
-        mesh: Fields, dt: scalar, residual: Vector,
+        mesh: Fields, residual: Vector,
     ):  # fmt: skip
         task = wp.tid()
         if task < tasks:
@@ -364,7 +367,7 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 residual.faces[r] = wp.where(matrix.free[r] == 0, viscous.residual[r], scalar(0.0))
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
-                residual.cells[c] = residual.cells[c] + projection.residual[c] * dt / g.density
+                residual.cells[c] = residual.cells[c] + projection.residual[c] * scalar(mesh.clock[DT]) / g.density
         else:
             b = task - tasks
             residual.linear[b] = bodies.force[b]
@@ -408,8 +411,15 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         result.cells[number] = value
 
     @wp.kernel(enable_backward=False, module="unique")
+    def request(g: Grid, mesh: Fields, inflow: Vector, projection: Solve):
+        """Set the residual of a pressure solve from the net inflow into the cells."""
+        number = wp.tid()
+        mesh.increment[number] = scalar(0.0)
+        projection.residual[number] = g.density / scalar(mesh.clock[DT]) * inflow.cells[number]
+
+    @wp.kernel(enable_backward=False, module="unique")
     def inner(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields, dt: scalar,
+        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
         one: Vector, two: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
@@ -421,7 +431,7 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     sum += wp.float64(one.faces[r] / matrix.diagonal[r] * two.faces[r])
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 if mesh.liquid[c] != 0:
-                    sum += wp.float64(one.cells[c] * cell_weight(g, mesh, cut, c, dt) * two.cells[c])
+                    sum += wp.float64(one.cells[c] * cell_weight(g, cut, c) * two.cells[c])
         else:
             b = task - tasks
             sum = wp.float64(wp.dot(one.linear[b], bodies.mobility[b] * two.linear[b]))
@@ -474,7 +484,7 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     return SimpleNamespace(
         start=start, pressure_force=pressure_force, inflow=inflow, press=press,
-        inner=inner, scale_of=scale_of, add=add, finish=finish,
+        request=request, inner=inner, scale_of=scale_of, add=add, finish=finish,
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.types import types
-from ..mps.grid.cells import GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import mps_types
 from .bodies import body_functions, body_structs
@@ -60,7 +60,7 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
     mat33 = types(scalar).mat33
     Grid = grid_parameters_struct(scalar, 3)
     fields = grid_structs(scalar, 3)
-    Geometry, Walls = fields.Geometry, fields.Walls
+    Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
     Bodies = body_structs(scalar).Bodies
     Pairs = pair_struct(scalar)
     f, body = grid_functions(scalar, of), body_functions(scalar, of)
@@ -134,12 +134,13 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def find(
-        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, bodies: Bodies, pairs: Pairs,
-        aggregates: wp.int32, cutoff: scalar, roughness: scalar, dt: scalar,
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
+        pairs: Pairs, aggregates: wp.int32, cutoff: scalar, roughness: scalar,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         b = wp.tid()
+        dt = scalar(mesh.clock[DT])
         x = bodies.centre[b]
         radius = bodies.radius[b]
         count = wp.int32(0)

@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device.launching import Stage, launch
 from ..kernels.common.control import HALTED
 from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
-from ..kernels.mps.grid.cells import DT
 from ..kernels.mps.grid.filling import fill_kernel
 from ..kernels.mps.grid.forces import momentum_kernel
 from ..kernels.mps.grid.pressure import pressure_kernels
@@ -58,7 +56,7 @@ class SuspensionStep(GridStep):
             *self._alone(cover.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(cover.carry, count),
-            *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count, dt=flow.current_step,
+            *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
                          cutoff=flow.cutoff, roughness=flow.roughness),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
@@ -66,7 +64,7 @@ class SuspensionStep(GridStep):
             *self._cells(momentum_kernel(scalar, serial, kind), mesh=flow.cut, matrix=flow.viscous.matrix,
                          viscous=flow.viscous.arrays),
             *self._used_rows(flow.viscous),
-            *self._alone(block_kernel(scalar, serial, kind), count, matrix=flow.viscous.matrix, dt=flow.current_step),
+            *self._alone(block_kernel(scalar, serial, kind), count, matrix=flow.viscous.matrix),
             *self._cells(pressure_kernels(scalar, serial, kind).divergence, matrix=flow.projection.matrix,
                          projection=flow.projection.arrays),
             *self._used_rows(flow.projection),
@@ -82,7 +80,7 @@ class SuspensionStep(GridStep):
             *self._shared(
                 advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]
             ),
-            *self._alone(cover_kernels(scalar, kind).move, flow.aggregates.count, dt=flow.current_step),
+            *self._alone(cover_kernels(scalar, kind).move, flow.aggregates.count),
             *self._alone(flow.clock_kernels.tick, 1),
         ]
 
@@ -107,8 +105,9 @@ class SuspensionFlow(GridFlow):
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
         self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
-        self._stages = SuspensionStep(self, range(1))
-        self._residual = self.projection.arrays.residual
+        part = SuspensionStep(self, range(1))
+        self._before, self._after = part.before(), part.after()
+        self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:
@@ -122,23 +121,6 @@ class SuspensionFlow(GridFlow):
             "pairs": self.aggregates.pairs,
         }  # fmt: skip
 
-    @property
-    def current_step(self) -> float:
-        """Length of the present time step [s]."""
-        return float(self.mesh.clock.numpy()[int(DT)])
-
-    def solve_pressure(self, inflow: wp.array, tolerance: float) -> None:
-        """Solve for the pressure increment that removes a net inflow into the cells, and store it in the mesh."""
-        from ..kernels.suspension.coupling import add_kernel
-
-        self.mesh.increment.zero_()
-        self._residual.zero_()
-        launch(add_kernel(self.scalar), len(inflow), self.device, one=inflow,
-               factor=self.scene.concrete.density / self.current_step, result=self._residual)  # fmt: skip
-        self.pressure_threshold.zero_()
-        for stage in self._stages.pressure_solve(tolerance):
-            stage()
-
     def launch(self) -> None:
         """Take the steps that the flow still needs to reach its goal; the host launches every stage."""
         self.begin_goal()
@@ -147,8 +129,8 @@ class SuspensionFlow(GridFlow):
 
     def take_step(self) -> None:
         """Take one time step."""
-        for stage in self._stages.before():
+        for stage in self._before:
             stage()
         self.coupled.solve()
-        for stage in self._stages.after():
+        for stage in self._after:
             stage()

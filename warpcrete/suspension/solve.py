@@ -70,6 +70,7 @@ class CoupledSolve:
         self.solution, self.part = self._vector(), self._vector()
         self.tried: list[tuple[Any, Any]] = []
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
+        self._stages: dict[Any, Stage] = {}
         self.outer = 0
         self.inner = 0
         self.error = 0.0
@@ -81,14 +82,22 @@ class CoupledSolve:
         )
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
-        Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)()
+        # Launches are recorded once for each set of arrays and numbers.
+        key = (id(kernel), *((name, id(value) if hasattr(value, "_cls") or hasattr(value, "ptr") else value)
+                             for name, value in named.items()))  # fmt: skip
+        stage = self._stages.get(key)
+        if stage is None:
+            stage = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
+            if "factor" not in named:
+                self._stages[key] = stage
+        stage()
 
     @property
     def _arrays(self) -> dict[str, Any]:
         flow = self.flow
         return flow.kernel_arrays | {
             "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
-            "dt": flow.current_step, "bodies": flow.aggregates.bodies, "cover": flow.aggregates.cover, "cut": flow.cut,
+            "bodies": flow.aggregates.bodies, "cover": flow.aggregates.cover, "cut": flow.cut,
             "pairs": flow.aggregates.pairs,
         }  # fmt: skip
 
@@ -151,8 +160,6 @@ class CoupledSolve:
         else:
             self.error = self._relative_error()
         self.outer = len(history) - 1
-        import os
-        if os.environ.get("SHOW"): print([f"{h:.1e}" for h in history], "dt", flow.current_step, "in", self.inner, flush=True)
         if self.error > self.tolerances.coupled:
             raise ConvergenceError(
                 flow.time, "coupled", len(history), history, self.error, self.tolerances.outer
@@ -187,7 +194,10 @@ class CoupledSolve:
     def _precondition(self, residual: Any, change: Any) -> None:
         """Compute an approximate solution `change` for a residual."""
         flow, slots = self.flow, self.flow.state.slots
-        flow.solve_pressure(residual.cells, self.tolerances.pressure)
+        self._launch(self.coupling.request, slots, inflow=residual, projection=flow.projection.arrays)
+        flow.pressure_threshold.zero_()
+        for stage in flow.pressure_stages:
+            stage()
         self._launch(self.coupling.press, slots, residual=residual, solved=flow.mesh.increment, result=change)
         self._launch(self.coupling.pressure_force, slots, pressure=change.cells, forces=self.force)
         own = self.inner_residual
