@@ -132,10 +132,16 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
         return count + 1
 
+    @wp.func
+    def hold(g: Grid, radius: scalar, dt: scalar) -> scalar:
+        """Return the resistance of a contact between surfaces whose reduced radius is given [N s/m]."""
+        drag = scalar(6.0 * wp.pi) * g.viscosity * radius
+        return scalar(HOLD) * (drag + g.density * radius * radius * radius / dt)
+
     @wp.kernel(enable_backward=False, module="unique")
     def find(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
-        pairs: Pairs, aggregates: wp.int32, cutoff: scalar, roughness: scalar,
+        pairs: Pairs, aggregates: wp.int32, sides: wp.int32, cutoff: scalar, roughness: scalar,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
@@ -155,27 +161,41 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
                     if gap < cutoff or gap - approach * dt < scalar(0.0):
                         reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
-                        stiff = scalar(HOLD) * scalar(6.0 * wp.pi) * g.viscosity * reduced
-                        stiff += scalar(HOLD) * g.density * reduced * reduced * reduced / dt
                         count = store(
                             pairs, b, count, o, n, gap, approach, reduced, radius, g.viscosity, cutoff, roughness,
-                            stiff, dt,
+                            hold(g, reduced, dt), dt,
                         )  # fmt: skip
+        # Sides of the room that are walls or planes of symmetry.
+        plane_gap = scalar(1.0e30)
+        for side in range(6):
+            if (sides >> side) % 2 == 1:
+                axis = side / 2
+                n = vec()
+                n[axis] = wp.where(side % 2 == 0, scalar(-1.0), scalar(1.0))
+                away = x[axis] - g.origin[axis]
+                if side % 2 == 1:
+                    away = scalar(g.n[axis]) * g.width[axis] - away
+                plane_gap = wp.min(plane_gap, away - radius)
+                if away - radius < cutoff:
+                    count = store(
+                        pairs, b, count, WALL, n, away - radius, wp.dot(bodies.velocity[b], n), radius, radius,
+                        g.viscosity, cutoff, roughness, hold(g, radius, dt), dt,
+                    )  # fmt: skip
         distance, slope, wall = wall_gap(g, geometry, x)
         steep = wp.length(slope)
         gap = distance - radius
-        if gap < cutoff and steep > scalar(0.0):
+        # The nearest wall may be a side of the room, which has been stored.
+        if gap < cutoff and gap < plane_gap - scalar(1.0e-3) * radius and steep > scalar(0.0):
             n = -slope / steep
             still = vec()
             for axis in range(3):
                 still[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
             approach = wp.dot(bodies.velocity[b] - still, n)
-            stiff = scalar(HOLD) * scalar(6.0 * wp.pi) * g.viscosity * radius
-            stiff += scalar(HOLD) * g.density * radius * radius * radius / dt
             before = count
             count = store(
-                pairs, b, count, WALL, n, gap, approach, radius, radius, g.viscosity, cutoff, roughness, stiff, dt
-            )
+                pairs, b, count, WALL, n, gap, approach, radius, radius, g.viscosity, cutoff, roughness,
+                hold(g, radius, dt), dt,
+            )  # fmt: skip
             if count > before:
                 place = b * CAPACITY + before
                 pairs.push[place] = pairs.push[place] - pairs.resistance[place] * wp.dot(still, n)

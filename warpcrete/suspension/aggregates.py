@@ -16,6 +16,8 @@ from ..mps.grid.layout import GridLayout
 
 MIN_CELLS = 3.0
 """Minimum number of cells across the smallest aggregate; below it, the drag is more than a tenth too small."""
+STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
+"""Names of the arrays of aggregates that the next step depends on."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class BodyState:
         volume = 4 / 3 * np.pi * radius**3
         extra = (aggregates.density - density) * volume
         zero = np.zeros((count, 3))
-        self.count, self.extra_weight = count, extra[:, None] * gravity
+        self.count, self.radius, self.extra_weight = count, radius, extra[:, None] * gravity
         self.bodies = allocate(
             structs.Bodies, device, centre=aggregates.centre, spin=count,
             velocity=zero if aggregates.velocity is None else np.asarray(aggregates.velocity, float),
@@ -84,3 +86,16 @@ class BodyState:
             pair_struct(scalar), device, count=count, other=entries, normal=entries, resistance=entries, push=entries,
             gap=entries, smallest_gap=count, full=1,
         )  # fmt: skip
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Return the places and motions of the aggregates, by name."""
+        return {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+
+    def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
+        """Restore places and motions of the aggregates."""
+        for name in STATE_ARRAYS:
+            getattr(self.bodies, name).assign(found[name])
+
+    def smallest_gap(self) -> float:
+        """Return the smallest gap of an aggregate, divided by its radius; negative for an overlap."""
+        return float(self.pairs.smallest_gap.numpy().min())

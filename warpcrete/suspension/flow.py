@@ -20,6 +20,7 @@ from ..kernels.suspension.bodies import cover_kernels
 from ..kernels.suspension.pairs import pair_kernels
 from ..kernels.suspension.strain import strain_kernels
 from ..mps.grid.flow import GridFlow
+from ..mps.grid.geometry import MIRROR, WALL
 from ..mps.grid.stages import GridStep
 from ..mps.grid.state import GridState
 from .aggregates import Aggregates, BodyState
@@ -57,7 +58,7 @@ class SuspensionStep(GridStep):
             *self._alone(cover.collect, count),
             *self._alone(cover.carry, count),
             *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
-                         cutoff=flow.cutoff, roughness=flow.roughness),
+                         sides=flow.sides, cutoff=flow.cutoff, roughness=flow.roughness),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -104,6 +105,8 @@ class SuspensionFlow(GridFlow):
             setattr(self.cut, name, getattr(self.mesh, name))
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
         self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
+        sides = [side for pair in state.layout.room.sides for side in pair]
+        self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         part = SuspensionStep(self, range(1))
         self._before, self._after = part.before(), part.after()
@@ -134,3 +137,22 @@ class SuspensionFlow(GridFlow):
         self.coupled.solve()
         for stage in self._after:
             stage()
+
+    def outcomes(self) -> dict[str, dict[str, float]]:
+        """Return iterations of the viscous solves and of the coupled solve, and its error, in the last step."""
+        coupled = self.coupled
+        return {
+            "viscosity": {"iterations": float(coupled.inner)},
+            "pressure": {"iterations": float(coupled.outer), "after": coupled.error},
+        }
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays that the next step depends on."""
+        return super().state_arrays() | {f"aggregate_{name}": a for name, a in self.aggregates.state_dict().items()}
+
+    def load_state_dict(self, found: dict[str, Any]) -> None:
+        """Restore the flow and its aggregates from a `state_dict`."""
+        self.aggregates.load_state_dict(
+            {name.removeprefix("aggregate_"): a for name, a in found["arrays"].items() if name.startswith("aggregate_")}
+        )
+        super().load_state_dict(found)
