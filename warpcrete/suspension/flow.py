@@ -26,7 +26,7 @@ from ..mps.grid.state import GridState
 from .aggregates import Aggregates, BodyState
 from .solve import CoupledSolve, Tolerances
 
-CUTOFF_CELLS = 1.5
+CUTOFF_CELLS = 0.7
 """Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force."""
 
 
@@ -111,6 +111,11 @@ class SuspensionFlow(GridFlow):
         part = SuspensionStep(self, range(1))
         self._before, self._after = part.before(), part.after()
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
+
+    @property
+    def rounding(self) -> float:
+        """Norm of the residual of a pressure solve that rounding errors alone cause."""
+        return self._rounding
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:

@@ -195,7 +195,7 @@ class CoupledSolve:
         """Compute an approximate solution `change` for a residual."""
         flow, slots = self.flow, self.flow.state.slots
         self._launch(self.coupling.request, slots, inflow=residual, projection=flow.projection.arrays)
-        flow.pressure_threshold.zero_()
+        flow.pressure_threshold.fill_(flow.rounding)
         for stage in flow.pressure_stages:
             stage()
         self._launch(self.coupling.press, slots, residual=residual, solved=flow.mesh.increment, result=change)
