@@ -20,6 +20,7 @@ from warpcrete.geometry.curves import curve_through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines.element_line import SeedResult, WallLaw
+from warpcrete.studies.lines.elements import Elements, scaled_parameters
 from warpcrete.studies.lines.losses import friction, line_of, with_layer_factor
 from warpcrete.studies.lines.run import run_line
 
@@ -215,6 +216,14 @@ def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     assert second["wall_time"] == {}
 
 
+@pytest.mark.parametrize(("bore", "factor"), [(0.2, 3.0), (0.08, 1.2), (0.05, 1.0)])
+def test_stones_are_enlarged_to_three_tenths_of_the_bore_but_never_shrunk(bore, factor):
+    """Scale stones of 12 to 20 mm. A stone of 20 mm keeps its size in a bore of 50 mm, of which 0.3 are 15 mm."""
+    own = {"unit": "horizontal", "diameter": 0.3, "size_min": 12e-3, "size_max": 20e-3}
+    found = scaled_parameters(own, bore, Elements())
+    assert found["size_max"] == pytest.approx(factor * 20e-3) and found["size_min"] == pytest.approx(factor * 12e-3)
+
+
 def test_line_by_elements_refuses(tmp_path):
     (tmp_path / "line.yaml").write_text("diameter: 0.1\nflow: 0.002\nconcrete: zhan\nparts: [{straight: 1}]\n")
     for more, told in (
@@ -231,7 +240,7 @@ def test_line_by_elements_refuses(tmp_path):
 
 
 def test_a_hose_through_points_of_a_circle_is_that_circle():
-    angle = np.linspace(0, 1.2, 5)
+    angle = np.array([0.0, 0.2, 0.7, 0.8, 1.2])  # chords of any length
     points = 2.0 * np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=1)
     pieces = curve_through(points, np.array([1.0, 0.0, 0.0]))
     axis = Axis((0, 0, 0), (1, 0, 0), tuple(pieces))
@@ -258,6 +267,18 @@ def test_a_hose_counts_its_length_its_bends_and_its_layer():
     )
     found = run_line(line, concrete, 0.002, simulate=False)
     assert found.losses[1].weight == pytest.approx(-1.5 * 9.81 * concrete.density)
+
+
+def test_only_the_bends_of_a_hose_take_more_than_a_straight_pipe():
+    """Sum the extra losses of the arcs of a hose that runs straight ahead for some way and then bends."""
+    points = [[1, 0, 0], [2, 0, 0], [3, 0.4, 0], [3.6, 1.4, 0]]
+    line = line_of({"diameter": 0.1, "parts": [{"straight": 1}, {"hose": {"points": points}}]})
+    pieces, hose = line.axis.pieces[1:], line.parts[1]
+    assert isinstance(pieces[0], Line) and pieces[0].length == pytest.approx(0.5)
+    arcs = [piece for piece in pieces if isinstance(piece, Arc)]
+    assert hose.length == pytest.approx(sum(piece.length for piece in pieces)) and arcs
+    more = [np.interp(0.1 / arc.radius, (0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125)) * arc.length for arc in arcs]
+    assert (hose.relative_loss - 1) * hose.length == pytest.approx(sum(more), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,18 @@ def test_exact_pressures_give_the_constants_that_made_them():
     assert again.pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 0.01).pressure, rel=1e-6)
 
 
+def test_gauges_within_a_part_bear_the_weight_of_what_rises_behind_them():
+    """Put gauges at a third and two thirds of the rising pipe, in which the pressure falls in a straight line."""
+    found = taps(parts=(0, 1, 2))
+    for low, high in zip(taps(parts=(4,)), taps(parts=(5,)), strict=True):
+        assert low.pressure - high.pressure > 30 * 2400 * 9.81
+        for share in (1 / 3, 2 / 3):
+            place, pressure = (a + share * (b - a) for a, b in ((low.place, high.place), (low.pressure, high.pressure)))
+            found.append(Tap(place, pressure, low.flow, 0))
+    fit = fit_line(LINE, GUESS, found)
+    assert [x.value for x in fit.constants] == pytest.approx([700, 25, 2.2], rel=1e-6) and fit.scatter < 1e-3
+
+
 def test_the_band_covers_the_true_constants_as_often_as_it_says():
     """With gauges that are off by 0.05 bar, 95 % of many fits cover each constant: 51 of 60 do at least."""
     inside = np.zeros(3)
