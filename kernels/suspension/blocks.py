@@ -5,7 +5,6 @@ import functools
 import warp as wp
 
 from ..common.control import HALTED
-from ..common.types import types
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.structs import array_structs, mps_types, row_place
 from .bodies import body_functions, body_structs
@@ -21,7 +20,6 @@ def block_kernel(scalar, serial: bool, of: GridKind):
     """
     t = mps_types(scalar, 3)
     vec = t.vec
-    mat33 = types(scalar).mat33
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
@@ -39,7 +37,13 @@ def block_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def blocks(
-        g: Grid, flags: wp.array(dtype=wp.int32), matrix: Matrix, mesh: Fields, cover: Cover, pairs: Pairs, bodies: Bodies
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        matrix: Matrix,
+        mesh: Fields,
+        cover: Cover,
+        pairs: Pairs,
+        bodies: Bodies,
     ):
         if flags[HALTED] != 0:
             return

@@ -38,7 +38,8 @@ def body_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=vec3)  # Angular velocity [rad/s], shape (n,).
         turn: wp.array(dtype=quat)  # Orientation, shape (n,).
         radius: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (n,).
-        # Mass minus the mass of the mortar in its place [kg], and the same of the moment of inertia [kg m2], shape (n,).
+        # Mass minus the mass of the mortar in its place [kg], and the same for the moment of inertia [kg m2]; shape
+        # (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
         force: wp.array(dtype=vec3)  # Force from outside, such as weight in mortar [N], shape (n,).
@@ -57,9 +58,11 @@ def body_structs(scalar) -> SimpleNamespace:
         # shape (3 slots,).
         closing: wp.array(dtype=wp.int32)
         closer: wp.array(dtype=wp.int32)
-        shared: wp.array(dtype=wp.int32)  # 1 for cells of which two aggregates have faces, shape (slots,).
-        # Number of aggregates that cover part of a face, 1 + the number of the last of them, and the covered part of the
-        # face's area times FULL, shape (3 slots,).
+        # 1 for cells whose faces must move freely, because aggregates are close to each other or to a wall, shape
+        # (slots,).
+        shared: wp.array(dtype=wp.int32)
+        # Number of aggregates that cover part of a face, 1 + the number of the last of them, and the covered part of
+        # the face's area times FULL, shape (3 slots,).
         touches: wp.array(dtype=wp.int32)
         toucher: wp.array(dtype=wp.int32)
         covered: wp.array(dtype=wp.int32)
@@ -70,7 +73,8 @@ def body_structs(scalar) -> SimpleNamespace:
         count: wp.array(dtype=wp.int32)  # Number of faces that move with each aggregate, shape (n,).
         # Number of faces of which an aggregate covers at least a part, shape (n,).
         touched: wp.array(dtype=wp.int32)
-        # Faces of the aggregates, sorted by aggregate: first those that move with it, then those that it covers in part.
+        # Faces of the aggregates, sorted by aggregate: first those that move with it, then those that it covers in
+        # part.
         faces: wp.array(dtype=wp.int32)
         # Part of the flow through each entry of `faces` that has the velocity of the aggregate; 1 for faces that move
         # with it.
@@ -150,9 +154,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
         for i in range(3):
             for j in range(3):
                 for k in range(3):
-                    x = d + wp.cw_mul(
-                        vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width
-                    ) / scalar(3.0)
+                    x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
                     size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
                     # Extent of the small box along the normal of the surface.
                     extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
@@ -298,13 +300,19 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def share(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
-        """Find the cells of which two aggregates have faces, or one of whose faces two aggregates contain."""
+        """Find the cells from which mortar could not leave if the aggregates moved apart, or away from a wall.
+
+        Two aggregates have faces of such a cell, or contain the same face, or all its faces belong to an aggregate and
+        to walls.
+        """
         if flags[HALTED] != 0:
             return
         number = wp.tid()
         c = places.cell(g, number)
         found = wp.int32(0)
         shared = wp.int32(0)
+        free = wp.int32(0)
+        closed = wp.int32(0)
         if mesh.liquid[number] != 0:
             for axis in range(3):
                 for side in range(2):
@@ -314,6 +322,12 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         if cover.claims[r] > 1 or (found != 0 and own != found):
                             shared = 1
                         found = own
+                    elif mesh.kind[r] == LIQUID:
+                        free += 1
+                    else:
+                        closed += 1
+            if found != 0 and free == 0 and closed > 0:
+                shared = 1
         cover.shared[number] = shared
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -390,5 +404,13 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
             bodies.turn[b] = wp.normalize(wp.mul(wp.quat_from_axis_angle(angle / size, size), quat(bodies.turn[b])))
 
     return SimpleNamespace(
-        clear=clear, claim=claim, close=close, shut=shut, share=share, release=release, collect=collect, carry=carry, move=move
+        clear=clear,
+        claim=claim,
+        close=close,
+        shut=shut,
+        share=share,
+        release=release,
+        collect=collect,
+        carry=carry,
+        move=move,
     )

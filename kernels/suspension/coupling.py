@@ -104,6 +104,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     one further task for each aggregate:
 
     - `begin` computes the first search direction.
+    - `spread` gives the faces of each aggregate its motion (only one task per aggregate).
     - `multiply` computes the product of the matrix A and the search direction on all faces (only `tasks` tasks).
     - `gather` adds up these products on the faces of each aggregate (only one task per aggregate).
     - `update` changes solution and residual.
@@ -122,7 +123,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     vec3 = types(scalar).vec3
 
     @wp.func
-    def spread(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, x: Vector):
+    def give(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, x: Vector):
         """Give the faces of an aggregate the components of its rigid motion."""
         for k in range(cover.count[b]):
             r = cover.faces[cover.first[b] + k]
@@ -173,9 +174,13 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             solution.angular[b] = vec3()
             direction.linear[b] = bodies.mobility[b] * residual.linear[b]
             direction.angular[b] = bodies.spin_mobility[b] * residual.angular[b]
-            spread(g, bodies, cover, b, direction)
+            give(g, bodies, cover, b, direction)
             sum = pair(direction, residual, b)
         partial[task] = sum
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def spread(g: Grid, bodies: Bodies, cover: Cover, x: Vector):
+        give(g, bodies, cover, wp.tid(), x)
 
     @wp.kernel(enable_backward=False, module="unique")
     def multiply(
@@ -265,7 +270,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             b = task - tasks
             direction.linear[b] = result.linear[b] + beta * direction.linear[b]
             direction.angular[b] = result.angular[b] + beta * direction.angular[b]
-            spread(g, bodies, cover, b, direction)
+            give(g, bodies, cover, b, direction)
 
     @wp.kernel(enable_backward=False, module="unique")
     def shift(first: wp.int32, sums: wp.array(dtype=wp.float64)):
@@ -277,7 +282,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
-        """Add a multiple of the forces on the faces of each aggregate to its force and torque (a task per aggregate)."""
+        """Add a multiple of the forces on the faces of each aggregate to its force and torque; a task for each."""
         b = wp.tid()
         force, torque = resultant(g, bodies, cover, b, forces)
         result.linear[b] = result.linear[b] + factor * force
@@ -320,7 +325,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     return SimpleNamespace(
         begin=begin, multiply=multiply, gather=gather, update=update, turn=turn, shift=shift, reduce=reduce,
-        push=push, blend=blend,
+        push=push, blend=blend, spread=spread,
     )  # fmt: skip
 
 
@@ -348,7 +353,6 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Vector = vector_struct(scalar)
     f = grid_functions(scalar, of)
     own = share_functions(serial)
-    vec3 = types(scalar).vec3
 
     @wp.func
     def cell_weight(g: Grid, cut: Fields, c: wp.int32) -> scalar:

@@ -119,7 +119,9 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         resistance = scalar(0.0)
         if open < cutoff:
             # Lubrication of two spheres at a small gap (Brenner 1961): 6 pi mu a^2 / gap, 1/a = 1/R1 + 1/R2.
-            resistance = scalar(6.0 * wp.pi) * viscosity * reduced * reduced * (scalar(1.0) / open - scalar(1.0) / cutoff)
+            resistance = (
+                scalar(6.0 * wp.pi) * viscosity * reduced * reduced * (scalar(1.0) / open - scalar(1.0) / cutoff)
+            )
         push = scalar(0.0)
         if gap - approach * dt < rough:
             push = stiff / dt * (rough - gap)

@@ -37,7 +37,7 @@ def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
     Fields, Geometry = structs.Fields, structs.Geometry
     Cover = body_structs(scalar).Cover
     t = mps_types(scalar, dims)
-    whole, vec = t.whole, t.vec
+    whole = t.whole
     f, body = grid_functions(scalar, of), body_functions(scalar, of)
     law = flow_functions(scalar, of)
     relaxed_viscosity = relaxed_viscosity_function(scalar, of)
@@ -81,9 +81,7 @@ def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
         return sum / wp.max(count, scalar(1.0))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rates(
-        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, cover: Cover, mesh: Fields, cut: Fields
-    ):
+    def rates(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, cover: Cover, mesh: Fields, cut: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()

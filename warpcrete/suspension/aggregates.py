@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from ..core.errors import refuse
 from ..kernels.suspension.bodies import body_structs
@@ -77,9 +76,9 @@ class BodyState:
         room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
-            structs.Cover, device, shared=slots, closing=3 * slots, closer=3 * slots, claims=3 * slots, owner=3 * slots, solid=4 * slots, count=count,
-            touches=3 * slots, toucher=3 * slots, covered=3 * slots, touched=count, part=int(room.sum()),
-            first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()),
+            structs.Cover, device, claims=3 * slots, owner=3 * slots, closing=3 * slots, closer=3 * slots, shared=slots,
+            touches=3 * slots, toucher=3 * slots, covered=3 * slots, solid=4 * slots, count=count, touched=count,
+            first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()), part=int(room.sum()),
         )  # fmt: skip
         entries = count * int(CAPACITY)
         self.pairs = allocate(

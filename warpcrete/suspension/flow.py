@@ -78,9 +78,7 @@ class SuspensionStep(GridStep):
             *(self._speeds() if flow.adaptive else []),
             *([] if flow.full else self._disperse()),
             *self._extrapolate(),
-            *self._shared(
-                advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]
-            ),
+            *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
             *self._alone(cover_kernels(scalar, kind).move, flow.aggregates.count),
             *self._alone(flow.clock_kernels.tick, 1),
         ]
@@ -98,7 +96,9 @@ class SuspensionFlow(GridFlow):
     ) -> None:
         super().__init__(state, threads=1)
         down = np.array([0.0, 0.0, -state.scene.gravity])
-        self.aggregates = BodyState(aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device)
+        self.aggregates = BodyState(
+            aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
+        )
         # A second view of the mesh, whose viscosities are those of the samples' mortar.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:
@@ -111,11 +111,6 @@ class SuspensionFlow(GridFlow):
         part = SuspensionStep(self, range(1))
         self._before, self._after = part.before(), part.after()
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
-
-    @property
-    def rounding(self) -> float:
-        """Norm of the residual of a pressure solve that rounding errors alone cause."""
-        return self._rounding
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:

@@ -34,10 +34,11 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
             tries += 1
             if tries > TRIES:
                 placed = len(centres)
+                part = float(np.sum(radii[:placed] ** 3) / np.sum(radii**3))
                 refuse(
                     "aggregate_fraction", scene.aggregate_fraction,
                     f"is too large: only {placed} of {len(radii)} aggregates found a place",
-                    f"use {scene.aggregate_fraction * 0.9 * np.sum(radii[:placed] ** 3) / np.sum(radii**3):.2g} or less",
+                    f"use {0.9 * part * scene.aggregate_fraction:.2g} or less",
                 )  # fmt: skip
             x = rng.uniform(low, high)
             room = (1 + CLEARANCE) * radius

@@ -17,6 +17,7 @@ import warp as wp
 from ..core.device.launching import Stage, completed
 from ..core.errors import ConvergenceError
 from ..kernels.common.reductions import BLOCK
+from ..kernels.mps.grid.cells import DT
 from ..kernels.suspension.coupling import (
     PQ,
     RZ,
@@ -25,13 +26,15 @@ from ..kernels.suspension.coupling import (
     SUMS,
     coupling_kernels,
     sum_kernel,
-    velocity_kernels,
     vector_struct,
+    velocity_kernels,
 )
 from ..kernels.suspension.pairs import pair_kernels
 from ..mps.common.allocation import allocate
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
+NEGLIGIBLE = 0.1
+"""Part of the coupled solve's tolerance that a pressure solve may ignore."""
 CHECKED = 5
 """Number of iterations of the viscous solve between two looks at its residual."""
 
@@ -74,6 +77,7 @@ class CoupledSolve:
         self.outer = 0
         self.inner = 0
         self.error = 0.0
+        self._momentum = 0.0
 
     def _vector(self) -> Any:
         slots = self.flow.state.slots
@@ -161,16 +165,22 @@ class CoupledSolve:
             self.error = self._relative_error()
         self.outer = len(history) - 1
         if self.error > self.tolerances.coupled:
-            raise ConvergenceError(
-                flow.time, "coupled", len(history), history, self.error, self.tolerances.outer
-            )
+            raise ConvergenceError(flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
         self._launch(named.finish, all_tasks, solution=self.solution)
 
     def _relative_error(self) -> float:
         left = self._inner_product(self.residual, self.residual)
         self._launch(self.coupling.scale_of, self.tasks + self.count, change=self.solution)
-        whole = float(self.partial.numpy().sum())
+        whole = self._momentum = float(self.partial.numpy().sum())
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
+
+    def _pressure_floor(self) -> float:
+        """Return the residual norm of a pressure solve below which the error of the coupled solve does not depend on it."""
+        flow, width = self.flow, min(self.flow.state.layout.room.width)
+        concrete, dt = flow.scene.concrete, float(flow.mesh.clock.numpy()[int(DT)])
+        worth = (concrete.density * width**2 / dt + concrete.viscosity) / width**3
+        inflow = NEGLIGIBLE * self.tolerances.coupled * np.sqrt(self._momentum / worth)
+        return float(concrete.density / dt * inflow)
 
     def _direction(self, number: int) -> tuple[Any, Any]:
         if number >= len(self.tried):
@@ -195,7 +205,7 @@ class CoupledSolve:
         """Compute an approximate solution `change` for a residual."""
         flow, slots = self.flow, self.flow.state.slots
         self._launch(self.coupling.request, slots, inflow=residual, projection=flow.projection.arrays)
-        flow.pressure_threshold.fill_(flow.rounding)
+        flow.pressure_threshold.fill_(self._pressure_floor())
         for stage in flow.pressure_stages:
             stage()
         self._launch(self.coupling.press, slots, residual=residual, solved=flow.mesh.increment, result=change)

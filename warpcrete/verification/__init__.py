@@ -20,7 +20,19 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 def cases() -> list[Case]:
     """Return all cases in the order of the table."""
-    modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading, suspensions)
+    modules = (
+        impacts,
+        contacts,
+        bonds,
+        clumps,
+        assemblies,
+        stability,
+        flows,
+        starting,
+        vessels,
+        spreading,
+        suspensions,
+    )
     return [case for module in modules for case in module.CASES]
 
 

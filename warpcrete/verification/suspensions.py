@@ -14,6 +14,7 @@ import numpy as np
 from ..core.device.device import find_device
 from ..kernels.mps.grid.cells import GridKind
 from ..mps.grid.filling import fill_cells
+from ..mps.grid.flow import GridFlow
 from ..mps.grid.geometry import (
     MIRROR,
     NO_SLIP_VISCOSITY,
@@ -26,7 +27,6 @@ from ..mps.grid.geometry import (
     geometry_of,
     nearest_wall,
 )
-from ..mps.grid.flow import GridFlow
 from ..mps.grid.layout import GridLayout, Motion
 from ..mps.grid.state import GridState
 from ..suspension.aggregates import Aggregates
@@ -104,7 +104,7 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
     """Return the speed at which a sphere settles on the axis of a closed cylinder, over that in an infinite one.
 
     `across` is the number of cells across the sphere, `shift` its offset from the corner of a cell, in cells, and
-    `ratio` the radius of the sphere over that of the cylinder. The infinite cylinder is that of Haberman & Sayre (1958).
+    `ratio` the radius of the sphere over that of the cylinder. Haberman & Sayre (1958) solved the infinite cylinder.
     """
     width, outer = 2 * RADIUS / across, RADIUS / ratio
     wide, high = 2 * int(np.ceil(outer / width)) + 4, int(np.ceil(6 * outer / width))
@@ -112,9 +112,7 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
     sphere = Aggregates(np.full((1, 3), shift * width), np.array([RADIUS]), DENSITY + 500)
     flow = mortar_flow((wide, wide, high), width, sphere, device, precision, walls=[cylinder])
     free = 2 / 9 * 500 * GRAVITY * RADIUS**2 / VISCOSITY
-    slowed = (1 - 2.105 * ratio + 2.0865 * ratio**3 - 1.7068 * ratio**5 + 0.72603 * ratio**6) / (
-        1 - 0.75857 * ratio**5
-    )
+    slowed = (1 - 2.105 * ratio + 2.0865 * ratio**3 - 1.7068 * ratio**5 + 0.72603 * ratio**6) / (1 - 0.75857 * ratio**5)
     return float(-take(flow, 3)[0, 2] / (free * slowed))
 
 
@@ -212,7 +210,7 @@ def falling_in_bingham(number: float, regularisation: float, device: str, precis
     return float(-take(flow, BINGHAM_STEPS)[0, 2] / stokes)
 
 
-SHEAR_STEPS, BINGHAM_STEPS = 4, 20
+SHEAR_STEPS, BINGHAM_STEPS = 4, 30
 # Largest measured errors with 4 cells across a sphere: see the tables in `theory/suspension.md`.
 SETTLING, SPIN, SLOPE, APPROACH = 0.085, 0.03, 0.07, 0.13
 
@@ -238,7 +236,12 @@ def shear_case(device: str, precision: str) -> list[Row]:
 def approach_case(device: str, precision: str) -> list[Row]:
     """Compare the approach of two spheres, aligned with the grid and not, with the solution of Brenner."""
     return [
-        Row(f"gap of {gap:g} cells, {shift[0]:g} cells off", approaching(4, gap, shift, device, precision), 1.0, APPROACH)
+        Row(
+            f"gap of {gap:g} cells, {shift[0]:g} cells off",
+            approaching(4, gap, shift, device, precision),
+            1.0,
+            APPROACH,
+        )
         for gap in (1.0, 0.5, 0.2, 0.1)
         for shift in ((0.0, 0.0, 0.0), (0.3, 0.2, 0.1))
     ]
@@ -250,10 +253,10 @@ def bingham_case(device: str, precision: str) -> list[Row]:
     A falling sphere is as fast with a ten times stiffer regularisation, a resting one ten times as slow.
     """
     ratios = [
-        falling_in_bingham(number, 1e4, device, precision) / falling_in_bingham(number, 1e3, device, precision)
+        falling_in_bingham(number, 1e5, device, precision) / falling_in_bingham(number, 1e4, device, precision)
         for number in (0.13, 0.16)
     ]
-    return [Row("falls at 0.13", ratios[0], 1.0, 0.5, at_least=True), Row("stays at 0.16", ratios[1], 0.1, 0.5)]
+    return [Row("falls at 0.13", ratios[0], 1.0, 0.4, at_least=True), Row("stays at 0.16", ratios[1], 0.1, 0.2)]
 
 
 GROUP = "aggregates in mortar"
