@@ -8,7 +8,7 @@ from ..common.control import HALTED
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.structs import array_structs, mps_types, row_place
 from .bodies import body_functions, body_structs
-from .pairs import pair_kernels, pair_struct
+from .pairs import pair_functions, pair_struct
 
 
 @functools.cache
@@ -25,7 +25,7 @@ def block_kernel(scalar, serial: bool, of: GridKind):
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix = array_structs(scalar, 2).Matrix
     Fields = grid_structs(scalar, 3).Fields
-    Pairs, resistance_block = pair_struct(scalar), pair_kernels(scalar, of).resistance_block
+    Pairs, resistance_block = pair_struct(scalar), pair_functions(scalar, of).resistance_block
     f = body_functions(scalar, of)
     entry = row_place(serial)
 

@@ -22,7 +22,7 @@ from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_
 from ..mps.grid.places import grid_functions
 from ..mps.structs import array_structs
 from .bodies import body_functions, body_structs
-from .pairs import pair_kernels, pair_struct
+from .pairs import pair_functions, pair_struct
 
 # Indices of the array of sums of a solve by conjugate gradients.
 RZ = wp.constant(0)  # Product of residual and preconditioned residual.
@@ -117,7 +117,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Vector = vector_struct(scalar)
     Fields = grid_structs(scalar, 3).Fields
     f = body_functions(scalar, of)
-    Pairs, between = pair_struct(scalar), pair_kernels(scalar, of).apply
+    Pairs, between = pair_struct(scalar), pair_functions(scalar, of).between
     own = share_functions(serial)
     product = (row_product if serial else entry_product)(scalar, scalar)
     vec3 = types(scalar).vec3
@@ -363,7 +363,7 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, viscous: Solve, projection: Solve,
-        mesh: Fields, residual: Vector,
+        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector,
     ):  # fmt: skip
         task = wp.tid()
         if task < tasks:
@@ -371,7 +371,10 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 residual.faces[r] = wp.where(matrix.free[r] == 0, viscous.residual[r], scalar(0.0))
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
-                residual.cells[c] = residual.cells[c] + projection.residual[c] * scalar(mesh.clock[DT]) / g.density
+                if again == 0:
+                    # Pressure solves overwrite this residual, so keep the inflow in case the step is solved again.
+                    inflow[c] = projection.residual[c] * scalar(mesh.clock[DT]) / g.density
+                residual.cells[c] = residual.cells[c] + inflow[c]
         else:
             b = task - tasks
             residual.linear[b] = bodies.force[b]

@@ -22,10 +22,12 @@ CAPACITY = wp.constant(48)
 """Maximum number of neighbours of an aggregate, including walls."""
 WALL = wp.constant(-1)
 """Number that stands for a wall in place of a neighbour."""
-HOLD = wp.constant(30.0)
+HOLD = wp.constant(300.0)
 """Stiffness of a contact times the time step, relative to the resistance of the aggregate to motion.
 
 A step removes all but 1 / (1 + HOLD) of an overlap."""
+LOOKED_AT = wp.constant(2.0)
+"""Largest gap of a neighbour, in cells. In a step, an aggregate moves by at most one cell."""
 
 
 @functools.cache
@@ -36,38 +38,34 @@ def pair_struct(scalar):
     @wp.struct
     class Pairs:
         count: wp.array(dtype=wp.int32)  # Number of neighbours of each aggregate, shape (n,).
-        other: wp.array(dtype=wp.int32)  # Number of each neighbour, or WALL, shape (n * CAPACITY,).
-        normal: wp.array(dtype=vec3)  # Unit vector towards each neighbour, shape (n * CAPACITY,).
-        # Force that resists the approach of each neighbour, per velocity [N s/m], shape (n * CAPACITY,).
-        resistance: wp.array(dtype=scalar)
-        push: wp.array(dtype=scalar)  # Force of each neighbour on the aggregate without motion [N], same shape.
-        gap: wp.array(dtype=scalar)  # Gap to each neighbour, negative for an overlap [m], same shape.
-        smallest_gap: wp.array(dtype=scalar)  # Smallest gap of each aggregate, divided by its radius, shape (n,).
-        full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY, shape (1,).
+        # The following arrays have one entry for each neighbour, shape (n * CAPACITY,).
+        other: wp.array(dtype=wp.int32)  # Number of the neighbour, or WALL.
+        normal: wp.array(dtype=vec3)  # Unit vector towards the neighbour.
+        gap: wp.array(dtype=scalar)  # Gap at the start of the step, negative for an overlap [m].
+        rough: wp.array(dtype=scalar)  # Gap at which the two touch [m].
+        still: wp.array(dtype=scalar)  # Velocity of a wall along the normal [m/s]; 0 for an aggregate.
+        lubrication: wp.array(dtype=scalar)  # Lubrication force per velocity of approach [N s/m].
+        hold: wp.array(dtype=scalar)  # Force of a contact per velocity of approach [N s/m].
+        touching: wp.array(dtype=wp.int32)  # 1 if the two touch in this step.
+        # The following arrays have one entry for each aggregate, shape (n,), or one in all.
+        smallest_gap: wp.array(dtype=scalar)  # Smallest gap of each aggregate, divided by its radius.
+        full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
+        changed: wp.array(dtype=wp.int32)  # 1 if a pair has begun to touch during the solve.
 
     return Pairs
 
 
 @functools.cache
-def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `find`, which finds neighbours and their forces, and `load`, which adds constant forces.
-
-    Both run with one task per aggregate. `apply` is a function: the force of the neighbours on one aggregate that
-    opposes given velocities.
-    """
+def wall_gap_function(scalar, of: GridKind):
+    """Build the function that returns the distance of a point from the nearest wall, its gradient, and the wall."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
-    mat33 = types(scalar).mat33
     Grid = grid_parameters_struct(scalar, 3)
-    fields = grid_structs(scalar, 3)
-    Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
-    Bodies = body_structs(scalar).Bodies
-    Pairs = pair_struct(scalar)
-    f, body = grid_functions(scalar, of), body_functions(scalar, of)
+    Geometry = grid_structs(scalar, 3).Geometry
+    f = grid_functions(scalar, of)
 
     @wp.func
     def wall_gap(g: Grid, geometry: Geometry, x: vec):
-        """Return the distance of a point from the nearest wall, its gradient, and the number of the wall."""
         base = whole()
         s = vec()
         for b in range(3):
@@ -100,15 +98,29 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 wall = geometry.surface[number]
         return value, slope, wall
 
+    return wall_gap
+
+
+@functools.cache
+def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
+    """Build functions of an aggregate and its neighbours.
+
+    `store` stores a neighbour. `between` is the force with which the neighbours of an aggregate oppose given
+    velocities, and `resistance_block` the matrix of this force for the aggregate's own velocity. `resistance` is that
+    of one pair.
+    """
+    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
+    Grid = grid_parameters_struct(scalar, 3)
+    Pairs = pair_struct(scalar)
+
     @wp.func
     def store(
-        pairs: Pairs, b: wp.int32, count: wp.int32, other: wp.int32, normal: vec, gap: scalar, approach: scalar,
-        reduced: scalar, radius: scalar, viscosity: scalar, cutoff: scalar, roughness: scalar, stiff: scalar,
-        dt: scalar,
+        g: Grid, pairs: Pairs, b: wp.int32, count: wp.int32, other: wp.int32, normal: vec, gap: scalar,
+        approach: scalar, still: scalar, reduced: scalar, radius: scalar, cutoff: scalar, roughness: scalar, dt: scalar,
     ) -> wp.int32:  # fmt: skip
         """Store a neighbour with its forces, and return the new number of neighbours.
 
-        `approach` is the present speed of approach, and `reduced` the harmonic mean of both radii, divided by two.
+        `approach` is the present speed of approach, and `reduced` the product of both radii over their sum.
         """
         if count == CAPACITY:
             pairs.full[0] = 1
@@ -116,29 +128,66 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         place = b * CAPACITY + count
         rough = roughness * reduced
         open = wp.max(gap, rough)
-        resistance = scalar(0.0)
+        lubrication = scalar(0.0)
         if open < cutoff:
             # Lubrication of two spheres at a small gap (Brenner 1961): 6 pi mu a^2 / gap, 1/a = 1/R1 + 1/R2.
-            resistance = (
-                scalar(6.0 * wp.pi) * viscosity * reduced * reduced * (scalar(1.0) / open - scalar(1.0) / cutoff)
-            )
-        push = scalar(0.0)
-        if gap - approach * dt < rough:
-            push = stiff / dt * (rough - gap)
-            resistance += stiff
+            missing = scalar(1.0) / open - scalar(1.0) / cutoff
+            lubrication = scalar(6.0 * wp.pi) * g.viscosity * reduced * reduced * missing
         pairs.other[place] = other
         pairs.normal[place] = normal
-        pairs.resistance[place] = resistance
-        pairs.push[place] = push
         pairs.gap[place] = gap
+        pairs.rough[place] = rough
+        pairs.still[place] = still
+        pairs.lubrication[place] = lubrication
+        drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
+        pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
+        pairs.touching[place] = wp.where(gap - approach * dt < rough, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
         return count + 1
 
     @wp.func
-    def hold(g: Grid, radius: scalar, dt: scalar) -> scalar:
-        """Return the resistance of a contact between surfaces whose reduced radius is given [N s/m]."""
-        drag = scalar(6.0 * wp.pi) * g.viscosity * radius
-        return scalar(HOLD) * (drag + g.density * radius * radius * radius / dt)
+    def resistance(pairs: Pairs, place: wp.int32) -> scalar:
+        return pairs.lubrication[place] + wp.where(pairs.touching[place] != 0, pairs.hold[place], scalar(0.0))
+
+    @wp.func
+    def resistance_block(pairs: Pairs, b: wp.int32) -> mat33:
+        sum = mat33()
+        for k in range(pairs.count[b]):
+            n = pairs.normal[b * CAPACITY + k]
+            sum += resistance(pairs, b * CAPACITY + k) * wp.outer(n, n)
+        return sum
+
+    @wp.func
+    def between(pairs: Pairs, velocity: wp.array(dtype=vec), b: wp.int32) -> vec:
+        sum = vec()
+        for k in range(pairs.count[b]):
+            place = b * CAPACITY + k
+            n = pairs.normal[place]
+            relative = velocity[b]
+            if pairs.other[place] != WALL:
+                relative = relative - velocity[pairs.other[place]]
+            sum += resistance(pairs, place) * wp.dot(relative, n) * n
+        return sum
+
+    return SimpleNamespace(store=store, resistance=resistance, resistance_block=resistance_block, between=between)
+
+
+@functools.cache
+def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
+    """Build the kernels `find`, `load` and `touch`, each with one task per aggregate.
+
+    - `find` finds the neighbours of each aggregate.
+    - `load` adds the forces of the neighbours to the forces on the aggregates.
+    - `touch` finds pairs that would overlap at the end of the step, and lets them touch.
+    """
+    vec = mps_types(scalar, 3).vec
+    Grid = grid_parameters_struct(scalar, 3)
+    fields = grid_structs(scalar, 3)
+    Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
+    Bodies = body_structs(scalar).Bodies
+    Pairs = pair_struct(scalar)
+    f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), pair_functions(scalar, of)
+    wall_gap = wall_gap_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def find(
@@ -151,22 +200,21 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         dt = scalar(mesh.clock[DT])
         x = bodies.centre[b]
         radius = bodies.radius[b]
+        reach = scalar(LOOKED_AT) * wp.max(g.width)
         count = wp.int32(0)
         pairs.smallest_gap[b] = scalar(1.0e30)
         for o in range(aggregates):
             if o != b:
                 d = body.nearest_image(g, bodies.centre[o] - x)
                 away = wp.length(d)
-                gap = away - radius - bodies.radius[o]
-                if gap < wp.max(cutoff, scalar(0.1) * radius):
+                gap = away - (radius + bodies.radius[o])
+                if gap < reach:
                     n = d / away
                     approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
-                    if gap < cutoff or gap - approach * dt < scalar(0.0):
-                        reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
-                        count = store(
-                            pairs, b, count, o, n, gap, approach, reduced, radius, g.viscosity, cutoff, roughness,
-                            hold(g, reduced, dt), dt,
-                        )  # fmt: skip
+                    reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
+                    count = pair.store(
+                        g, pairs, b, count, o, n, gap, approach, scalar(0.0), reduced, radius, cutoff, roughness, dt
+                    )
         # Sides of the room that are walls or planes of symmetry.
         plane_gap = scalar(1.0e30)
         for side in range(6):
@@ -174,67 +222,59 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 axis = side / 2
                 n = vec()
                 n[axis] = wp.where(side % 2 == 0, scalar(-1.0), scalar(1.0))
-                away = x[axis] - g.origin[axis]
+                gap = x[axis] - g.origin[axis] - radius
                 if side % 2 == 1:
-                    away = scalar(g.n[axis]) * g.width[axis] - away
-                plane_gap = wp.min(plane_gap, away - radius)
-                if away - radius < cutoff:
-                    count = store(
-                        pairs, b, count, WALL, n, away - radius, wp.dot(bodies.velocity[b], n), radius, radius,
-                        g.viscosity, cutoff, roughness, hold(g, radius, dt), dt,
-                    )  # fmt: skip
+                    gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
+                plane_gap = wp.min(plane_gap, gap)
+                if gap < reach:
+                    approach = wp.dot(bodies.velocity[b], n)
+                    count = pair.store(
+                        g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), radius, radius, cutoff, roughness, dt
+                    )
         distance, slope, wall = wall_gap(g, geometry, x)
         steep = wp.length(slope)
         gap = distance - radius
         # The nearest wall may be a side of the room, which has been stored.
-        if gap < cutoff and gap < plane_gap - scalar(1.0e-3) * radius and steep > scalar(0.0):
+        if gap < reach and gap < plane_gap - scalar(1.0e-3) * radius and steep > scalar(0.0):
             n = -slope / steep
-            still = vec()
+            moving = vec()
             for axis in range(3):
-                still[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
-            approach = wp.dot(bodies.velocity[b] - still, n)
-            before = count
-            count = store(
-                pairs, b, count, WALL, n, gap, approach, radius, radius, g.viscosity, cutoff, roughness,
-                hold(g, radius, dt), dt,
-            )  # fmt: skip
-            if count > before:
-                place = b * CAPACITY + before
-                pairs.push[place] = pairs.push[place] - pairs.resistance[place] * wp.dot(still, n)
+                moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
+            still = wp.dot(moving, n)
+            approach = wp.dot(bodies.velocity[b], n) - still
+            count = pair.store(g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt)
         pairs.count[b] = count
 
-    @wp.func
-    def resistance_block(pairs: Pairs, b: wp.int32) -> mat33:
-        """Return the sum of the resistances of an aggregate's neighbours as a matrix."""
-        sum = mat33()
-        for k in range(pairs.count[b]):
-            n = pairs.normal[b * CAPACITY + k]
-            sum += pairs.resistance[b * CAPACITY + k] * wp.outer(n, n)
-        return sum
-
-    @wp.func
-    def apply(pairs: Pairs, velocity: wp.array(dtype=vec), b: wp.int32) -> vec:
-        """Return the force with which an aggregate's neighbours oppose the given velocities."""
-        sum = vec()
-        for k in range(pairs.count[b]):
-            place = b * CAPACITY + k
-            n = pairs.normal[place]
-            relative = velocity[b]
-            if pairs.other[place] != WALL:
-                relative = relative - velocity[pairs.other[place]]
-            sum += pairs.resistance[place] * wp.dot(relative, n) * n
-        return sum
-
     @wp.kernel(enable_backward=False, module="unique")
-    def load(flags: wp.array(dtype=wp.int32), bodies: Bodies, pairs: Pairs, force: wp.array(dtype=vec)):
-        """Add the forces of the neighbours at the present velocities to the forces on the aggregates."""
+    def load(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, force: wp.array(dtype=vec)):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
-        sum = -apply(pairs, bodies.velocity, b)
+        dt = scalar(mesh.clock[DT])
+        sum = -pair.between(pairs, bodies.velocity, b)
         for k in range(pairs.count[b]):
             place = b * CAPACITY + k
-            sum -= pairs.push[place] * pairs.normal[place]
+            size = pair.resistance(pairs, place) * pairs.still[place]
+            if pairs.touching[place] != 0:
+                size -= pairs.hold[place] / dt * (pairs.rough[place] - pairs.gap[place])
+            sum += size * pairs.normal[place]
         force[b] = force[b] + sum
 
-    return SimpleNamespace(find=find, load=load, apply=apply, resistance_block=resistance_block)
+    @wp.kernel(enable_backward=False, module="unique")
+    def touch(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: wp.array(dtype=vec)):
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        dt = scalar(mesh.clock[DT])
+        for k in range(pairs.count[b]):
+            place = b * CAPACITY + k
+            relative = bodies.velocity[b] + change[b]
+            o = pairs.other[place]
+            if o != WALL:
+                relative = relative - (bodies.velocity[o] + change[o])
+            approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
+            if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
+                pairs.touching[place] = 1
+                pairs.changed[0] = 1
+
+    return SimpleNamespace(find=find, load=load, touch=touch)

@@ -82,8 +82,8 @@ class BodyState:
         )  # fmt: skip
         entries = count * int(CAPACITY)
         self.pairs = allocate(
-            pair_struct(scalar), device, count=count, other=entries, normal=entries, resistance=entries, push=entries,
-            gap=entries, smallest_gap=count, full=1,
+            pair_struct(scalar), device, count=count, other=entries, normal=entries, gap=entries, rough=entries,
+            still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=count, full=1, changed=1,
         )  # fmt: skip
 
     def state_dict(self) -> dict[str, np.ndarray]:

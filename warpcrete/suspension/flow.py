@@ -65,11 +65,16 @@ class SuspensionStep(GridStep):
             *self._cells(momentum_kernel(scalar, serial, kind), mesh=flow.cut, matrix=flow.viscous.matrix,
                          viscous=flow.viscous.arrays),
             *self._used_rows(flow.viscous),
-            *self._alone(block_kernel(scalar, serial, kind), count, matrix=flow.viscous.matrix),
+            *self.blocks(),
             *self._cells(pressure_kernels(scalar, serial, kind).divergence, matrix=flow.projection.matrix,
                          projection=flow.projection.arrays),
             *self._used_rows(flow.projection),
         ]  # fmt: skip
+
+    def blocks(self) -> list[Any]:
+        """Return the stage that inverts the blocks of the aggregates in the matrix."""
+        kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
+        return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
 
     def after(self) -> list[Any]:
         """Return the stages that move the mortar and the aggregates."""
@@ -109,7 +114,7 @@ class SuspensionFlow(GridFlow):
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         part = SuspensionStep(self, range(1))
-        self._before, self._after = part.before(), part.after()
+        self._before, self._after, self._blocks = part.before(), part.after(), part.blocks()
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     @property
@@ -123,6 +128,11 @@ class SuspensionFlow(GridFlow):
             "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut,
             "pairs": self.aggregates.pairs,
         }  # fmt: skip
+
+    def invert_blocks(self) -> None:
+        """Invert the blocks of the aggregates in the matrix again, after pairs have begun to touch."""
+        for stage in self._blocks:
+            stage()
 
     def launch(self) -> None:
         """Take the steps that the flow still needs to reach its goal; the host launches every stage."""

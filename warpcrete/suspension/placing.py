@@ -11,7 +11,7 @@ from ..mps.grid.layout import GridLayout
 from .aggregates import Aggregates
 from .scene import SuspensionScene
 
-TRIES = 200_000
+TRIES = 50_000
 """Number of random places that are tried before the fraction is refused."""
 CLEARANCE = 0.02
 """Smallest gap at the start, relative to the radius of the sphere that is placed."""

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..core.device.launching import Stage, completed
-from ..core.errors import ConvergenceError
+from ..core.errors import CapacityError, ConvergenceError
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.grid.cells import DT
 from ..kernels.suspension.coupling import (
@@ -29,12 +29,14 @@ from ..kernels.suspension.coupling import (
     vector_struct,
     velocity_kernels,
 )
-from ..kernels.suspension.pairs import pair_kernels
+from ..kernels.suspension.pairs import CAPACITY, pair_kernels
 from ..mps.common.allocation import allocate
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
 NEGLIGIBLE = 0.1
 """Part of the coupled solve's tolerance that a pressure solve may ignore."""
+CONTACT_PASSES = 3
+"""Maximum number of solves in a step; each finds pairs that begin to touch, which take part in the next one."""
 CHECKED = 5
 """Number of iterations of the viscous solve between two looks at its residual."""
 
@@ -65,6 +67,7 @@ class CoupledSolve:
         self.tasks = CPU_TASKS if serial else GPU_TASKS
         self.velocity = velocity_kernels(self.scalar, serial, flow.state.layout.kind)
         self.coupling = coupling_kernels(self.scalar, serial, flow.state.layout.kind)
+        self.pairs = pair_kernels(self.scalar, flow.state.layout.kind)
         self.add_up = sum_kernel(serial)
         self.count = flow.aggregates.count
         self.partial = wp.zeros(self.tasks + self.count, dtype=wp.float64, device=self.device)
@@ -72,6 +75,7 @@ class CoupledSolve:
         self.residual, self.inner_residual, self.direction, self.product = (self._vector() for _ in range(4))
         self.solution, self.part = self._vector(), self._vector()
         self.tried: list[tuple[Any, Any]] = []
+        self.inflow = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self._stages: dict[Any, Stage] = {}
         self.outer = 0
@@ -121,8 +125,25 @@ class CoupledSolve:
 
         Raises :class:`ConvergenceError` if the tolerance is not reached.
         """
-        flow, named = self.flow, self.coupling
-        all_tasks, slots = self.tasks + self.count, flow.state.slots
+        flow = self.flow
+        for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
+            array.zero_()
+        self.inner, self.outer = 0, 0
+        for turn in range(CONTACT_PASSES):
+            self._begin(again=turn > 0)
+            self._iterate()
+            if not self._new_contacts():
+                break
+        self._launch(self.coupling.finish, self.tasks + self.count, solution=self.solution)
+        if flow.aggregates.pairs.full.numpy()[0]:
+            raise CapacityError(
+                f"t = {flow.time:.6g} s: an aggregate has more than {int(CAPACITY)} neighbours; use aggregates whose "
+                "sizes differ less"
+            )
+
+    def _begin(self, again: bool) -> None:
+        """Compute the residual of the solution so far, at first that of the forces and inflows at the step's start."""
+        flow, named, slots = self.flow, self.coupling, self.flow.state.slots
         # The faces have been given their share of the old pressure's force as if no aggregate covered a part of them,
         # and the inflow as if the mortar had the whole of their area. Correct both for the covered parts.
         start = self.product
@@ -132,19 +153,25 @@ class CoupledSolve:
         self._launch(self.velocity.blend, self.count, x=start, flow=start.faces)
         self._launch(_add_faces(self.scalar), 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
         self._launch(named.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)
-        self._launch(named.start, all_tasks, viscous=flow.viscous.arrays, projection=flow.projection.arrays,
+        self._launch(named.start, self.tasks + self.count, viscous=flow.viscous.arrays,
+                     projection=flow.projection.arrays, inflow=self.inflow, again=int(again),
                      residual=self.residual)  # fmt: skip
         self._launch(self.velocity.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
-        self._launch(pair_kernels(self.scalar, flow.state.layout.kind).load, self.count, force=self.residual.linear)
+        self._launch(self.pairs.load, self.count, force=self.residual.linear)
         self._launch(named.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
-        for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
-            array.zero_()
-        self.inner, history = 0, []
-        for outer in range(self.tolerances.outer):
+        if again:
+            flow.invert_blocks()
+            self._multiply(self.solution, self.product)
+            self._add(-1.0, self.product, self.residual)
+
+    def _iterate(self) -> None:
+        """Improve the solution until its residual is small; raise :class:`ConvergenceError` if it stays large."""
+        history = []
+        for outer in range(self.tolerances.outer + 1):
             self.error = self._relative_error()
             history.append(self.error)
-            if self.error <= self.tolerances.coupled:
+            if self.error <= self.tolerances.coupled or outer == self.tolerances.outer:
                 break
             change, effect = self._direction(outer)
             self._precondition(self.residual, change)
@@ -161,12 +188,16 @@ class CoupledSolve:
             factor = self._inner_product(self.residual, effect)
             self._add(factor, change, self.solution)
             self._add(-factor, effect, self.residual)
-        else:
-            self.error = self._relative_error()
-        self.outer = len(history) - 1
+        self.outer += len(history) - 1
         if self.error > self.tolerances.coupled:
-            raise ConvergenceError(flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
-        self._launch(named.finish, all_tasks, solution=self.solution)
+            raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
+
+    def _new_contacts(self) -> bool:
+        """Let pairs touch that would overlap at the end of the step, and return whether there are any."""
+        changed = self.flow.aggregates.pairs.changed
+        changed.zero_()
+        self._launch(self.pairs.touch, self.count, change=self.solution.linear)
+        return bool(changed.numpy()[0])
 
     def _relative_error(self) -> float:
         left = self._inner_product(self.residual, self.residual)
@@ -175,7 +206,7 @@ class CoupledSolve:
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 
     def _pressure_floor(self) -> float:
-        """Return the residual norm of a pressure solve below which the error of the coupled solve does not depend on it."""
+        """Return the residual norm below which a pressure solve no longer reduces the error of the coupled solve."""
         flow, width = self.flow, min(self.flow.state.layout.room.width)
         concrete, dt = flow.scene.concrete, float(flow.mesh.clock.numpy()[int(DT)])
         worth = (concrete.density * width**2 / dt + concrete.viscosity) / width**3
