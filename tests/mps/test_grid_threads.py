@@ -13,6 +13,7 @@ from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.run.provenance import arrays_hash
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.grid import flow as grid_flow
+from warpcrete.mps.grid import systems
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.state import GridState
 from warpcrete.mps.grid.systems import CHUNKS
@@ -28,6 +29,7 @@ SCENES = {
 @pytest.fixture(autouse=True)
 def threads_of_few_cells(monkeypatch):
     monkeypatch.setattr(grid_flow, "CELLS_PER_THREAD", 1)
+    monkeypatch.setattr(systems, "SMALLEST", {"cpu": 0, "gpu": 0})
 
 
 def flow_of(kind, threads, device="cpu"):

@@ -13,8 +13,8 @@ import warp as wp
 from ...common.control import HALTED
 from ..structs import mps_types, row_place
 from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
-from .other_laws import flow_functions
 from .levels import system_structs
+from .other_laws import flow_functions
 from .places import grid_functions
 from .structure import with_gain_function
 

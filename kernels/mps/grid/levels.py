@@ -131,7 +131,7 @@ def level_kernels(scalar, serial: bool) -> SimpleNamespace:
     def damp(flags: wp.array(dtype=wp.int32), matrix: Matrix, worker: wp.int32, workers: wp.int32):
         # With D the diagonal and R the sum of the magnitudes of all entries of a row, the eigenvalues of R^-1 A are at
         # most 1 (l1-Jacobi smoother, Baker, Falgout, Kolev & Yang 2011). Those of S A, where S = min(1/D, DAMPING / R),
-        # are therefore at most DAMPING.
+        # are therefore at most DAMPING. With a single level, a smoothing step only divides by the diagonal.
         if flags[HALTED] != 0:
             return
         i = item(wp.tid(), worker, workers)
@@ -143,7 +143,9 @@ def level_kernels(scalar, serial: bool) -> SimpleNamespace:
             sum += wp.abs(matrix.coefficient[entry(i, n, matrix.rows, matrix.near_capacity)])
         factor = scalar(0.0)
         if diagonal > scalar(0.0):
-            factor = wp.min(scalar(1.0) / diagonal, scalar(DAMPING) / sum)
+            factor = scalar(1.0) / diagonal
+            if matrix.levels > 1:
+                factor = wp.min(factor, scalar(DAMPING) / sum)
         matrix.smoothing[i] = factor
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -22,12 +23,17 @@ CHUNKS = 32
 Each chunk forms one partial sum. Sums therefore have the same bits for any number of threads up to CHUNKS, the maximum.
 """
 HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
+SMALLEST = {"cpu": 2000, "gpu": 150_000}
+"""Number of cells below which a grid has a single level, so that the preconditioner is the diagonal of the matrix.
+
+On such grids the coarser levels take more time than they save. Cells of the frame around the grid count, too.
+"""
 COARSEST = 32
 """Number of cells below which a level is not coarsened further."""
 COARSEST_STEPS = 6
 """Number of smoothing steps that solve the equations of the coarsest level."""
 VISITS = {"cpu": 2, "gpu": 1}
-"""Number of times that a level uses the next coarser one. Two visits save iterations, but a GPU waits for each visit."""
+"""Number of times that a level uses the next coarser one. Two visits save iterations, but on a GPU each visit waits."""
 STEPS = {"cpu": 1, "gpu": 2}
 """Number of smoothing steps before and after the next coarser level, on all levels but the finest, which has one."""
 
@@ -52,7 +58,8 @@ def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: in
     `shape` is the number of cells along each axis, with the frame around the grid and the last axis first. There are
     `copies` rows for each cell, one for each axis or only one. A row has at most `near` entries beside the diagonal.
     """
-    shapes = level_shapes(shape)
+    kind = "gpu" if parallel(device) else "cpu"
+    shapes = level_shapes(shape) if math.prod(shape) >= SMALLEST[kind] else [shape]
     first = np.cumsum([0, *(copies * math.prod(each) for each in shapes)])
     parent, child = kinship(shapes, copies, first)
     rows, levels, structs = int(first[-1]), len(shapes), system_structs(scalar)
@@ -60,9 +67,8 @@ def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: in
     matrix.near_capacity, matrix.rows, matrix.levels, matrix.children = near, rows, levels, 2 ** len(shape)
     many = {"near": rows * near, "coefficient": rows * near, "before": rows if parallel(device) else 0}
     sizes = {name: many.get(name, rows) for name in structs.Matrix.vars if name not in NUMBERS}
-    kind = "gpu" if parallel(device) else "cpu"
     data = {"free": np.ones(rows), "parent": parent, "child": child, "first": first, "begin": levels + 1}
-    data["cycle"] = np.array(cycle(levels, VISITS[kind], STEPS[kind])).ravel()
+    data["cycle"] = np.array(cycle(levels, VISITS[kind], STEPS[kind]), np.int32).ravel()
     allocate(structs.Matrix, device, matrix, **sizes | data)
     return System(int(first[1]), tuple(map(int, first)), matrix, solve_arrays(scalar, device, int(first[1]), rows))
 
@@ -98,7 +104,7 @@ def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tu
     axes = len(shapes[0])
     parent = np.full(first[-1], -1)
     child = np.full((first[-1] - first[1], 2**axes), -1)
-    for level, (fine, coarse) in enumerate(zip(shapes[:-1], shapes[1:], strict=True)):
+    for level, (fine, coarse) in enumerate(itertools.pairwise(shapes)):
         at = np.indices(fine).reshape(axes, -1)
         beside = np.ravel_multi_index(tuple(at // 2), coarse)
         which = np.ravel_multi_index(tuple(at % 2), (2,) * axes)
