@@ -9,6 +9,10 @@ through the nearer contact point, perpendicular to the nearer normal. A toleranc
 The far surface of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
 share corners are hidden in the same way. If the overlap is small, no true contact is hidden.
 
+A list of candidates lasts for hundreds of steps, so most of its triangles are too far away to touch. Each sphere
+therefore has a second, shorter list of near candidates, which the kernel chooses anew when the sphere has moved through
+a margin. Near candidates keep their order, so they give the same contacts as all candidates.
+
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
 longer.
@@ -26,6 +30,7 @@ from ..common.walls import wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
 from .mesh_faces import surface_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+from .warps import any_active
 from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
@@ -33,6 +38,9 @@ MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
 # radii].
 BEHIND = 2.0e-2
+ROUNDING = 0.99
+"""Share of the margin through which a sphere may move before its near candidates are chosen anew; the rest covers
+rounding errors."""
 # Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
 # contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
@@ -202,12 +210,38 @@ def contact_function(scalar, law):
 
 
 @functools.cache
+def near_functions(scalar) -> SimpleNamespace:
+    """Return functions that tell whether a sphere's near candidates still contain every triangle that may touch it."""
+    t = types(scalar)
+    xyz = vector_functions(scalar).xyz
+
+    @wp.func
+    def displacement_of_meshes(wall_moved: wp.array(dtype=wp.float64), first: wp.int32, end: wp.int32) -> scalar:
+        """Return the sum of the displacements [m] of the meshes `first` to `end` - 1 since the lists were built."""
+        moved = wp.float64(0.0)
+        for w in range(first, end):
+            moved += wall_moved[w]
+        return scalar(moved)
+
+    @wp.func
+    def may_miss_near(chosen: t.vec4, x: t.vec3, radius: scalar, moved: scalar) -> wp.bool:
+        """Return True if a triangle may touch the sphere that is not among the near candidates.
+
+        `chosen` belongs to the last choice of near candidates. It contains zeros before the first choice.
+        """
+        return not (wp.length(x - xyz(chosen)) + radius + moved <= chosen[3])
+
+    return SimpleNamespace(displacement_of_meshes=displacement_of_meshes, may_miss_near=may_miss_near)
+
+
+@functools.cache
 def mesh_parts(scalar, law) -> SimpleNamespace:
     """Return the types and functions that a mesh kernel needs, for meshes, merging, walls and the contact law."""
     structs, functions = array_structs(scalar), law.functions(scalar)
     return SimpleNamespace(
         **vars(surface_functions(scalar)),
         **vars(merging_functions(scalar, law.rolls)),
+        **vars(near_functions(scalar)),
         Wall=wall_struct(scalar),
         Scenes=structs.Scenes,
         Spheres=structs.Spheres,
@@ -218,6 +252,7 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
         surface_touch=surface_touch_function(scalar),
         add_to_wall=wall_force_function(scalar),
         xyz=vector_functions(scalar).xyz,
+        pack=vector_functions(scalar).pack,
     )
 
 
@@ -236,12 +271,13 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # The next arguments are the range of spheres that this launch processes, and the index of the CPU thread.
-        first: wp.int32, last: wp.int32, part: wp.int32,
+        # The next arguments are the range of spheres that this launch processes, the index of the CPU thread, and the
+        # largest gap between a sphere and a near candidate, as a fraction of the neighbour lists' skin.
+        first: wp.int32, last: wp.int32, part: wp.int32, near_margin: scalar,
         # The next arguments are arrays of the state that this kernel only reads.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
-        wall_spin: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3), wall_moved: wp.array(dtype=wp.float64),
         # Outputs, which this kernel also reads.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
@@ -258,29 +294,38 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
             end = scenes.row[scene].candidates + candidates.start[i + scene + 1]
             if begin == end:
                 continue
-            dt = scalar(scenes.clock[scene, DT_PREVIOUS])
-            scale = scenes.clock[scene, FORCE_SCALE]
             first_wall = scenes.row[scene].walls
             analytic = scenes.row[scene].analytic
             x = parts.xyz(spheres.position[i])
             radius = spheres.position[i][3]
-            velocity = spheres.velocity[i]
-            spin = parts.xyz(spheres.spin[i])
-            row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
-            total_force = t.vec3()
-            total_moment = t.vec3()
-            total_lost = wp.float64(0.0)
+            moved = parts.displacement_of_meshes(
+                wall_moved, first_wall + analytic, first_wall + scenes.row[scene].wall_count
+            )
+            # Threads of a warp wait for each other, so all of them choose near candidates when one must.
+            choose = any_active(parts.may_miss_near(candidates.chosen[i], x, radius, moved))
+            margin = near_margin * scenes.row[scene].skin
+            kept = wp.int32(0)
+            if not choose:
+                end = begin + candidates.near_count[i]
             found = wp.int32(0)
             normals = parts.Vectors()
             gaps = parts.Values()
             owners = Owners()
             for k in range(begin, end):
-                face = scenes.row[scene].faces + candidates.face[k]
+                candidate = wp.int32(0)
+                if choose:
+                    candidate = candidates.face[k]
+                else:
+                    candidate = candidates.near[k]
+                face = scenes.row[scene].faces + candidate
                 w = face_wall[face]
                 local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
                 nearest, feature = parts.closest_on_face(local, face, corners, faces)
                 offset = local - nearest
                 distance = wp.length(offset)
+                if choose and distance < radius + margin:
+                    candidates.near[begin + kept] = candidate
+                    kept += 1
                 if distance < radius:
                     if parts.is_minimum(feature, face, wall_table[w], offset, corners, faces, across, ring_start, ring):
                         n = parts.normal_of(offset, face, wall_orientation[w], corners, faces)
@@ -293,6 +338,20 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                         if found > MESH_SLOTS:
                             found = MESH_SLOTS
                             flags[scene, OVERFLOW] = 1
+            if choose:
+                candidates.near_count[i] = kept
+                candidates.chosen[i] = parts.pack(x, radius + moved + scalar(wp.static(ROUNDING)) * margin)
+            # The first slot is unused only if all slots are.
+            if found == 0 and slot_wall[i, analytic] < 0:
+                continue
+            dt = scalar(scenes.clock[scene, DT_PREVIOUS])
+            scale = scenes.clock[scene, FORCE_SCALE]
+            velocity = spheres.velocity[i]
+            spin = parts.xyz(spheres.spin[i])
+            row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
+            total_force = t.vec3()
+            total_moment = t.vec3()
+            total_lost = wp.float64(0.0)
             histories = parts.Vectors()
             turnings = parts.Vectors()
             for s in range(found):

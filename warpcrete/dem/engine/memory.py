@@ -68,6 +68,8 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
         listing += 4 * scalar  # Add memory for the sphere's position at the last check of its distance from walls.
+    if model.features.meshes:
+        listing += 4 * scalar + 4  # Add memory for the choice of near candidates, the triangles that may touch soon.
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 
