@@ -29,7 +29,7 @@ from ..common.types import SPAN, types, vector_functions
 from ..common.walls import wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
 from .mesh_faces import surface_functions
-from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
 from .warps import any_active
 from .wear import wear_functions
 
@@ -210,28 +210,45 @@ def contact_function(scalar, law):
 
 
 @functools.cache
-def near_functions(scalar) -> SimpleNamespace:
-    """Return functions that tell whether a sphere's near candidates still contain every triangle that may touch it."""
+def near_function(scalar):
+    """Return the function `choose_near`, which brings the near candidates of a sphere up to date."""
     t = types(scalar)
-    xyz = vector_functions(scalar).xyz
+    SceneRow, Candidates = scene_struct(scalar), array_structs(scalar).Candidates
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
+    closest_on_face = surface_functions(scalar).closest_on_face
 
     @wp.func
-    def displacement_of_meshes(wall_moved: wp.array(dtype=wp.float64), first: wp.int32, end: wp.int32) -> scalar:
-        """Return the sum of the displacements [m] of the meshes `first` to `end` - 1 since the lists were built."""
-        moved = wp.float64(0.0)
-        for w in range(first, end):
-            moved += wall_moved[w]
-        return scalar(moved)
+    def choose_near(
+        i: wp.int32, begin: wp.int32, end: wp.int32, x: t.vec3, radius: scalar, margin: scalar, scene: SceneRow,
+        candidates: Candidates, corners: wp.array(dtype=t.vec3), faces: wp.array2d(dtype=wp.int32),
+        face_wall: wp.array(dtype=wp.int32), wall_position: wp.array(dtype=t.vec3),
+        wall_orientation: wp.array(dtype=t.quat), wall_moved: wp.array(dtype=wp.float64),
+    ) -> wp.int32:  # fmt: skip
+        """Return the end index in `candidates.near` of the near candidates of sphere i, which begin at `begin`.
 
-    @wp.func
-    def may_miss_near(chosen: t.vec4, x: t.vec3, radius: scalar, moved: scalar) -> wp.bool:
-        """Return True if a triangle may touch the sphere that is not among the near candidates.
-
-        `chosen` belongs to the last choice of near candidates. It contains zeros before the first choice.
+        Near candidates are those of the sphere's candidates, `begin` to `end` - 1, within the distance `margin` [m].
+        They are chosen anew if the sphere and the meshes may have come closer by the margin since the last choice.
         """
-        return not (wp.length(x - xyz(chosen)) + radius + moved <= chosen[3])
+        moved = wp.float64(0.0)
+        for w in range(scene.walls + scene.analytic, scene.walls + scene.wall_count):
+            moved += wall_moved[w]
+        chosen = candidates.chosen[i]
+        is_valid = wp.length(x - xyz(chosen)) + radius + scalar(moved) <= chosen[3]
+        # Threads of a warp wait for each other, so all of them choose when one must.
+        if any_active(not is_valid):
+            near = begin
+            for k in range(begin, end):
+                w = face_wall[scene.faces + candidates.face[k]]
+                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+                nearest, _feature = closest_on_face(local, scene.faces + candidates.face[k], corners, faces)
+                if wp.length(local - nearest) < radius + margin:
+                    candidates.near[near] = candidates.face[k]
+                    near += 1
+            candidates.near_count[i] = near - begin
+            candidates.chosen[i] = pack(x, radius + scalar(moved) + scalar(wp.static(ROUNDING)) * margin)
+        return begin + candidates.near_count[i]
 
-    return SimpleNamespace(displacement_of_meshes=displacement_of_meshes, may_miss_near=may_miss_near)
+    return choose_near
 
 
 @functools.cache
@@ -241,7 +258,7 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
     return SimpleNamespace(
         **vars(surface_functions(scalar)),
         **vars(merging_functions(scalar, law.rolls)),
-        **vars(near_functions(scalar)),
+        choose_near=near_function(scalar),
         Wall=wall_struct(scalar),
         Scenes=structs.Scenes,
         Spheres=structs.Spheres,
@@ -252,7 +269,6 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
         surface_touch=surface_touch_function(scalar),
         add_to_wall=wall_force_function(scalar),
         xyz=vector_functions(scalar).xyz,
-        pack=vector_functions(scalar).pack,
     )
 
 
@@ -294,38 +310,22 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
             end = scenes.row[scene].candidates + candidates.start[i + scene + 1]
             if begin == end:
                 continue
-            first_wall = scenes.row[scene].walls
-            analytic = scenes.row[scene].analytic
+            first_wall, analytic = scenes.row[scene].walls, scenes.row[scene].analytic
             x = parts.xyz(spheres.position[i])
             radius = spheres.position[i][3]
-            moved = parts.displacement_of_meshes(
-                wall_moved, first_wall + analytic, first_wall + scenes.row[scene].wall_count
-            )
-            # Threads of a warp wait for each other, so all of them choose near candidates when one must.
-            choose = any_active(parts.may_miss_near(candidates.chosen[i], x, radius, moved))
-            margin = near_margin * scenes.row[scene].skin
-            kept = wp.int32(0)
-            if not choose:
-                end = begin + candidates.near_count[i]
+            end = parts.choose_near(
+                i, begin, end, x, radius, near_margin * scenes.row[scene].skin, scenes.row[scene], candidates, corners,
+                faces, face_wall, wall_position, wall_orientation, wall_moved,
+            )  # fmt: skip
             found = wp.int32(0)
-            normals = parts.Vectors()
-            gaps = parts.Values()
-            owners = Owners()
+            normals, gaps, owners = parts.Vectors(), parts.Values(), Owners()
             for k in range(begin, end):
-                candidate = wp.int32(0)
-                if choose:
-                    candidate = candidates.face[k]
-                else:
-                    candidate = candidates.near[k]
-                face = scenes.row[scene].faces + candidate
+                face = scenes.row[scene].faces + candidates.near[k]
                 w = face_wall[face]
                 local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
                 nearest, feature = parts.closest_on_face(local, face, corners, faces)
                 offset = local - nearest
                 distance = wp.length(offset)
-                if choose and distance < radius + margin:
-                    candidates.near[begin + kept] = candidate
-                    kept += 1
                 if distance < radius:
                     if parts.is_minimum(feature, face, wall_table[w], offset, corners, faces, across, ring_start, ring):
                         n = parts.normal_of(offset, face, wall_orientation[w], corners, faces)
@@ -338,29 +338,21 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                         if found > MESH_SLOTS:
                             found = MESH_SLOTS
                             flags[scene, OVERFLOW] = 1
-            if choose:
-                candidates.near_count[i] = kept
-                candidates.chosen[i] = parts.pack(x, radius + moved + scalar(wp.static(ROUNDING)) * margin)
             # The first slot is unused only if all slots are.
             if found == 0 and slot_wall[i, analytic] < 0:
                 continue
-            dt = scalar(scenes.clock[scene, DT_PREVIOUS])
-            scale = scenes.clock[scene, FORCE_SCALE]
+            dt, scale = scalar(scenes.clock[scene, DT_PREVIOUS]), scenes.clock[scene, FORCE_SCALE]
             velocity = spheres.velocity[i]
             spin = parts.xyz(spheres.spin[i])
             row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
-            total_force = t.vec3()
-            total_moment = t.vec3()
-            total_lost = wp.float64(0.0)
-            histories = parts.Vectors()
-            turnings = parts.Vectors()
+            total_force, total_moment, total_lost = t.vec3(), t.vec3(), wp.float64(0.0)
+            histories, turnings = parts.Vectors(), parts.Vectors()
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
                 # A contact inherits the history of the old contact with the same wall whose normal is most nearly
                 # parallel.
-                history = t.vec3()
-                rolling = t.vec3()
+                history, rolling = t.vec3(), t.vec3()
                 best = scalar(wp.static(MERGE_COSINE))
                 for o in range(MESH_SLOTS):
                     if slot_wall[i, analytic + o] == w - first_wall:
