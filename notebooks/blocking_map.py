@@ -38,8 +38,7 @@ SPEED = 0.3
 SAMPLE_TRAVEL = 0.08
 """Travel of the piston between two samples [diameters of the inlet].
 
-The checks for blockage are :data:`BLOCKED_TRAVEL` / 8 apart. Samples take most of the time of a map, so there is one
-for each check.
+The checks for blockage are :data:`BLOCKED_TRAVEL` / 8 apart, so there is one sample for each check.
 """
 BLOCKED_TRAVEL = 0.7
 """Travel of the piston during which part of a blocked concrete stands still [diameters of the inlet]."""
@@ -68,7 +67,7 @@ def parameters(ratio: float, share: float, seed: int) -> dict[str, Any]:
         ramp=0.25 * inlet, flow=SPEED * math.pi * inlet**2 / 4, sizes="uniform", size_min=0.9 * size,
         size_max=1.1 * size, solid_fraction=PACKED, plug_ball=STONE / 2, bonds=False, gravity=0.0, settle=0.1,
         contact_shell_fraction=shell(share), stop_when_blocked=True, blocked_travel=BLOCKED_TRAVEL * inlet,
-        sample_interval=SAMPLE_TRAVEL * inlet / SPEED, seed=seed, **MORTAR,
+        sample_interval=SAMPLE_TRAVEL * inlet / SPEED, slices=0.0, seed=seed, **MORTAR,
     )  # fmt: skip
 
 
