@@ -177,6 +177,12 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
+        # near candidates of each sphere, which may touch it soon; they begin at the same index as in `face`
+        near: wp.array(dtype=wp.int32)
+        near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
+        # centre of each sphere when its near candidates were chosen [m], and the largest sum of radius, displacement
+        # of the sphere and displacement of meshes up to which they are complete [m]; 0 before the first choice
+        chosen: wp.array(dtype=t.vec4)
 
     @wp.struct
     class Walls:

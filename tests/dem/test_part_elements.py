@@ -109,6 +109,18 @@ def test_every_part_is_pushed_through_and_measured(device, course):
 
 
 @pytest.mark.thorough
+def test_a_part_without_slices_measures_no_losses_and_moves_the_same(device):
+    """The slices only measure, also in a run that looks for a blockage in a pipe whose width changes."""
+    given = SMALL | DEFAULT_PLOT_COLUMNS["reducer"] | {"straight": 0.18, "stop_when_blocked": True}
+    run, without = (Simulation(scenes.part_dem(**given, slices=slices), device=device).run() for slices in (3.0, 0.0))
+    assert without.result["state_hash"] == run.result["state_hash"]
+    assert without["blocked"] == run["blocked"] and without["slowest_advance"] == run["slowest_advance"]
+    assert "stations" in run.tables and "stations" not in without.tables and "middle_loss" not in without.result
+    with pytest.raises(SceneError, match="slices"):
+        scenes.part_dem(**given, slices=-1.0)
+
+
+@pytest.mark.thorough
 def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_path):
     (tmp_path / "line.yaml").write_text(AROUND)
     given = dict(SMALL, line=str(tmp_path / "line.yaml"), plug_layers=3)
