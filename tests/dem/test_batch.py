@@ -222,11 +222,12 @@ def drops(part):
 
 
 def hydrated(part):
-    return scenes.pipe(hydration=0.2, hydration_modulus=1e7, velocity=0.9 - 0.3 * part, **SMALL | dict(travel=0.015))
+    short = SMALL | dict(length=0.06, travel=0.015)
+    return scenes.pipe(hydration=0.2, hydration_modulus=1e7, velocity=0.9 - 0.3 * part, **short)
 
 
 def rested(part):
-    stopping = SMALL | dict(settle=0.05, ramp=5e-3, travel=0.04, strokes=2, pause=0.06)
+    stopping = SMALL | dict(length=0.06, settle=0.05, ramp=5e-3, travel=0.04, strokes=2, pause=0.06)
     return scenes.pipe(rest=600.0, velocity=0.9 - 0.3 * part, **stopping)
 
 

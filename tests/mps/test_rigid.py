@@ -57,7 +57,7 @@ def viscous_stages(flow):
 def test_the_solve_finds_the_best_of_all_rigid_motions(device, dimensions, monkeypatch):
     """Against the same equations, dense, in the coordinates of grains' velocities and spins."""
     monkeypatch.setattr("warpcrete.mps.stages.VELOCITY_ERROR", 1e-12)
-    flow = two_phase_flow(device, dimensions, length=0.3 if dimensions == 2 else 0.1)
+    flow = two_phase_flow(device, dimensions, length=0.15 if dimensions == 2 else 0.1)
     rng = np.random.default_rng(3)
     part = viscous_stages(flow)
     force = 1e6 * rng.standard_normal(flow.particles.velocity.numpy().shape)
