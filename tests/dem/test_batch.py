@@ -318,7 +318,7 @@ def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
             hydration_modulus=1e7,
             hydration_rounds=8,
             energy_balance=energies,
-            **SMALL | dict(travel=0.01),
+            **SMALL | dict(length=0.08, travel=0.01),
         )
         for energies in (False, True)
     ]
