@@ -37,7 +37,9 @@ class SharedPackings:
         settings = dict(contact=contact, seed=seed, device=device, precision=precision, threads=threads)
         if not self.active:
             return packing.pack(fill, progress=progress, **settings)
-        key = (fingerprint(fill), fingerprint(contact), seed, str(device), parallel(device), precision, threads)
+        # Packing uses nothing else of the contact law.
+        law = fingerprint(contact.frictionless()), contact.stress_scale
+        key = (fingerprint(fill), law, seed, str(device), parallel(device), precision, threads)
         path = self.folder / hashlib.sha256(repr(key).encode()).hexdigest()
         if path.exists():
             arrays, report = pickle.loads(path.read_bytes())
