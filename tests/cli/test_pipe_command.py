@@ -204,7 +204,7 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
             "from warpcrete.cli import main; main()",
             "run",
             "pipe",
-            *small_options(**TINY | {"travel": 1.0}),
+            *small_options(**TINY | {"travel": 10.0}),
             "--out",
             str(folder),
             "--device",
