@@ -23,7 +23,7 @@ def recorded(tmp_path_factory, whole_pictures):
     done = command(
         "run",
         "pipe",
-        *small_options(shapes="reference"),
+        *small_options(shapes="reference", size_min=10e-3),
         "--out",
         folder,
         "--device",
@@ -155,7 +155,7 @@ BAD = [
 @pytest.mark.parametrize(("options", "words"), BAD, ids=[" ".join(b[0]) for b in BAD])
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, options, words, monkeypatch):
     folder = tmp_path / "run"
-    small = small_options(**TINY | {"plug": "balls"}) if "--sizes" not in options else []
+    small = small_options(**TINY | {"plug": "balls", "length": 0.06}) if "--sizes" not in options else []
     monkeypatch.chdir(tmp_path)
     done = command("run", "pipe", *small, "--out", folder, "--quiet", *options)
     assert done.returncode == 2
@@ -286,10 +286,8 @@ def test_live_recording_reaches_a_running_viewer(tmp_path):
     saved = tmp_path / "live.rrd"
     with viewer_at_free_port("--serve-grpc", ready=listening) as port:
         url = f"rerun+http://127.0.0.1:{port}/proxy"
-        short = small_options(travel=0.005, ramp=0.002, settle=0.0)
-        done = command_process(
-            "run", "pipe", *short, "--out", tmp_path / "run", "--live", url, "--quiet", "--device", "cpu"
-        )
+        short = small_options(**TINY | {"travel": 0.005, "ramp": 0.002, "settle": 0.0})
+        done = command("run", "pipe", *short, "--out", tmp_path / "run", "--live", url, "--quiet", "--device", "cpu")
         assert done.returncode == 0, done.stderr
         wanted = frames(tmp_path / "run" / "run.rrd")
         assert len(wanted) > 1
@@ -302,7 +300,7 @@ def test_live_recording_reaches_a_running_viewer(tmp_path):
 @pytest.mark.thorough
 def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
     folder = tmp_path / "run"
-    short = small_options(travel=0.005, ramp=0.002, settle=0.0)
+    short = small_options(**TINY | {"travel": 0.005, "ramp": 0.002, "settle": 0.0})
     with reserved_port() as port:
         url = f"rerun+http://127.0.0.1:{port}/proxy"
         done = command_process(
