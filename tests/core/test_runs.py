@@ -50,14 +50,14 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     cut = tmp_path / "cut"
     shutil.copytree(ran.folder, cut)
     (cut / "result.json").unlink()
-    text = (cut / "series.csv").read_text()
+    text = (cut / "series.csv").read_text(encoding="utf-8")
     rows = text.splitlines()
-    (cut / "series.csv").write_text("\n".join(rows[:3]) + "\n" + rows[3][:5])
+    (cut / "series.csv").write_text("\n".join(rows[:3]) + "\n" + rows[3][:5], encoding="utf-8")
     back = warpcrete.load(cut)
     assert not back.finished and back.result == {} and "not finished" in repr(back)
     assert len(back.series["time"]) == 2
     assert back.series["pressure"] == pytest.approx(ran.series["pressure"][:2], rel=1e-8, nan_ok=True)
-    (cut / "series.csv").write_text("")
+    (cut / "series.csv").write_text("", encoding="utf-8")
     assert warpcrete.load(cut).series == {}
     for text in (b"time [s],pressure [Pa]\n1,two\n", b"time [s],pressure [Pa]\n1\n2\n", b"time [s]\n\xff\n"):
         (cut / "series.csv").write_bytes(text)
@@ -85,13 +85,13 @@ def test_a_run_whose_scene_cannot_be_made_again_comes_back(ran, tmp_path):
     """As one whose mesh file has gone."""
     moved = tmp_path / "moved"
     shutil.copytree(ran.folder, moved)
-    record = json.loads((moved / "scene.json").read_text())
+    record = json.loads((moved / "scene.json").read_text(encoding="utf-8"))
     record["parameters"]["spacing"] = 5.0
-    (moved / "scene.json").write_text(json.dumps(record))
+    (moved / "scene.json").write_text(json.dumps(record), encoding="utf-8")
     back = warpcrete.load(moved)
     assert back["pressure"] == ran["pressure"] and back.scene.name == "channel" and "channel" in repr(back)
     record["scene"] = ["channel"]
-    (moved / "scene.json").write_text(json.dumps(record))
+    (moved / "scene.json").write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(RunFolderError, match="is damaged: its entry 'scene' is"):
         warpcrete.load(moved)
 
@@ -207,7 +207,7 @@ def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path, option):
     code = "from warpcrete.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-uc", code, "view", str(tmp_path), *option], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, env=environment,
+        encoding="utf-8", env=environment,
     )  # fmt: skip
     try:
         address = process.stdout.readline().strip()

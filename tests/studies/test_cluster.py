@@ -45,7 +45,7 @@ def begun(out, **changes):
         [sys.executable, "-c", COMMAND, "study", "pipe", "--velocity", "0.3", "0.31",
          *options, "--out", str(out), "--device", "cpu", "--scheduler", "local", "--workers", "2",
          "--checkpoint-every", "0.2", "--quiet"],
-        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",
     )  # fmt: skip
 
 

@@ -98,7 +98,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
 
 def test_features_are_those_that_are_compiled_in(device):
     def used(**changes) -> set[str]:
-        scene = scenes.pipe(concrete="zhan-table1", **SMALL | dict(length=0.2) | changes)
+        scene = scenes.pipe(concrete="zhan-table1", **SMALL | dict(length=0.1) | changes)
         if not changes.get("bonds", True):  # of the plug, too
             scene = replace(scene, bodies=(), drives=(), group_bonds={})
         features = explain(scene, device=device, cache=False)
@@ -129,9 +129,9 @@ def test_a_forecast_is_kept_for_the_next_time(tmp_path, monkeypatch):
     (kept,) = (tmp_path / "cache").rglob("explain-*.json")
     assert str(explain(scene, device="cpu")) == str(first)
     before = kept.stat().st_mtime_ns
-    kept.write_text("{")  # a broken one counts as none
+    kept.write_text("{", encoding="utf-8")  # a broken one counts as none
     assert explain(scene, device="cpu").forecast.counts == first.forecast.counts
-    assert kept.stat().st_mtime_ns != before and json.loads(kept.read_text())["counts"]
+    assert kept.stat().st_mtime_ns != before and json.loads(kept.read_text(encoding="utf-8"))["counts"]
     explain(scenes.channel(spacing=0.0195), device="cpu")
     assert len(list((tmp_path / "cache").rglob("explain-*.json"))) == 2
 
@@ -145,7 +145,7 @@ def test_savings_by_a_trade(tmp_path):
               point("wall 64 facets", "wall", 2.8, 0.001), point("both", "combined", 0.1, 0.1),
               point("stiffness 1 Pa", "stiffness", 0.1, 0.1, ("no aggregate swallowed",))]  # fmt: skip
     record = {"scene": "pipe", "machine": "some machine", "points": points}
-    (tmp_path / "trade.json").write_text(json.dumps(record))
+    (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
     told = explain(scenes.pipe(**SMALL | dict(length=0.2)), device="cpu", trade=tmp_path)
     assert [(s.what, s.ratio, s.error) for s in told.savings if s.error != "error not measured"] == [
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")

@@ -291,7 +291,7 @@ begin = time.process_time()
 done = CliRunner().invoke(cli, ["line", "burj-khalifa", "--concrete", "example-scc", "--practice", "--rest", "600"])
 print(done.exit_code, "warp" in sys.modules, "matplotlib" in sys.modules, time.process_time() - begin)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     status, warp, plots, seconds = done.stdout.split()
     assert (status, warp, plots) == ("0", "False", "False") and float(seconds) < 0.5, done.stdout
 
@@ -307,7 +307,7 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
                   "the motor has 110 kW", "(efficiency 0.69: bar times m3/h over 25)", "after 20 min of rest",
                   "the line holds 0.404 m3", "| JSCE |"):  # fmt: skip
         assert words in done.output
-    record = json.loads((tmp_path / "line" / "line.json").read_text())
+    record = json.loads((tmp_path / "line" / "line.json").read_text(encoding="utf-8"))
     assert record["pump"]["motor_power_limit"]["value"] == 110e3 and record["pump"]["pressure_limit"]["value"] == 8.5e6
     along = record["along"]
     assert along["pressure"]["values"][0] == record["pressure"]["value"] and along["pressure"]["values"][-1] == 0
