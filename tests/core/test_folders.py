@@ -483,10 +483,30 @@ def test_checks_finish_before_the_table_that_writes_them(tmp_path):
     assert json.loads((folder / "result.json").read_text())["checks"]["any"]["found"] == "found"
 
 
-def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
-    """Work with Python's library of Windows, which has no `fcntl` and fewer flags of files."""
+class WindowsLocks:
+    """Python's module `msvcrt`, as far as locks need it, built on the locks of POSIX."""
+
+    LK_NBLCK = 2
+
+    def locking(self, file, mode, count):
+        import fcntl
+
+        assert (mode, count) == (self.LK_NBLCK, 1)
+        assert os.lseek(file, 0, os.SEEK_CUR) > 10_000, "no other process could read a locked byte of the owner's name"
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """Work with Python's library of Windows, which has `msvcrt` instead of `fcntl` and fewer flags of files."""
     monkeypatch.setattr(folders, "fcntl", None)
-    monkeypatch.delattr(os, "O_CLOEXEC")
+    monkeypatch.setattr(folders, "msvcrt", WindowsLocks(), raising=False)
+    monkeypatch.setattr(folders, "KILL_GRACE", 0.2)
+    monkeypatch.delattr(os, "O_CLOEXEC", raising=False)
+
+
+@pytest.mark.posix
+def test_a_folder_is_released_on_windows(windows, tmp_path, monkeypatch):
     lock, unlink = FolderLock(tmp_path), Path.unlink
 
     def unlink_closed(path, missing_ok=False):
@@ -498,3 +518,31 @@ def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
     assert (tmp_path / LOCK).is_file()
     lock.release()
     assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.posix
+def test_a_folder_has_one_writer_on_windows(windows, tmp_path):
+    """A second writer learns the owner's name; a file that a killed process leaves behind blocks nobody."""
+    lock = FolderLock(tmp_path)
+    with pytest.raises(RunFolderError, match=rf"is in use by process {os.getpid()} on .*; wait until it ends"):
+        FolderLock(tmp_path)
+    os.close(lock._file)  # The system does so when a process ends.
+    lock._file = -1
+    assert (tmp_path / LOCK).is_file()
+    FolderLock(tmp_path).release()
+    assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.posix
+def test_a_lock_file_that_is_being_removed_is_tried_again_on_windows(windows, tmp_path, monkeypatch):
+    refusals, opened = iter([True, True, False]), os.open
+
+    def open_later(path, *rest):
+        if Path(path).name == LOCK and next(refusals, True):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return opened(path, *rest)
+
+    monkeypatch.setattr(os, "open", open_later)
+    FolderLock(tmp_path).release()
+    with pytest.raises(RunFolderError, match="cannot be written"):
+        FolderLock(tmp_path)
