@@ -17,6 +17,7 @@ from pumping import TINY, alive, wait_until
 
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
+from warpcrete.cli.run import PipelineRecorder
 from warpcrete.core.device.interrupts import StopAtSample, defer_interrupts
 from warpcrete.core.errors import DiskFullError, SceneError
 from warpcrete.core.run import checkpoint, folders
@@ -481,6 +482,22 @@ def test_checks_finish_before_the_table_that_writes_them(tmp_path):
     simulation = flow(folder, CheckRecorder(lambda run: {"any": (True, "found")}))
     simulation.run()
     assert json.loads((folder / "result.json").read_text())["checks"]["any"]["found"] == "found"
+
+
+def test_a_pipeline_that_cannot_be_computed_costs_only_itself(tmp_path, monkeypatch):
+    def fails(*arguments):
+        raise KeyError("concrete_length")
+
+    monkeypatch.setattr("warpcrete.cli.run.pipeline_estimate", fails)
+    simulation = flow(tmp_path / "run", PipelineRecorder(10.0, None, {}))
+    with pytest.warns(
+        UserWarning,
+        match=r"the run is complete, but the pipeline's pressure is not known: KeyError\('concrete_length'\)$",
+    ):
+        run = simulation.run()
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert run.finished and result["finished"] and "pipeline_estimate" not in result
+    assert not (tmp_path / "run" / "checkpoint.npz").exists()
 
 
 class WindowsLocks:
