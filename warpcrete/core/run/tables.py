@@ -38,7 +38,7 @@ def dataframe(
     try:
         import pandas  # pyright: ignore[reportMissingTypeStubs]
     except ImportError:
-        raise WarpcreteError(f"table: needs pandas; run pip install 'warpcrete[notebook]', or use {instead}") from None
+        raise WarpcreteError(f"table: needs pandas; run pip install pandas, or use {instead}") from None
     found = pandas.DataFrame(dict(columns))
     if index in found:
         found = found.set_index(index)  # pyright: ignore[reportUnknownMemberType]
@@ -62,9 +62,7 @@ def dataset(
     try:
         xarray: Any = importlib.import_module("xarray")
     except ImportError:
-        raise WarpcreteError(
-            f"to_xarray: needs xarray; run pip install 'warpcrete[xarray]', or use {instead}"
-        ) from None
+        raise WarpcreteError(f"to_xarray: needs xarray; run pip install xarray, or use {instead}") from None
     variables = {
         name: (index, _array(values), {"long_name": name.replace("_", " "), "units": units.get(name, "")})
         for name, values in columns.items()
