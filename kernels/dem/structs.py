@@ -50,6 +50,7 @@ def scene_struct(scalar):
         gravity: t.vec3  # acceleration of gravity [m/s2]
         local_damping: scalar  # coefficient of local damping; 0: off
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
+        mesh_speed: scalar  # largest speed of the mesh walls whose motion is prescribed [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
         # distance that spheres may move before a rebuild; meshes may move by the rest of the mesh skin [m]

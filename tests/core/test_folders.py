@@ -17,6 +17,7 @@ from pumping import TINY, alive, wait_until
 
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
+from warpcrete.cli.run import PipelineRecorder
 from warpcrete.core.device.interrupts import StopAtSample, defer_interrupts
 from warpcrete.core.errors import DiskFullError, SceneError
 from warpcrete.core.run import checkpoint, folders
@@ -486,10 +487,46 @@ def test_checks_finish_before_the_table_that_writes_them(tmp_path):
     assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["checks"]["any"]["found"] == "found"
 
 
-def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
-    """Work with Python's library of Windows, which has no `fcntl` and fewer flags of files."""
+def test_a_pipeline_that_cannot_be_computed_costs_only_itself(tmp_path, monkeypatch):
+    def fails(*arguments):
+        raise KeyError("concrete_length")
+
+    monkeypatch.setattr("warpcrete.cli.run.pipeline_estimate", fails)
+    simulation = flow(tmp_path / "run", PipelineRecorder(10.0, None, {}))
+    with pytest.warns(
+        UserWarning,
+        match=r"the run is complete, but the pipeline's pressure is not known: KeyError\('concrete_length'\)$",
+    ):
+        run = simulation.run()
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert run.finished and result["finished"] and "pipeline_estimate" not in result
+    assert not (tmp_path / "run" / "checkpoint.npz").exists()
+
+
+class WindowsLocks:
+    """Python's module `msvcrt`, as far as locks need it, built on the locks of POSIX."""
+
+    LK_NBLCK = 2
+
+    def locking(self, file, mode, count):
+        import fcntl
+
+        assert (mode, count) == (self.LK_NBLCK, 1)
+        assert os.lseek(file, 0, os.SEEK_CUR) > 10_000, "no other process could read a locked byte of the owner's name"
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """Work with Python's library of Windows, which has `msvcrt` instead of `fcntl` and fewer flags of files."""
     monkeypatch.setattr(folders, "fcntl", None)
-    monkeypatch.delattr(os, "O_CLOEXEC")
+    monkeypatch.setattr(folders, "msvcrt", WindowsLocks(), raising=False)
+    monkeypatch.setattr(folders, "KILL_GRACE", 0.2)
+    monkeypatch.delattr(os, "O_CLOEXEC", raising=False)
+
+
+@pytest.mark.posix
+def test_a_folder_is_released_on_windows(windows, tmp_path, monkeypatch):
     lock, unlink = FolderLock(tmp_path), Path.unlink
 
     def unlink_closed(path, missing_ok=False):
@@ -501,3 +538,31 @@ def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
     assert (tmp_path / LOCK).is_file()
     lock.release()
     assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.posix
+def test_a_folder_has_one_writer_on_windows(windows, tmp_path):
+    """A second writer learns the owner's name; a file that a killed process leaves behind blocks nobody."""
+    lock = FolderLock(tmp_path)
+    with pytest.raises(RunFolderError, match=rf"is in use by process {os.getpid()} on .*; wait until it ends"):
+        FolderLock(tmp_path)
+    os.close(lock._file)  # The system does so when a process ends.
+    lock._file = -1
+    assert (tmp_path / LOCK).is_file()
+    FolderLock(tmp_path).release()
+    assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.posix
+def test_a_lock_file_that_is_being_removed_is_tried_again_on_windows(windows, tmp_path, monkeypatch):
+    refusals, opened = iter([True, True, False]), os.open
+
+    def open_later(path, *rest):
+        if Path(path).name == LOCK and next(refusals, True):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return opened(path, *rest)
+
+    monkeypatch.setattr(os, "open", open_later)
+    FolderLock(tmp_path).release()
+    with pytest.raises(RunFolderError, match="cannot be written"):
+        FolderLock(tmp_path)

@@ -19,6 +19,7 @@ from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, sc
 from warpcrete.core.run.quantities import Amount, Quantities
 from warpcrete.core.run.run import viewer
 from warpcrete.core.run.tables import Table
+from warpcrete.core.run.viewer import Viewer
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 
@@ -104,7 +105,7 @@ def test_a_series_is_a_table(ran, monkeypatch):
         and table.attrs["units"] == ran.units
     )
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[notebook\]', or use the arrays in run\.series"):
+    with pytest.raises(WarpcreteError, match=r"pip install pandas, or use the arrays in run\.series"):
         ran.table()
 
 
@@ -128,7 +129,7 @@ def test_a_series_is_a_dataset(ran, tmp_path, monkeypatch):
 
 def test_a_dataset_needs_xarray(ran, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[xarray\]', or use the arrays in run\.series"):
+    with pytest.raises(WarpcreteError, match=r"pip install xarray, or use the arrays in run\.series"):
         ran.to_xarray()
 
 
@@ -165,6 +166,21 @@ def test_a_run_draws_its_columns(ran):
     assert above.get_xlabel() == ""
     with pytest.raises(SceneError, match=r"^column = 'force': must be one of time, "):
         ran.plot("force")
+
+
+@pytest.mark.parametrize("level", [None, "debug"])
+def test_a_viewer_has_the_log_that_the_user_wants(tmp_path, monkeypatch, capfd, level):
+    """Without RUST_LOG neither the viewer nor Rerun's library prints anything; the variable itself stays as it was."""
+    if level:
+        monkeypatch.setenv("RUST_LOG", level)
+    else:
+        monkeypatch.delenv("RUST_LOG", raising=False)
+    told = tmp_path / "told"
+    code = f"import os, sys; open({str(told)!r}, 'w').write(os.environ['RUST_LOG']); sys.stderr.write('a line')"
+    assert Viewer([sys.executable, "-c", code], "nowhere").start().wait(60) == 0
+    assert told.read_text() == (level or "off") and capfd.readouterr().err == ("a line" if level else "")
+    RerunRecorder(tmp_path / "run.rrd")
+    assert os.environ.get("RUST_LOG") == level
 
 
 def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):

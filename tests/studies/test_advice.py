@@ -72,7 +72,7 @@ def test_the_nearest_shipped_trade_is_taken():
     layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
     assert layered == (
         "concrete zhan instead of zhan-table1",
-        "wall_friction 0.034 instead of None",
+        "wall_friction 0.034 instead of the default",
         "layer_viscosity 1190 instead of 0",
     )
     assert nearest_shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
@@ -102,7 +102,7 @@ def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
         "from the shipped trade 'channel', measured on",
         "within",
         "twice the flow",
-        "flow 0.002 instead of None",
+        "flow 0.002 instead of the default",
     ):
         assert words in done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text(encoding="utf-8"))["parameters"]

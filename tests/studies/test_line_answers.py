@@ -8,7 +8,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from warpcrete import SceneError
+from warpcrete import SceneError, WarpcreteError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
 from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
@@ -321,3 +321,24 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
         assert refused.exit_code == 2 and says in refused.output
     none = CliRunner().invoke(cli, ["line", str(path), "--method", "dem", "--practice"])
     assert none.exit_code == 2 and "practice: has no effect with '--method dem'" in none.output
+
+
+def test_a_line_is_a_dataset_of_its_parts_and_places(monkeypatch):
+    pytest.importorskip("xarray", reason="needs xarray, which the extra [test] installs")
+    made = pumped({"straight": 10}, {"bend": "up"}, {"straight": 5}, factor=1.5, name="yard")
+    found = made.to_xarray()
+    assert found.sizes == {"number": 3, "place": 4} and found["number"].to_numpy().tolist() == [1, 2, 3]
+    assert found["friction"].to_numpy() == pytest.approx([loss.friction for loss in made.losses])
+    assert found["friction"].attrs == {"units": "Pa", "long_name": "friction"}
+    low, high = found["over_straight_low"].to_numpy(), found["over_straight_high"].to_numpy()
+    assert (low[1], high[1]) == made.losses[1].range and all(map(math.isnan, (low[0], high[0], low[2], high[2])))
+    places, bands = made.bands()
+    for name, end in (("pressure", "value"), ("pressure_low", "low"), ("pressure_high", "high")):
+        assert found[name].dims == ("place",) and found[name].attrs["units"] == "Pa"
+        assert found[name].to_numpy() == pytest.approx([getattr(band, end) for band in bands])
+    assert found["place"].to_numpy() == pytest.approx(places) and found["place"].attrs["units"] == "m"
+    assert found.attrs["line"] == "yard" and json.loads(found.attrs["concrete"])["slip_yield"] == 50.0
+    assert json.loads(found.attrs["quantities"])["pressure"] == made.pressure
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(WarpcreteError, match=r"pip install xarray, or use line\.record\(\)"):
+        made.to_xarray()

@@ -292,7 +292,7 @@ def test_settings_for_an_accuracy(flow_trade):
     advice = advise(flow_trade.folder, "channel", channel, COARSE | dict(time_step=3e-4, flow=1e-3), 0.2)
     assert "time_step" not in advice.changes and set(advice.outside) == {
         "time_step 0.0003 instead of 0.0005",
-        "flow 0.001 instead of None",
+        "flow 0.001 instead of the default",
     }
     with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: this trade guarantees"):
         advise(flow_trade.folder, "channel", channel, COARSE, 1e-6)

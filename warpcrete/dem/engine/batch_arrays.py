@@ -245,6 +245,7 @@ class JointArrays:
         row["materials"][s] = len(model.materials)
         row["gravity"][s] = model.scene.gravity
         row["speed_limit"][s] = model.scene.watch.speed
+        row["mesh_speed"][s] = model.mesh_speed
         row["largest_radius"][s] = state.largest_radius
         row["growth_end"][s] = 1.0
         row["until"][s], row["interval"][s] = np.inf, NEVER
