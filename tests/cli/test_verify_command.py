@@ -27,11 +27,11 @@ def test_names_are_unique():
     assert len(names) == len(set(names)) > 15
 
 
-def test_verify_writes_a_table_and_a_figure(tmp_path):
+def test_verify_writes_a_table_and_a_figure(tmp_path, whole_pictures):
     done = command("verify", "--device", "cpu", "--only", "oblique", "--out", tmp_path / "v")
     assert done.returncode == 0, done.stderr
     assert "tangential restitution" in done.stdout and "source of the expected value" in done.stdout
-    assert (tmp_path / "v" / "verification.md").read_text().count("| oblique impact |") == 2
+    assert (tmp_path / "v" / "verification.md").read_text(encoding="utf-8").count("| oblique impact |") == 2
     assert (tmp_path / "v" / "verification.png").stat().st_size > 20_000
     again = command("verify", "--only", "oblique", "--out", tmp_path / "v")
     assert again.returncode == 2 and "exists already" in again.stderr

@@ -1,13 +1,19 @@
 """Clump templates, size distributions and packings."""
 
+import dataclasses
 import functools
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 import trimesh
 from conftest import by_id
+from pumping import TINY
+from shortcuts import SharedPackings
 
+from warpcrete import scenes
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.measure.probes import body_sums
 from warpcrete.dem.packing import pack
@@ -289,3 +295,24 @@ def test_a_body_falls_freely_in_steps_of_many_sizes(start, template):
         stepper.take(size)
         middle = stepper.time - 0.5 * stepper.dt
         assert by_id(stepper.state, "velocity")[0] == pytest.approx([0, 0, -9.81 * middle], rel=1e-9)
+
+
+def test_shared_packings_have_the_bits_of_new_ones(device, tmp_path, monkeypatch):
+    """Those that tests hand on to one another, with their report; another seed, precision or law has its own."""
+    scene, shared = scenes.pipe(**TINY | dict(length=0.05)), SharedPackings(tmp_path)
+    settings = dict(contact=scene.contact, seed=0, device=find_device(device), precision="float32", progress=None,
+                    threads=1)  # fmt: skip
+    first, again = (shared(scene.fill, **settings) for _ in range(2))
+    assert shared.reused == 1 and again[1] == first[1] and again[0] is not first[0]
+    for field in dataclasses.fields(again[0]):
+        ours, theirs = getattr(again[0], field.name), getattr(first[0], field.name)
+        assert ours.tobytes() == theirs.tobytes() if isinstance(ours, np.ndarray) else ours == theirs, field.name
+    packed = []
+    monkeypatch.setattr("shortcuts.packing.pack", lambda fill, **given: packed.append(given) or first)
+    softer = dataclasses.replace(scene.contact, effective_modulus=0.9 * scene.contact.effective_modulus)
+    for other in (dict(seed=1), dict(precision="float64"), dict(contact=softer), dict(threads=2)):
+        shared(scene.fill, **settings | other)
+    shared(dataclasses.replace(scene.fill, density=2000.0), **settings)
+    with divide_work_like_gpu() if device == "cpu" else nullcontext():
+        shared(scene.fill, **settings)
+    assert len(packed) == (6 if device == "cpu" else 5) and shared.reused == 7 - len(packed)

@@ -109,8 +109,20 @@ def test_every_part_is_pushed_through_and_measured(device, course):
 
 
 @pytest.mark.thorough
+def test_a_part_without_slices_measures_no_losses_and_moves_the_same(device):
+    """The slices only measure, also in a run that looks for a blockage in a pipe whose width changes."""
+    given = SMALL | DEFAULT_PLOT_COLUMNS["reducer"] | {"straight": 0.18, "stop_when_blocked": True}
+    run, without = (Simulation(scenes.part_dem(**given, slices=slices), device=device).run() for slices in (3.0, 0.0))
+    assert without.result["state_hash"] == run.result["state_hash"]
+    assert without["blocked"] == run["blocked"] and without["slowest_advance"] == run["slowest_advance"]
+    assert "stations" in run.tables and "stations" not in without.tables and "middle_loss" not in without.result
+    with pytest.raises(SceneError, match="slices"):
+        scenes.part_dem(**given, slices=-1.0)
+
+
+@pytest.mark.thorough
 def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_path):
-    (tmp_path / "line.yaml").write_text(AROUND)
+    (tmp_path / "line.yaml").write_text(AROUND, encoding="utf-8")
     given = dict(SMALL, line=str(tmp_path / "line.yaml"), plug_layers=3)
     for name in ("diameter", "straight"):
         given.pop(name)
@@ -165,7 +177,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
     ],
 )  # fmt: skip
 def test_lines_that_cannot_be_pushed_through_are_refused(tmp_path, parts, told):
-    (tmp_path / "line.yaml").write_text(f"diameter: 0.1\nparts: {parts}\n")
+    (tmp_path / "line.yaml").write_text(f"diameter: 0.1\nparts: {parts}\n", encoding="utf-8")
     with pytest.raises(SceneError, match=told):
         scenes.part_dem(line=str(tmp_path / "line.yaml"))
 
@@ -195,11 +207,12 @@ def test_a_line_is_put_together_from_its_end():
 def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     (tmp_path / "line.yaml").write_text(
         "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.4\n"
-        "  - bend: {to: up, radius: 0.12}\n  - straight: 0.2\n"
+        "  - bend: {to: up, radius: 0.12}\n  - straight: 0.2\n",
+        encoding="utf-8",
     )
     command = ["line", str(tmp_path / "line.yaml"), "--method", "dem", "--device", "cpu", "--quiet"]
     first = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "one")], catch_exceptions=False)
-    record = json.loads((tmp_path / "one" / "line-dem.json").read_text())
+    record = json.loads((tmp_path / "one" / "line-dem.json").read_text(encoding="utf-8"))
     assert first.exit_code == 0 and not record["failed_checks"], first.output
     assert len(record["wall_time"]) == 3 and len(record["parts"]) == 3
     assert [part["blocked_seeds"] for part in record["parts"]] == [0, 0, 0] and "- not blocked" in first.output
@@ -210,7 +223,7 @@ def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     part = load(next((tmp_path / "one" / "parts").glob("straight-80-pressed*")))
     assert "axial_stress" in part.tables["stations"].columns
     again = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "two"), "--known", str(tmp_path / "one")])
-    second = json.loads((tmp_path / "two" / "line-dem.json").read_text())
+    second = json.loads((tmp_path / "two" / "line-dem.json").read_text(encoding="utf-8"))
     # Tables hold nine digits.
     assert second["pressure"]["value"] == pytest.approx(record["pressure"]["value"], rel=1e-7), again.output
     assert second["wall_time"] == {}
@@ -225,7 +238,9 @@ def test_stones_are_enlarged_to_three_tenths_of_the_bore_but_never_shrunk(bore, 
 
 
 def test_line_by_elements_refuses(tmp_path):
-    (tmp_path / "line.yaml").write_text("diameter: 0.1\nflow: 0.002\nconcrete: zhan\nparts: [{straight: 1}]\n")
+    (tmp_path / "line.yaml").write_text(
+        "diameter: 0.1\nflow: 0.002\nconcrete: zhan\nparts: [{straight: 1}]\n", encoding="utf-8"
+    )
     for more, told in (
         (["--seeds", "0"], "seeds = 0"),
         (["--coarse", "0.5"], "coarse = 0.5"),

@@ -219,7 +219,7 @@ def test_counting_wear_changes_nothing_else(device, case):
 
 
 @pytest.mark.thorough
-def test_the_command_draws_and_paints_it(tmp_path):
+def test_the_command_draws_and_paints_it(tmp_path, whole_pictures):
     from pxr import Usd, UsdGeom
 
     out = tmp_path / "run"

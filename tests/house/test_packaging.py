@@ -83,7 +83,7 @@ def test_wheel_contains_the_package_and_nothing_else(built):
         found = [path for path in (ROOT / "warpcrete" / room).rglob("*") if path.suffix in endings]
         assert found
         wanted |= {path.relative_to(ROOT).as_posix() for path in found}
-    assert names == wanted
+    assert names == wanted | {"warpcrete/py.typed"}, "the marker says that the package has types"
     assert any(name.endswith("licenses/LICENSE") for name in built[1]["wheel"])
 
 

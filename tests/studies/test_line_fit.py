@@ -167,7 +167,7 @@ def test_the_command_fits_a_trial_line(tmp_path):
     assert (
         "from: pipe" in layer and "**Fit to 12 taps of site**" in done.output and "pressure at the pump" in done.output
     )
-    record = json.loads((tmp_path / "out" / "line.json").read_text())
+    record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["fit"]["constants"]["slip viscosity"]["value"] == pytest.approx(700, rel=0.03)
     factor = record["fit"]["constants"]["factor of bends"]["value"]
     mix = f"mix:\n  density: 2400\n  spread: 600 mm\n  concrete: {{viscosity: 60, yield_stress: 80}}\n  {layer}\n"
@@ -178,7 +178,7 @@ def test_the_command_fits_a_trial_line(tmp_path):
     (tmp_path / "site.yaml").write_text(again, encoding="utf-8")
     second = CliRunner().invoke(cli, ["line", str(tmp_path / "site.yaml"), "--out", str(tmp_path / "again")])
     assert second.exit_code == 0, second.output
-    pressure = json.loads((tmp_path / "again" / "line.json").read_text())["pressure"]["value"]
+    pressure = json.loads((tmp_path / "again" / "line.json").read_text(encoding="utf-8"))["pressure"]["value"]
     assert pressure == pytest.approx(record["pressure"]["value"], rel=2e-3)
     assert pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 25 / 3600).pressure, rel=0.02)
     for more, says in (

@@ -236,7 +236,7 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
     assert lines[0] == "| velocity [m/s] | diameter [m] | peak [kPa] | plateau [kPa] | runs | failed | suspect |"
     assert lines[2] == "| 0.1 | 0.1 | 20.00 | 10.00 | 1 | 0 | 0 |"
     study.write()
-    with (tmp_path / "study.csv").open() as file:
+    with (tmp_path / "study.csv").open(encoding="utf-8") as file:
         row = next(csv.DictReader(file))
     assert row["velocity [m/s]"] == "0.1" and float(row["peak_pressure [Pa]"]) == 20e3
     assert "plateau_pressure_scatter [Pa]" in row
