@@ -6,7 +6,8 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
-from ..mps.structs import array_structs, mps_types, row_place
+from ..mps.grid.levels import system_structs
+from ..mps.structs import mps_types, row_place
 from .bodies import body_functions, body_structs
 from .pairs import pair_functions, pair_struct
 
@@ -23,7 +24,7 @@ def block_kernel(scalar, serial: bool, of: GridKind):
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
-    Matrix = array_structs(scalar, 2).Matrix
+    Matrix = system_structs(scalar).Matrix
     Fields = grid_structs(scalar, 3).Fields
     Pairs, resistance_block = pair_struct(scalar), pair_functions(scalar, of).resistance_block
     f = body_functions(scalar, of)
@@ -51,7 +52,6 @@ def block_kernel(scalar, serial: bool, of: GridKind):
         dt = scalar(mesh.clock[DT])
         whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resistance_block(pairs, b)
         round = bodies.extra_inertia[b] / dt * wp.identity(n=3, dtype=scalar)
-        rows = 3 * g.slots
         for k in range(cover.count[b]):
             r = cover.faces[cover.first[b] + k]
             axis = r / g.slots
@@ -60,7 +60,7 @@ def block_kernel(scalar, serial: bool, of: GridKind):
             whole += matrix.diagonal[r] * wp.outer(e, e)
             round += matrix.diagonal[r] * wp.outer(turned, turned)
             for n in range(matrix.near_count[r]):
-                place = entry(r, n, rows, matrix.near_capacity)
+                place = entry(r, n, matrix.rows, matrix.near_capacity)
                 o = matrix.near[place]
                 if cover.owner[o] == b + 1:
                     other = unit(o / g.slots)

@@ -198,18 +198,13 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that find what aggregates cover of the grid, and that give their faces their velocity.
+    """Build the kernels that find what aggregates cover of the grid.
 
-    - `clear`, with one task per face or sample, forgets what was covered in the last step.
+    - `clear`, with one task per sample, forgets what was covered in the last step.
     - `claim`, with one task per aggregate, marks faces and adds the aggregate's part of each sample.
-    - `close`, `shut`, `share` and `release` free the faces between aggregates that are close to each other.
-    - `collect`, with one task per aggregate, lists the faces that move with it.
-    - `carry`, with one task per aggregate, sets the velocity of these faces.
-    - `move`, with one task per aggregate, moves and turns it by one step.
+    - `collect`, with one task per aggregate, lists its faces; `release_kernels` run before it.
     """
-    t = mps_types(scalar, 3)
-    whole, vec = t.whole, t.vec
-    quat = types(scalar).quat
+    whole = mps_types(scalar, 3).whole
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
@@ -256,6 +251,52 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         part = f.solid_part(g, bodies, b, f.sample_middle(g, c, sample))
                         if part > scalar(0.0):
                             wp.atomic_add(cover.solid, number + sample * g.slots, wp.int32(part * scalar(FULL)))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def collect(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, cover: Cover):
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        count = wp.int32(0)
+        low, high = f.box(g, bodies, b)
+        for k in range(low[2], high[2] + 1):
+            for j in range(low[1], high[1] + 1):
+                for i in range(low[0], high[0] + 1):
+                    number = places.at(g, whole(i, j, k))
+                    for axis in range(3):
+                        r = number + axis * g.slots
+                        if cover.owner[r] == b + 1:
+                            cover.faces[cover.first[b] + count] = r
+                            cover.part[cover.first[b] + count] = scalar(1.0)
+                            count += 1
+        cover.count[b] = count
+        for k in range(low[2], high[2] + 1):
+            for j in range(low[1], high[1] + 1):
+                for i in range(low[0], high[0] + 1):
+                    number = places.at(g, whole(i, j, k))
+                    for axis in range(3):
+                        r = number + axis * g.slots
+                        # A face between two aggregates has a velocity of its own.
+                        if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
+                            cover.faces[cover.first[b] + count] = r
+                            cover.part[cover.first[b] + count] = scalar(cover.covered[r]) / scalar(FULL)
+                            count += 1
+        cover.touched[b] = count
+
+    return SimpleNamespace(clear=clear, claim=claim, collect=collect)
+
+
+@functools.cache
+def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
+    """Build the kernels that free faces between aggregates that are close to each other, or to a wall.
+
+    `close`, `share` and `release` run with one task per cell, and `shut` with one task per face. The order is `close`,
+    `shut`, `share`, `release`.
+    """
+    Grid = grid_parameters_struct(scalar, 3)
+    Cover = body_structs(scalar).Cover
+    Fields = grid_structs(scalar, 3).Fields
+    places = place_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def close(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
@@ -347,36 +388,21 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 if cover.shared[number] != 0 or cover.shared[places.at(g, places.moved(c, axis, -1))] != 0:
                     cover.owner[r] = 0
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def collect(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, cover: Cover):
-        if flags[HALTED] != 0:
-            return
-        b = wp.tid()
-        count = wp.int32(0)
-        low, high = f.box(g, bodies, b)
-        for k in range(low[2], high[2] + 1):
-            for j in range(low[1], high[1] + 1):
-                for i in range(low[0], high[0] + 1):
-                    number = places.at(g, whole(i, j, k))
-                    for axis in range(3):
-                        r = number + axis * g.slots
-                        if cover.owner[r] == b + 1:
-                            cover.faces[cover.first[b] + count] = r
-                            cover.part[cover.first[b] + count] = scalar(1.0)
-                            count += 1
-        cover.count[b] = count
-        for k in range(low[2], high[2] + 1):
-            for j in range(low[1], high[1] + 1):
-                for i in range(low[0], high[0] + 1):
-                    number = places.at(g, whole(i, j, k))
-                    for axis in range(3):
-                        r = number + axis * g.slots
-                        # A face between two aggregates has a velocity of its own.
-                        if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
-                            cover.faces[cover.first[b] + count] = r
-                            cover.part[cover.first[b] + count] = scalar(cover.covered[r]) / scalar(FULL)
-                            count += 1
-        cover.touched[b] = count
+    return SimpleNamespace(close=close, shut=shut, share=share, release=release)
+
+
+@functools.cache
+def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
+    """Build the kernels `carry` and `move`, with one task per aggregate.
+
+    `carry` gives the faces of an aggregate its velocity, and `move` moves and turns the aggregate by one step.
+    """
+    vec, quat = mps_types(scalar, 3).vec, types(scalar).quat
+    Grid = grid_parameters_struct(scalar, 3)
+    structs = body_structs(scalar)
+    Bodies, Cover = structs.Bodies, structs.Cover
+    Fields = grid_structs(scalar, 3).Fields
+    f = body_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def carry(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, cover: Cover, mesh: Fields):
@@ -403,14 +429,4 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if size > scalar(0.0):
             bodies.turn[b] = wp.normalize(wp.mul(wp.quat_from_axis_angle(angle / size, size), quat(bodies.turn[b])))
 
-    return SimpleNamespace(
-        clear=clear,
-        claim=claim,
-        close=close,
-        shut=shut,
-        share=share,
-        release=release,
-        collect=collect,
-        carry=carry,
-        move=move,
-    )
+    return SimpleNamespace(carry=carry, move=move)

@@ -19,8 +19,8 @@ from ..common.reductions import total
 from ..common.rows import entry_product, row_product
 from ..common.types import types
 from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.levels import system_structs
 from ..mps.grid.places import grid_functions
-from ..mps.structs import array_structs
 from .bodies import body_functions, body_structs
 from .pairs import pair_functions, pair_struct
 
@@ -113,7 +113,7 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
-    Matrix = array_structs(scalar, 2).Matrix
+    Matrix = system_structs(scalar).Matrix
     Vector = vector_struct(scalar)
     Fields = grid_structs(scalar, 3).Fields
     f = body_functions(scalar, of)
@@ -198,7 +198,9 @@ def velocity_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                         matrix.near, matrix.coefficient, direction.faces, r * matrix.near_capacity, matrix.near_count[r]
                     )
                 else:
-                    other = product(matrix.near, matrix.coefficient, direction.faces, r, rows, matrix.near_count[r])
+                    other = product(
+                        matrix.near, matrix.coefficient, direction.faces, r, matrix.rows, matrix.near_count[r]
+                    )
                 q = matrix.diagonal[r] * direction.faces[r] - other
                 result.faces[r] = q
                 if cover.owner[r] == 0:
@@ -348,8 +350,8 @@ def coupling_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Bodies, Cover = structs.Bodies, structs.Cover
     fields = grid_structs(scalar, 3)
     Fields, Geometry = fields.Fields, fields.Geometry
-    solves = array_structs(scalar, 2)
-    Matrix, Solve = solves.Matrix, solves.NumberSolve
+    systems = system_structs(scalar)
+    Matrix, Solve = systems.Matrix, systems.Solve
     Vector = vector_struct(scalar)
     f = grid_functions(scalar, of)
     own = share_functions(serial)

@@ -16,7 +16,7 @@ from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
 from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension.blocks import block_kernel
-from ..kernels.suspension.bodies import cover_kernels
+from ..kernels.suspension.bodies import cover_kernels, motion_kernels, release_kernels
 from ..kernels.suspension.pairs import pair_kernels
 from ..kernels.suspension.strain import strain_kernels
 from ..mps.grid.flow import GridFlow
@@ -37,7 +37,8 @@ class SuspensionStep(GridStep):
         """Return the stages that set up the equations of the step."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
-        cover, strain = cover_kernels(scalar, kind), strain_kernels(scalar, kind)
+        cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
+        motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
         count = flow.aggregates.count
         return [
             *self._alone(bins.clear, slots),
@@ -51,12 +52,12 @@ class SuspensionStep(GridStep):
             *self._cells(gather_kernel(scalar, kind)),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
-            *self._alone(cover.close, slots),
-            *self._alone(cover.shut, 3 * slots),
-            *self._alone(cover.share, slots),
-            *self._alone(cover.release, slots),
+            *self._alone(free.close, slots),
+            *self._alone(free.shut, 3 * slots),
+            *self._alone(free.share, slots),
+            *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
-            *self._alone(cover.carry, count),
+            *self._alone(motion.carry, count),
             *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
                          sides=flow.sides, cutoff=flow.cutoff, roughness=flow.roughness),
             *self._alone(strain.rates, slots),
@@ -64,11 +65,10 @@ class SuspensionStep(GridStep):
             *self._cells(wall_kernel(scalar, kind)),
             *self._cells(momentum_kernel(scalar, serial, kind), mesh=flow.cut, matrix=flow.viscous.matrix,
                          viscous=flow.viscous.arrays),
-            *self._used_rows(flow.viscous),
             *self.blocks(),
             *self._cells(pressure_kernels(scalar, serial, kind).divergence, matrix=flow.projection.matrix,
                          projection=flow.projection.arrays),
-            *self._used_rows(flow.projection),
+            *self._complete(flow.projection),
         ]  # fmt: skip
 
     def blocks(self) -> list[Any]:
@@ -84,7 +84,7 @@ class SuspensionStep(GridStep):
             *([] if flow.full else self._disperse()),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
-            *self._alone(cover_kernels(scalar, kind).move, flow.aggregates.count),
+            *self._alone(motion_kernels(scalar, kind).move, flow.aggregates.count),
             *self._alone(flow.clock_kernels.tick, 1),
         ]
 
