@@ -64,10 +64,10 @@ def products(flow, x, y):
     solve, owner = flow.coupled, flow.aggregates.cover.owner.numpy()
     # A spread of the rigid motions on the faces is part of the first search direction.
     for each in (x, y):
-        solve._launch(solve.velocity.spread, flow.aggregates.count, x=each)
+        solve._launch(solve.forces.spread, flow.aggregates.count, x=each)
     effect = solve._vector()
-    solve._launch(solve.velocity.multiply, solve.tasks, direction=x, result=effect)
-    solve._launch(solve.velocity.gather, flow.aggregates.count, direction=x, result=effect)
+    solve._launch(solve.search.multiply, solve.tasks, direction=x, result=effect)
+    solve._launch(solve.search.gather, flow.aggregates.count, direction=x, result=effect)
     mortar = np.where(owner == 0, effect.faces.numpy() * y.faces.numpy(), 0.0).sum()
     bodies = (effect.linear.numpy() * y.linear.numpy()).sum() + (effect.angular.numpy() * y.angular.numpy()).sum()
     return float(mortar + bodies)

@@ -18,18 +18,10 @@ from ..core.device.launching import Stage, completed
 from ..core.errors import CapacityError, ConvergenceError
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.grid.cells import DT
-from ..kernels.suspension.coupling import (
-    PQ,
-    RZ,
-    RZ_AFTER,
-    RZ_FIRST,
-    SUMS,
-    coupling_kernels,
-    sum_kernel,
-    vector_struct,
-    velocity_kernels,
-)
+from ..kernels.suspension.coupling import algebra_kernels, residual_kernels
 from ..kernels.suspension.pairs import CAPACITY, pair_kernels
+from ..kernels.suspension.vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, SUMS, add_kernel, sum_kernel, vector_struct
+from ..kernels.suspension.velocity import force_kernels, search_kernels, update_kernels
 from ..mps.common.allocation import allocate
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
@@ -65,8 +57,12 @@ class CoupledSolve:
         self.device, self.scalar = flow.device, flow.scalar
         serial = not flow.parallel
         self.tasks = CPU_TASKS if serial else GPU_TASKS
-        self.velocity = velocity_kernels(self.scalar, serial, flow.state.layout.kind)
-        self.coupling = coupling_kernels(self.scalar, serial, flow.state.layout.kind)
+        kind = flow.state.layout.kind
+        self.search, self.forces = search_kernels(self.scalar, serial, kind), force_kernels(self.scalar, kind)
+        self.updates = update_kernels(self.scalar, serial, kind)
+        self.residuals = residual_kernels(self.scalar, serial, kind)
+        self.algebra = algebra_kernels(self.scalar, serial, kind)
+        self.add_faces = add_kernel(self.scalar)
         self.pairs = pair_kernels(self.scalar, flow.state.layout.kind)
         self.add_up = sum_kernel(serial)
         self.count = flow.aggregates.count
@@ -114,11 +110,11 @@ class CoupledSolve:
         self._launch(self.add_up, 1 if serial else BLOCK, block=BLOCK, count=self.tasks + self.count, slot=slot)
 
     def _inner_product(self, one: Any, two: Any) -> float:
-        self._launch(self.coupling.inner, self.tasks + self.count, one=one, two=two)
+        self._launch(self.algebra.inner, self.tasks + self.count, one=one, two=two)
         return float(self.partial.numpy().sum())
 
     def _add(self, factor: float, one: Any, result: Any) -> None:
-        self._launch(self.coupling.add, self.tasks + self.count, factor=factor, one=one, result=result)
+        self._launch(self.algebra.add, self.tasks + self.count, factor=factor, one=one, result=result)
 
     def solve(self) -> None:
         """Solve for the velocities and pressures at the end of the step, and store them.
@@ -134,7 +130,7 @@ class CoupledSolve:
             self._iterate()
             if not self._new_contacts():
                 break
-        self._launch(self.coupling.finish, self.tasks + self.count, solution=self.solution)
+        self._launch(self.algebra.finish, self.tasks + self.count, solution=self.solution)
         if flow.aggregates.pairs.full.numpy()[0]:
             raise CapacityError(
                 f"t = {flow.time:.6g} s: an aggregate has more than {int(CAPACITY)} neighbours; use aggregates whose "
@@ -143,22 +139,22 @@ class CoupledSolve:
 
     def _begin(self, again: bool) -> None:
         """Compute the residual of the solution so far, at first that of the forces and inflows at the step's start."""
-        flow, named, slots = self.flow, self.coupling, self.flow.state.slots
+        flow, slots = self.flow, self.flow.state.slots
         # The faces have been given their share of the old pressure's force as if no aggregate covered a part of them,
         # and the inflow as if the mortar had the whole of their area. Correct both for the covered parts.
         start = self.product
         bodies = flow.aggregates.bodies
         for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
             wp.copy(getattr(start, name), array)
-        self._launch(self.velocity.blend, self.count, x=start, flow=start.faces)
-        self._launch(_add_faces(self.scalar), 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
-        self._launch(named.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)
-        self._launch(named.start, self.tasks + self.count, viscous=flow.viscous.arrays,
+        self._launch(self.forces.blend, self.count, x=start, flow=start.faces)
+        self._launch(self.add_faces, 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
+        self._launch(self.residuals.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)
+        self._launch(self.residuals.start, self.tasks + self.count, viscous=flow.viscous.arrays,
                      projection=flow.projection.arrays, inflow=self.inflow, again=int(again),
                      residual=self.residual)  # fmt: skip
-        self._launch(self.velocity.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
+        self._launch(self.forces.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
         self._launch(self.pairs.load, self.count, force=self.residual.linear)
-        self._launch(named.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
+        self._launch(self.residuals.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
         if again:
             flow.invert_blocks()
@@ -201,7 +197,7 @@ class CoupledSolve:
 
     def _relative_error(self) -> float:
         left = self._inner_product(self.residual, self.residual)
-        self._launch(self.coupling.scale_of, self.tasks + self.count, change=self.solution)
+        self._launch(self.algebra.scale_of, self.tasks + self.count, change=self.solution)
         whole = self._momentum = float(self.partial.numpy().sum())
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 
@@ -227,20 +223,20 @@ class CoupledSolve:
         With `edges_only`, the faces have already got these forces, apart from the parts that aggregates cover.
         """
         if edges_only:
-            self._launch(self.velocity.reduce, self.count, forces=self.force, factor=-factor, result=into)
+            self._launch(self.forces.reduce, self.count, forces=self.force, factor=-factor, result=into)
         else:
-            self._launch(_add_faces(self.scalar), len(self.force), one=self.force, factor=factor, result=into.faces)
-        self._launch(self.velocity.push, self.count, forces=self.force, factor=factor, result=into)
+            self._launch(self.add_faces, len(self.force), one=self.force, factor=factor, result=into.faces)
+        self._launch(self.forces.push, self.count, forces=self.force, factor=factor, result=into)
 
     def _precondition(self, residual: Any, change: Any) -> None:
         """Compute an approximate solution `change` for a residual."""
         flow, slots = self.flow, self.flow.state.slots
-        self._launch(self.coupling.request, slots, inflow=residual, projection=flow.projection.arrays)
+        self._launch(self.residuals.request, slots, inflow=residual, projection=flow.projection.arrays)
         flow.pressure_threshold.fill_(self._pressure_floor())
         for stage in flow.pressure_stages:
             stage()
-        self._launch(self.coupling.press, slots, residual=residual, solved=flow.mesh.increment, result=change)
-        self._launch(self.coupling.pressure_force, slots, pressure=change.cells, forces=self.force)
+        self._launch(self.residuals.press, slots, residual=residual, solved=flow.mesh.increment, result=change)
+        self._launch(self.residuals.pressure_force, slots, pressure=change.cells, forces=self.force)
         own = self.inner_residual
         for name in ("faces", "linear", "angular"):
             wp.copy(getattr(own, name), getattr(residual, name))
@@ -249,38 +245,32 @@ class CoupledSolve:
 
     def _solve_velocity(self, solution: Any) -> None:
         """Solve for the velocities that the forces in `inner_residual` cause."""
-        k, all_tasks = self.velocity, self.tasks + self.count
+        all_tasks = self.tasks + self.count
         named = {"solution": solution, "residual": self.inner_residual, "direction": self.direction}
-        self._launch(k.begin, all_tasks, **named)
+        self._launch(self.search.begin, all_tasks, **named)
         self._sum(int(RZ))
-        self._launch(k.shift, 1, first=1)
+        self._launch(self.updates.shift, 1, first=1)
         for number in range(self.tolerances.inner):
             if number % CHECKED == 0:
                 sums = self.sums.numpy()
                 if sums[int(RZ)] <= self.tolerances.viscous**2 * sums[int(RZ_FIRST)]:
                     return
-            self._launch(k.multiply, self.tasks, direction=self.direction, result=self.product)
-            self._launch(k.gather, self.count, direction=self.direction, result=self.product)
+            self._launch(self.search.multiply, self.tasks, direction=self.direction, result=self.product)
+            self._launch(self.search.gather, self.count, direction=self.direction, result=self.product)
             self._sum(int(PQ))
-            self._launch(k.update, all_tasks, result=self.product, **named)
+            self._launch(self.updates.update, all_tasks, result=self.product, **named)
             self._sum(int(RZ_AFTER))
-            self._launch(k.turn, all_tasks, direction=self.direction, result=self.product)
-            self._launch(k.shift, 1, first=0)
+            self._launch(self.search.turn, all_tasks, direction=self.direction, result=self.product)
+            self._launch(self.updates.shift, 1, first=0)
             self.inner += 1
 
     def _multiply(self, change: Any, effect: Any) -> None:
         """Compute the effect of a change of velocities and pressure on the residual."""
         slots = self.flow.state.slots
-        self._launch(self.velocity.multiply, self.tasks, direction=change, result=effect)
-        self._launch(self.velocity.gather, self.count, direction=change, result=effect)
-        self._launch(self.coupling.pressure_force, slots, pressure=change.cells, forces=self.force)
+        self._launch(self.search.multiply, self.tasks, direction=change, result=effect)
+        self._launch(self.search.gather, self.count, direction=change, result=effect)
+        self._launch(self.residuals.pressure_force, slots, pressure=change.cells, forces=self.force)
         self._push(-1.0, effect)
         wp.copy(self.force, change.faces)
-        self._launch(self.velocity.blend, self.count, x=change, flow=self.force)
-        self._launch(self.coupling.inflow, slots, change=self.force, sign=-1.0, result=effect.cells)
-
-
-def _add_faces(scalar: Any) -> Any:
-    from ..kernels.suspension.coupling import add_kernel
-
-    return add_kernel(scalar)
+        self._launch(self.forces.blend, self.count, x=change, flow=self.force)
+        self._launch(self.residuals.inflow, slots, change=self.force, sign=-1.0, result=effect.cells)
