@@ -27,7 +27,9 @@ from .aggregates import Aggregates, BodyState
 from .solve import CoupledSolve, Tolerances
 
 CUTOFF_CELLS = 0.7
-"""Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force."""
+"""Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force.
+
+Fitted to the approach of two spheres (Brenner 1961) with four cells across a sphere."""
 
 
 class SuspensionStep(GridStep):
