@@ -498,7 +498,7 @@ def test_a_pipeline_that_cannot_be_computed_costs_only_itself(tmp_path, monkeypa
         match=r"the run is complete, but the pipeline's pressure is not known: KeyError\('concrete_length'\)$",
     ):
         run = simulation.run()
-    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
     assert run.finished and result["finished"] and "pipeline_estimate" not in result
     assert not (tmp_path / "run" / "checkpoint.npz").exists()
 

@@ -178,7 +178,9 @@ def test_a_viewer_has_the_log_that_the_user_wants(tmp_path, monkeypatch, capfd, 
     told = tmp_path / "told"
     code = f"import os, sys; open({str(told)!r}, 'w').write(os.environ['RUST_LOG']); sys.stderr.write('a line')"
     assert Viewer([sys.executable, "-c", code], "nowhere").start().wait(60) == 0
-    assert told.read_text() == (level or "off") and capfd.readouterr().err == ("a line" if level else "")
+    assert told.read_text(encoding="utf-8") == (level or "off") and capfd.readouterr().err == (
+        "a line" if level else ""
+    )
     RerunRecorder(tmp_path / "run.rrd")
     assert os.environ.get("RUST_LOG") == level
 

@@ -14,7 +14,10 @@ METHODS = sorted(path.parent.name for path in (ROOT / "warpcrete").glob("*/metho
 """Every method is a folder with this file, and may have kernels in a folder of its name."""
 LAYERS = {"kernels.common": 0, "core": 1, "geometry": 2, "theory": 2, "mix": 2.5, "standards": 2.5, "scenes": 4,
           "methods": 4, "verification": 5, "record": 5, "studies": 6, "cli": 7, "": 8}  # fmt: skip
+ABOVE = {"suspension": ("mps", "dem")}
+"""Methods that stand above other methods and use them."""
 LAYERS |= {f"kernels.{name}": 2 for name in METHODS if (ROOT / "kernels" / name).is_dir()} | dict.fromkeys(METHODS, 3)
+LAYERS |= {name: 3.5 for name in ABOVE} | {f"kernels.{name}": 2.5 for name in ABOVE}
 """Packages of the house, and how high they stand: each imports from lower ones only. The package itself is on top."""
 INSIDE = {
     "core": {"": 0, "inputs": 1, "device": 1, "drawing": 2, "run": 3},
@@ -24,7 +27,12 @@ INSIDE = {
 }
 """Subpackages of a package and how high they stand; those at the same height do not import each other."""
 ALONE = {("scenes", "methods"), ("record", "verification")}
-ALONE |= {(one, f"kernels.{other}") for one in [*METHODS, "geometry"] for other in METHODS if one != other}
+ALONE |= {
+    (one, f"kernels.{other}")
+    for one in [*METHODS, "geometry"]
+    for other in METHODS
+    if other not in (one, *ABOVE.get(one, ()))
+}
 ALONE |= {(f"kernels.{name}", package) for name in METHODS for package in ("core", "geometry")}
 """What a package imports nothing of although that stands lower: methods know nothing of each other, kernels of all."""
 

@@ -141,6 +141,11 @@ class GridFlow(Stepping):
         The goal is a time or a number of steps. On a GPU the method returns before the steps are completed; they run on
         the current CUDA stream.
         """
+        self.begin_goal()
+        super().launch()
+
+    def begin_goal(self) -> None:
+        """Send the goal to the device, unless this has been done."""
         if not self._goal_sent:
             launch(
                 self.clock_kernels.begin, 1, self.device, until=min(self._goal_time, 1e300), goal=self._goal,
@@ -148,7 +153,6 @@ class GridFlow(Stepping):
                 pressure_threshold=self.pressure_threshold, dispersion_threshold=self.dispersion_threshold,
             )  # fmt: skip
             self._goal_sent = True
-        super().launch()
 
     @property
     def _largest_graph(self) -> int:
