@@ -32,12 +32,12 @@ def linear(colours: np.ndarray) -> np.ndarray:
 def describe(stage: Any, display: Display, scene: Any) -> None:
     """Write title, units and the meaning of the colours into the file and its root prim."""
     words = (
-        f"warpcrete: scene {scene.name}, {display.noun} coloured by {display.colouring}. Metres, Z up; time codes are "
+        f"warpcrete: {scene.caption}; {display.noun} coloured by {display.colouring}. Metres, Z up; time codes are "
         f"milliseconds of simulated time. {meaning(display)}"
     ).strip()
     layer = stage.GetRootLayer()
     layer.documentation = words
-    layer.customLayerData = {"title": f"warpcrete: {scene.name}", "scene": scene.name, "colours": meaning(display)}
+    layer.customLayerData = {"title": f"warpcrete: {scene.caption}", "scene": scene.name, "colours": meaning(display)}
     stage.GetDefaultPrim().SetDocumentation(words)
 
 
