@@ -36,8 +36,12 @@ class Surfaces(Recorder):
 
 def recorded(folder, scene):
     kept = Surfaces()
-    recorders = [kept, RerunRecorder(folder / "run.rrd", colouring="shear"),
-                 UsdRecorder(folder / "scene.usdc", colouring="shear"), ParaViewRecorder(folder, colouring="shear")]  # fmt: skip
+    recorders = [
+        kept,
+        RerunRecorder(folder / "run.rrd", colouring="shear"),
+        UsdRecorder(folder / "scene.usdc", colouring="shear"),
+        ParaViewRecorder(folder, colouring="shear"),
+    ]
     run = Simulation(scene, device="cpu", threads=1, recorders=recorders).run()
     return folder, kept, run
 
@@ -88,10 +92,10 @@ def test_concrete_of_a_part_fills_its_bore_and_its_wall_lies_outside(bend):
     length = run.scene.axis.length
     assert whole.volume == pytest.approx(np.pi * 0.05**2 * length, rel=0.02)  # measured 1.6 %: the inlet is oblique
     assert cut.volume == pytest.approx(0.5 * whole.volume, rel=0.001)
-    nearest, s = run.scene.axis.projected(whole.vertices)
+    nearest, _ = run.scene.axis.projected(whole.vertices)
     assert np.linalg.norm(whole.vertices - nearest, axis=1).max() < 0.05 * 1.01  # measured 0.9 %, across cells
     (wall,) = kept.display.walls()
-    nearest, s = run.scene.axis.projected(wall.vertices)
+    nearest, _ = run.scene.axis.projected(wall.vertices)
     assert np.linalg.norm(wall.vertices - nearest, axis=1) == pytest.approx(0.05 * 1.03, rel=1e-3)
     # Concrete slips on the wall and is sheared there most, and hardly on the axis.
     middle = np.abs(s_of(run, cut) - 0.5 * length) < 0.1

@@ -92,7 +92,7 @@ def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> 
     """
     from pxr import Gf, Sdf
 
-    opacity = 1.0 if wall.moves or wall.colour[3] == 255 else max(CLEAR, wall.colour[3] / 255)
+    opacity = max(CLEAR, wall.colour[3] / 255)
     opacity = PAINT if painted else opacity
     colour = Gf.Vec3f(*map(float, linear(np.array(wall.colour[:3]))))
     material, surface = _material(stage, name)
