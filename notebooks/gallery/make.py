@@ -34,7 +34,9 @@ WIDTH, MOST_BYTES = 760, 60_000
 """Width of a picture [px], and the largest size of its file."""
 BACKGROUND = (1.0, 1.0, 1.0)
 SIDE, MARGIN, HIGHEST = 1800, 25, 5.0
-"""Width of a drawn scene before it is cropped [px], margin around the crop [px], and largest height of a figure [in]."""
+"""Width of a drawn scene before it is cropped [px], margin of the crop [px], and largest height of a figure [in]."""
+MANY_FACES = 1000
+"""Number of faces from which on a transparent wall counts as a long pipe."""
 AROUND = 0.1
 """Distance beyond the bodies up to which transparent walls are drawn, relative to the extent of the bodies."""
 
@@ -122,6 +124,8 @@ def usd_picture(
                     **painted
                 )
                 shown = 1.0
+            elif only_walls:
+                continue
             if cut and shown < 1 and len(points):
                 middle = 0.5 * (points[:, 1].min() + points[:, 1].max())
                 faces = faces[points[faces].mean(1)[:, 1] > middle]
@@ -138,8 +142,8 @@ def usd_picture(
 
 
 def near(item: tuple[Any, ...], low: np.ndarray, high: np.ndarray) -> tuple[Any, ...]:
-    """Return a transparent wall without its faces far from all bodies; return anything else as it is."""
-    if len(item) == 3 or item[3] == 1:
+    """Return a transparent pipe without its faces far from all bodies; return anything else as it is."""
+    if len(item) == 3 or item[3] == 1 or len(item[1]) < MANY_FACES:
         return item
     middles = item[0][item[1]].mean(1)
     return item[0], item[1][np.all((middles > low) & (middles < high), axis=1)], *item[2:]
@@ -199,8 +203,6 @@ def vtk_picture(items: list[Any], direction: Sequence[float]) -> np.ndarray:
     camera.SetViewUp(0, 0, 1)
     camera.SetViewAngle(25)
     renderer.ResetCamera()
-    camera.Zoom(1.4)
-    renderer.ResetCameraClippingRange()
     light = vtk.vtkLightKit()
     light.AddLightsToRenderer(renderer)
     window.Render()
@@ -359,27 +361,14 @@ def caption_of(folder: Path) -> str:
     return warpcrete.load(folder).scene.caption
 
 
-def cut_open(folder: Path, field: str, label: str, upper: float) -> Any:
-    """Draw the concrete of a part behind a plane through its axis, coloured by a field of its particles, in its wall."""
-    import vtk
-    from vtk.util.numpy_support import vtk_to_numpy
-
-    from warpcrete.core.drawing.paint import palette_colours
-
-    plane = vtk.vtkPlane()
-    plane.SetNormal(0, 1, 0)
-    clip = vtk.vtkClipPolyData()
-    clip.SetInputData(last_step(folder / "walls.vtkhdf"))
-    clip.SetClipFunction(plane)
-    clip.Update()
-    bodies = last_step(folder / "bodies.vtkhdf")
-    places = vtk_to_numpy(bodies.GetPoints().GetData()).astype(float)
-    values, radii = (vtk_to_numpy(bodies.GetPointData().GetArray(name)) for name in (field, "radius"))
-    behind = places[:, 1] > -1e-9
-    spheres = places[behind], 1.1 * radii[behind], palette_colours(values[behind], upper)
-    words = f"Colours: {label} from 0 to {upper:.2g} and above, on viridis."
-    picture = vtk_picture([spheres, glass(clip.GetOutput(), 0.35)], (0.2, -1.0, 0.15))
-    return composed([picture], [""], caption_of(folder), words)
+def surface_file(folder: Path) -> Any:
+    """Draw the surface of the concrete from its file for ParaView, coloured by the friction ahead."""
+    data = last_step(folder / "surface.vtkhdf")
+    data.GetPointData().SetActiveNormals("Normals")
+    upper = 1e3 * round(1e-3 * data.GetPointData().GetArray("pressure").GetRange()[1])
+    items = [coloured(data, "pressure", upper, "viridis"), glass(last_step(folder / "walls.vtkhdf"), 0.15)]
+    words = f"Colours: pressure without weight [Pa] from 0 to {upper:g} and above, on viridis."
+    return composed([vtk_picture(items, (0.5, -1.0, 0.5))], [""], caption_of(folder), words)
 
 
 # Entries.
@@ -399,9 +388,7 @@ def units(folder: Path) -> Any:
     """Draw the scenes of a study side by side, each with the value that its case varies."""
     cases = sorted(path.parent for path in folder.glob("*/scene.usdc"))
     names = [re.sub(r"^\d+-unit=", "unit ", case.name) for case in cases]
-    figure = scene_picture(
-        [(name, case / "scene.usdc") for name, case in zip(names, cases, strict=True)]
-    )
+    figure = scene_picture([(name, case / "scene.usdc") for name, case in zip(names, cases, strict=True)])
     figure.suptitle("pumping units, diameter 100 mm, concrete zhan, 8.48 m3/h", fontsize=9.5)
     return figure
 
@@ -416,6 +403,20 @@ def viewer(folder: Path) -> Path:
     return shot
 
 
+REDUCER = """\
+import numpy as np, matplotlib.figure as drawing, warpcrete
+scene = warpcrete.scenes.part(unit="horizontal", outlet_diameter=0.07, spacing=0.01)
+simulation = warpcrete.Simulation(scene, device="cpu"); simulation.run(); display = simulation.display("speed")
+half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np.all(y[half.faces] < 1e-6, axis=1)]
+figure = drawing.Figure(figsize=(7.6, 2.2), layout="constrained"); axes = figure.add_subplot(aspect="equal")
+figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="[m/s]"); axes.set_title(scene.caption)"""
+RESTART = """\
+from matplotlib.figure import Figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
+figure, rests = Figure(figsize=(7.6, 3.6), layout="constrained"), range(0, 1801, 60)
+axes = figure.add_subplot(xlabel="rest [s]", ylabel="pressure [bar]", title="Restart of 100 m, no2, 20 m3/h")
+for rate in (0.1, 0.5, 1.7):
+    peaks = [restart(CONCRETES["no2"], Line(length=100, rise=0), t, rate, 20 / 3600).pressure / 1e5 for t in rests]
+    axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1]))"""
 CONCRETE = "--concrete own --density 2300 --viscosity 30 --yield-stress"
 PIPE = "--diameter 0.1 --length 0.35 --elbow-radius 0.25"
 ENTRIES = (
@@ -429,9 +430,10 @@ ENTRIES = (
           "curves over time on one timeline.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
     Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm: they form an "
-          "arch, and the run stops because part of the concrete stands still.",
+          "arch, and the run stops because most of them stand still (dark).",
           "warpcrete run part-dem --unit vertical --diameter 0.08 --outlet-diameter 0.036 --taper 0.08 \\\n"
-          "    --straight 0.12 --size-min 0.014 --size-max 0.018 --bonds --plug none --stop-when-blocked --out OUT",
+          "    --straight 0.12 --size-min 0.014 --size-max 0.018 --plug none --stop-when-blocked \\\n"
+          "    --colour speed --out OUT",
           usd(direction=(0.3, -1.0, 0.25), cut=True)),
     Entry("worn", "A worn bend", "Depth that sliding and impacts have worn off the wall of a bend.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.3 --wear --out OUT",
@@ -444,23 +446,23 @@ ENTRIES = (
     Entry("jring", "J-ring test", "Grains that spread through a ring of bars, coloured by their speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
           "--out OUT", usd(direction=(0.2, -1.0, 0.55), opacity=0.2)),
-    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box, 0.5 s after the gate was lifted.",
+    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box, as the gate opens.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
-          "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.6 --out OUT",
+          "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
           usd(direction=(0.45, -1.0, 0.35), opacity=0.2)),
     Entry("funnel", "V-funnel test", "Concrete that flows out of a funnel, fastest and most sheared at the outlet.",
           "warpcrete run funnel --concrete own --density 2300 --viscosity 20 --yield-stress 20 --spacing 0.015 \\\n"
           "    --duration 1 --out OUT", usd(direction=(0.3, -1.0, 0.15))),
     Entry("line", "Pressure along a line", "Pressure in the line of the Shanghai Tower by theory, with its likely "
-          "range, its weight, and the recorded pressure of the pump.",
+          "range, its weight, and the pressure recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
-    Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program, and the line joins "
+    Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program; the line joins "
           "those that no other setting beats.", "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
     Entry("posterior", "What measurements determine", "Slip layers that agree with the pressures at two flows: only a "
           "narrow band of viscosity and yield stress is likely.",
-          f"warpcrete calibrate {HERE.parent.name}/targets/two_flows.yaml --trials 14 --out OUT",
+          "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
-    Entry("migration", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid, and the mortar beside "
+    Entry("migration", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid; the mortar beside "
           "the wall is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
     Entry("validation", "Predicted against measured", "Blind predictions over measurements, with the likely range of "
@@ -472,9 +474,11 @@ ENTRIES = (
           "opens as well.",
           f"warpcrete run pipe --unit C --shapes reference {PIPE} --travel 0.05 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
-    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open, from the files for ParaView.",
-          "warpcrete run part --unit horizontal --outlet-diameter 0.07 --spacing 0.01 --paraview --out OUT",
-          lambda folder: cut_open(folder, "speed", "speed [m/s]", 0.5)),
+    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open: a plug that becomes faster.",
+          REDUCER, lambda folder: None),
+    Entry("paraview", "A file for ParaView", "Concrete in a bend, coloured by the pressure without weight, from "
+          "`surface.vtkhdf` and `walls.vtkhdf` of the run, drawn by VTK.",
+          "warpcrete run part --unit bend-to-vertical --spacing 0.0125 --paraview --out OUT", surface_file),
     Entry("profile", "Plug and slip", "Velocity over the radius of a tube: the concrete moves as a plug and slips on "
           "the wall, as theory says.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
@@ -482,13 +486,7 @@ ENTRIES = (
           "warpcrete study tube --concrete no1 no2 no3 --flow 0.002 0.004 0.006 --ends periodic --spacing 0.01 "
           "--out OUT", image("study.png")),
     Entry("restart", "Pressure after a rest", "Pressure of 100 m of pipe that starts again, by theory, for three rates "
-          "at which the concrete stiffens at rest.", """\
-from matplotlib.figure import Figure
-from warpcrete.theory.pipe import CONCRETES, Line, restart
-figure, rests = Figure(figsize=(7.6, 3.6), layout="constrained"), range(0, 1801, 60)
-axes = figure.add_subplot(xlabel="rest [s]", ylabel="pressure [bar]", title="Restart of 100 m, no2, 20 m3/h")
-[axes.plot(rests, [restart(CONCRETES["no2"], Line(length=100, rise=0), t, a, 20 / 3600).pressure / 1e5
-           for t in rests], label=f"{a} Pa/s") and axes.legend() for a in (0.1, 0.5, 1.7)]""", lambda folder: None),
+          "at which the concrete stiffens at rest.", RESTART, lambda folder: None),
 )  # fmt: skip
 
 

@@ -390,7 +390,9 @@ def test_notes_of_usd_are_readable(pumped):
     )
 
 
-@pytest.mark.parametrize("alpha, moves, opacity", [(10, False, CLEAR), (200, False, 200 / 255), (10, True, CLEAR), (255, True, 1.0)])
+@pytest.mark.parametrize(
+    "alpha, moves, opacity", [(10, False, CLEAR), (200, False, 200 / 255), (10, True, CLEAR), (255, True, 1.0)]
+)
 def test_clear_walls_of_usd_stay_visible(alpha, moves, opacity):
     from pxr import Usd
 

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.drawing.display import OTHER, Colour, Curve, DrawnWall, Plot
+from ...core.drawing.paint import rounded_up
 from ...core.drawing.style import RUN, SECOND
 from ...core.drawing.surfaces import Level
 from ..grid.display import GridDisplay
@@ -18,8 +19,9 @@ MAX_PARTICLES = 12000
 PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1
 """Depth with which a flow in a plane is drawn [m]."""
-MAX_SHOWN_SHEAR_RATE = 5.0
-"""Shear rate at the upper end of the colour scale [1/s]."""
+SHOWN_SHEAR = 0.02
+"""Shear rate at the upper end of the colour scale, before rounding up, relative to the shear rate at which viscosity
+alone would carry the stress under the concrete at the start, less its yield stress."""
 
 
 class FreeDisplay(GridDisplay):
@@ -103,7 +105,9 @@ class FreeDisplay(GridDisplay):
             return "pressure [kPa]", 0.0, scene.concrete.density * scene.gravity * height / 1e3
         if self.colouring == "speed":
             return "speed [m/s]", 0.0, 0.1 * float(np.sqrt(2 * scene.gravity * height))
-        return "rate of shear [1/s]", 0.0, MAX_SHOWN_SHEAR_RATE
+        concrete, stress = scene.concrete, scene.concrete.density * scene.gravity * height
+        rate = max(stress - concrete.yield_stress, 0.1 * stress) / concrete.viscosity
+        return "rate of shear [1/s]", 0.0, rounded_up(SHOWN_SHEAR * rate)
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""
