@@ -35,8 +35,8 @@ WIDTH, MOST_BYTES = 760, 60_000
 BACKGROUND = (1.0, 1.0, 1.0)
 SIDE, MARGIN, HIGHEST = 1800, 25, 5.0
 """Width of a drawn scene before it is cropped [px], margin of the crop [px], and largest height of a figure [in]."""
-MANY_FACES = 1000
-"""Number of faces from which on a transparent wall counts as a long pipe."""
+LONG = 1.3
+"""Length of a transparent wall, relative to the bodies and the space around them, from which its ends are left out."""
 AROUND = 0.1
 """Distance beyond the bodies up to which transparent walls are drawn, relative to the extent of the bodies."""
 
@@ -142,11 +142,24 @@ def usd_picture(
 
 
 def near(item: tuple[Any, ...], low: np.ndarray, high: np.ndarray) -> tuple[Any, ...]:
-    """Return a transparent pipe without its faces far from all bodies; return anything else as it is."""
-    if len(item) == 3 or item[3] == 1 or len(item[1]) < MANY_FACES:
+    """Return a transparent pipe that is much longer than the bodies without its ends far from them."""
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    if len(item) == 3 or item[3] == 1 or not len(item[0]) or np.ptp(item[0], axis=0).max() < LONG * (high - low).max():
         return item
-    middles = item[0][item[1]].mean(1)
-    return item[0], item[1][np.all((middles > low) & (middles < high), axis=1)], *item[2:]
+    box = vtk.vtkBox()
+    box.SetBounds(*np.stack([low, high], 1).ravel())
+    clip = vtk.vtkClipPolyData()
+    clip.SetInputData(actor(item).GetMapper().GetInput())
+    clip.SetClipFunction(box)
+    clip.InsideOutOn()
+    whole = vtk.vtkTriangleFilter()
+    whole.SetInputConnection(clip.GetOutputPort())
+    whole.Update()
+    found = whole.GetOutput()
+    points = vtk_to_numpy(found.GetPoints().GetData())
+    return points, vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3), item[2][:1], item[3], None
 
 
 def spheres_of(instancer: Any, stage: Any, code: float, cut: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -430,7 +443,7 @@ ENTRIES = (
           "curves over time on one timeline.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
     Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm: they form an "
-          "arch, and the run stops because most of them stand still (dark).",
+          "arch, and the run stops because those in the throat (dark) hardly move.",
           "warpcrete run part-dem --unit vertical --diameter 0.08 --outlet-diameter 0.036 --taper 0.08 \\\n"
           "    --straight 0.12 --size-min 0.014 --size-max 0.018 --plug none --stop-when-blocked \\\n"
           "    --colour speed --out OUT",
@@ -482,9 +495,9 @@ ENTRIES = (
     Entry("profile", "Plug and slip", "Velocity over the radius of a tube: the concrete moves as a plug and slips on "
           "the wall, as theory says.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
-    Entry("study", "A parameter study", "Pressure of three concretes over the flow, one colour for each.",
-          "warpcrete study tube --concrete no1 no2 no3 --flow 0.002 0.004 0.006 --ends periodic --spacing 0.01 "
-          "--out OUT", image("study.png")),
+    Entry("study", "A parameter study", "Slump and spread over the yield stress, for two viscosities.",
+          "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
+          "    --spacing 0.0125 --out OUT", image("study.png")),
     Entry("restart", "Pressure after a rest", "Pressure of 100 m of pipe that starts again, by theory, for three rates "
           "at which the concrete stiffens at rest.", RESTART, lambda folder: None),
 )  # fmt: skip

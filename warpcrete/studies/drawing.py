@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from ..core.units import shown
 MARKERS = ("o", "s", "^", "D", "v")
 TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
 """Parameters that the title states if they are the same in all cases."""
+LABEL_WIDTH = 34
+"""Number of characters after which the label of an axis continues on a new line."""
 ACROSS = 3  # maximum number of panels in a row of the figure
 
 
@@ -77,7 +80,7 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
     if not numeric:
         axes.set_xticks(range(len(values)), [str(v) for v in values])
         axes.margins(x=0.2)
-    titles = " and ".join(each.title for each in drawn)
+    titles = textwrap.fill(" and ".join(each.title for each in drawn), LABEL_WIDTH)
     axes.set(xlabel=study.heading(name).replace("_", " "), ylabel=f"{titles} [{unit}]")
     lower, upper = axes.get_ylim()
     if lower > 0:  # let the axis start at zero, unless a quantity has both signs
