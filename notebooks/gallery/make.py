@@ -30,6 +30,8 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 WORK = Path(tempfile.gettempdir()) / "warpcrete-gallery"
+MADE = ".made"
+"""File that marks the folder of a complete run."""
 WIDTH, MOST_BYTES = 760, 60_000
 """Width of a picture [px], and the largest size of its file."""
 BACKGROUND = (1.0, 1.0, 1.0)
@@ -458,7 +460,7 @@ ENTRIES = (
           "height over time.", f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
     Entry("jring", "J-ring test", "Grains that spread through a ring of bars, coloured by their speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
-          "--out OUT", usd(direction=(0.2, -1.0, 0.55), opacity=0.2)),
+          "--out OUT", usd(time=0.25, direction=(0.2, -1.0, 0.55), opacity=0.2)),
     Entry("lbox", "L-box test", "Concrete that flows through two bars into the box, as the gate opens.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
           "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
@@ -517,7 +519,8 @@ def make(entry: Entry) -> None:
     """Run the code of an entry, if it was not run before, and write its picture."""
     folder = folder_of(entry.code)
     if entry.code.startswith("warpcrete "):
-        if not folder.exists():
+        if not (folder / MADE).exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of a run that was interrupted
             words = [sys.executable, "-m", "warpcrete", *arguments(entry.code)[1:]]
             words += [] if words[3] in ("line", "validate") else ["--quiet", "--device", "cpu"]
             done = subprocess.run(words, cwd=HERE.parents[1], capture_output=True, text=True)
@@ -525,6 +528,7 @@ def make(entry: Entry) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
                 said = f"{done.stdout[-800:]}{done.stderr[-1500:]}"
                 raise SystemExit(f"{entry.name}: exit code {done.returncode}\n{said}")
+            (folder / MADE).touch()
         picture = entry.draw(folder)
     else:
         names: dict[str, Any] = {}

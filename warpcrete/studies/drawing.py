@@ -51,7 +51,13 @@ def _common(study: Any) -> list[str]:
     """Return unit, diameter, concrete and flow with their values for the title, if they are equal in all cases."""
     first = study.cases[0].parameters
     same = [name for name in TITLE if name in first and all(c.parameters.get(name) == first[name] for c in study.cases)]
-    return [f"{study.heading(name)} {first[name]}" for name in same if first[name] is not None]
+    return [_worded(study, name, first[name]) for name in same if first[name] is not None]
+
+
+def _worded(study: Any, name: str, value: Any) -> str:
+    """Return a parameter and its value with the unit in words, such as "yield stress 100 Pa"."""
+    number = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{name.replace('_', ' ')} {number} {study.units.get(name, '')}".strip()
 
 
 def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
@@ -62,7 +68,7 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
     factor, unit = shown(drawn[0].unit)
     lines: dict[str, list[dict[str, Any]]] = {}
     for row in mine:
-        label = ", ".join(f"{study.heading(n)} {row[n]}" for n in study.varied if n != name and n in row)
+        label = ", ".join(_worded(study, n, row[n]) for n in study.varied if n != name and n in row)
         lines.setdefault(label, []).append(row)
     colours = itertools.cycle(SERIES)
     for k, (label, part) in enumerate(lines.items()):

@@ -179,9 +179,9 @@ def draw(found: Calibration) -> Any:
                 here.plot(trials[:, column], trials[:, row], "k.", ms=3)
                 here.plot(found.best[across.name], found.best[up.name], "x", color=rgb(RUN), ms=8, mew=2)
                 here.set(ylim=(up.low, up.high), yscale="log" if up.log else "linear",
-                         ylabel=up.name if column == 0 else "")  # fmt: skip
+                         ylabel=up.name.replace("_", " ") if column == 0 else "")  # fmt: skip
             here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
-                     xlabel=across.name if row == free - 1 else "")  # fmt: skip
+                     xlabel=across.name.replace("_", " ") if row == free - 1 else "")  # fmt: skip
             for axis, of in ((here.xaxis, across), (here.yaxis, up)):
                 if of.log and (axis is here.xaxis or row != column):
                     _few_ticks(axis)
