@@ -487,7 +487,8 @@ ENTRIES = (
           "    --strokes 2 --stroke 0.1 --pause 0.3 --out OUT", image("pressure.png")),
     Entry("clumps", "Clumps in a bend", "Aggregates as clumps of spheres, from the USD scene of the run, which Blender "
           "opens as well.",
-          f"warpcrete run pipe --unit C --shapes reference {PIPE} --travel 0.05 --colour size --out OUT",
+          "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
+          "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
     Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open: a plug that becomes faster.",
           REDUCER, lambda folder: None),
