@@ -14,8 +14,6 @@ from warpcrete.cli.study import parsed
 from warpcrete.scenes import modules
 
 GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery"
-SETTINGS = {"out", "usd", "quiet", "device", "repeat"}
-"""Options of `warpcrete study` that are no parameters of a scene, as far as the gallery uses them."""
 
 
 def script():
@@ -63,16 +61,20 @@ def test_lines_of_python_are_few_and_leave_a_figure(name):
 
 @pytest.mark.parametrize("name", [n for n, entry in ENTRIES.items() if entry.code.startswith("warpcrete ")])
 def test_a_command_parses(name):
-    """Options of a study are checked here, because its parser accepts any; the program checks those of the others."""
+    """Options of studies, trades and calibrations are checked here, because their parsers accept any with --help."""
     words = shlex.split(ENTRIES[name].code.replace("\\\n", ""))[1:]
     assert words[-2:] == ["--out", "OUT"]
-    if words[0] == "study":
-        scene, options = parsed(words[1:])
-        assert scene in modules() and {key.replace("-", "_") for key in options} - SETTINGS <= set(
-            modules()[scene].scene.fields({})
-        )
+    if words[0] in ("study", "trade", "calibrate"):
+        subject, options = parsed(words[1:])
+        told = command(words[0], "--help").stdout
+        own = {name for name in options if f"--{name}" not in told}
+        if words[0] == "calibrate":
+            assert (GALLERY.parents[1] / subject).is_file() and not own
+        else:
+            assert subject in modules()
+            assert {name.replace("-", "_") for name in own} <= set(modules()[subject].scene.fields({}))
     else:
-        code, _, said = command(*words, "--help")
-        assert code == 0, said
-        code, _, said = command(*words, "--no-such-option", "--help")
-        assert code == 2, said
+        done = command(*words, "--help")
+        assert done.returncode == 0, done.stderr
+        done = command(*words, "--no-such-option", "--help")
+        assert done.returncode == 2, done.stderr
