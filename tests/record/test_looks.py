@@ -292,7 +292,9 @@ def test_a_cut_leaves_what_lies_behind_the_axis():
 def test_bars_of_colours_span_the_scale(monkeypatch):
     """From its lower end, which need not be zero, to its upper one; of walls from zero."""
     monkeypatch.setattr("warpcrete.record.legend._png", lambda figure: figure)
-    found: Any = legend(SimpleNamespace(scale=lambda: ("speed [m/s]", 0.23, 0.71), categories=lambda: {}))
+    found: Any = legend(
+        SimpleNamespace(scale=lambda: ("speed [m/s]", 0.23, 0.71), categories=lambda: {}, palette="concrete")
+    )
     painted: Any = paint_legend(SimpleNamespace(upper=3.3, palette="magma"))
     for figure, span in ((found, (0.23, 0.71)), (painted, (0.0, 3.3))):
         (axes,) = figure.axes
@@ -383,10 +385,15 @@ def test_notes_of_usd_are_readable(pumped):
     from pxr import Sdf
 
     notes = Sdf.Layer.FindOrOpen(str(pumped[0] / "scene.usdc")).customLayerData
-    assert json.loads(json.dumps(dict(notes)))["title"] == "warpcrete: pipe"
+    assert (
+        json.loads(json.dumps(dict(notes)))["title"]
+        == "warpcrete: pipe vertical, diameter 80 mm, concrete zhan, 5.43 m3/h"
+    )
 
 
-@pytest.mark.parametrize("alpha, moves, opacity", [(10, False, CLEAR), (200, False, 200 / 255), (10, True, 1.0)])
+@pytest.mark.parametrize(
+    "alpha, moves, opacity", [(10, False, CLEAR), (200, False, 200 / 255), (10, True, CLEAR), (255, True, 1.0)]
+)
 def test_clear_walls_of_usd_stay_visible(alpha, moves, opacity):
     from pxr import Usd
 

@@ -245,7 +245,7 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
     assert [axes.get_xlabel() for axes in shown] == ["velocity [m/s]", "diameter [m]"]
     highest = {}
     for axes in shown:
-        assert axes.get_ylabel() == "[kPa]" and axes.get_legend() is not None
+        assert axes.get_ylabel() == "peak and plateau [kPa]" and axes.get_legend() is not None
         lower, upper = axes.get_ylim()
         for line in axes.lines:
             y = np.asarray(line.get_ydata(), float)
@@ -253,6 +253,22 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
                 assert lower <= y.min() and y.max() <= upper, "a point is clipped"
                 highest[axes] = max(highest.get(axes, 0.0), y.max())
     assert set(highest.values()) == {200.0}
+
+
+def test_series_of_a_study_have_colours_of_their_own_and_failed_cases_have_marks(tmp_path):
+    cases = [
+        Case(f"{k}", {"velocity": v, "diameter": d}, {"concrete": "zhan"})
+        for k, (v, d) in enumerate([(0.1, 0.1), (0.5, 0.1), (0.1, 0.2), (0.5, 0.2)])
+    ]
+    study = study_of(tmp_path, cases, [(20e3, 10e3), (80e3, 40e3), (200e3, 5e3), (1e3, 1e3)])
+    del study.results["3"]
+    study.failures["3"] = "it became unstable"
+    figure = draw(study)
+    axes = figure.axes[0]
+    bars = [container.lines[0] for container in axes.containers]
+    assert len({line.get_color() for line in bars}) == len(bars) == 4
+    (mark,) = [line for line in axes.lines if line.get_label() == "a case failed"]
+    assert list(mark.get_xdata()) == [0.5] and figure.get_suptitle() == "pipe, concrete zhan"
 
 
 def test_words_of_a_study_are_not_joined_by_lines(tmp_path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from ..core.drawing.style import MEASURED, NOT_STRAIGHT, RUN, SECOND, SERIES, THIRD, legend_beside, open_frame, rgb
 from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
@@ -23,20 +25,23 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
     from matplotlib.figure import Figure
 
     many = runs if isinstance(runs, Mapping) else {"": runs}
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    figure = Figure(figsize=(8.6, 4.2), layout="constrained")
     axes = figure.add_subplot()
-    for name, run in many.items():
-        axes.plot(run.series["travel"], run.series["pressure"] / 1e3, label=name or "this run", linewidth=1.6)
+    for (name, run), colour in zip(many.items(), itertools.cycle(SERIES)):
+        axes.plot(run.series["travel"], run.series["pressure"] / 1e3, label=name or "this run", linewidth=1.6,
+                  color=rgb(colour))  # fmt: skip
     run = next(iter(many.values()))
     longest = max(float(r.series["travel"].max()) for r in many.values()) or 1.0
     _mark_travel(axes, run, longest)
     if len(many) == 1 and "plateau_pressure" in run.result:
         begin, level = number(run.result["plateau_from_travel"]), number(run.result["plateau_pressure"]) / 1e3
-        axes.plot([begin, longest], [level, level], color="C1", linewidth=2.5, alpha=0.7, label="plateau, mean")
+        axes.plot([begin, longest], [level, level], color=rgb(SECOND), linewidth=2.5, alpha=0.7, label="plateau, mean")
     published = run.scene.published
     if published is not None:
         if published.plateau is not None:
-            axes.axhline(published.plateau / 1e3, color="0.4", linestyle=":", label=f"plateau, {published.source}")
+            axes.axhline(
+                published.plateau / 1e3, color=rgb(MEASURED), linestyle=":", label=f"plateau, {published.source}"
+            )
         if published.peak is not None and published.peak_travel is not None:
             axes.plot(published.peak_travel, published.peak / 1e3, "k+", markersize=10,
                       label=f"peak, {published.source}")  # fmt: skip
@@ -45,8 +50,9 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
                          label=f"maximum, {published.source}")  # fmt: skip
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, longest))
     if len(axes.lines) > 1:
-        axes.legend(frameon=False, fontsize=9)
-    axes.spines[["top", "right"]].set_visible(False)
+        legend_beside(axes, 9)
+    axes.set_title(run.scene.caption if len(many) == 1 else run.scene.name, fontsize=10)
+    open_frame(axes)
     return figure
 
 
@@ -70,34 +76,37 @@ def plot_stations(run: ElementRun) -> Any:
     table = run.tables["stations"].columns
     figure = Figure(figsize=(10, 6.4), layout="constrained")
     (stresses, piston), (solid, profile) = figure.subplots(2, 2)
-    for name, label in (
-        ("axial_stress", "along the pipe"),
-        ("pressure", "mean normal"),
-        ("wall_stress", "on the wall"),
+    for name, label, colour in (
+        ("axial_stress", "along the pipe", RUN),
+        ("pressure", "mean normal", SECOND),
+        ("wall_stress", "on the wall", THIRD),
     ):
-        stresses.plot(table["place"], table[name] / 1e3, ".-", label=label)
+        stresses.plot(table["place"], table[name] / 1e3, ".-", label=label, color=rgb(colour))
     stresses.set(ylabel="stress [kPa]", ylim=(0, None))
-    stresses.legend(frameon=False, fontsize=9)
-    piston.plot(run.series["travel"], run.series["pressure"] / 1e3, color="C3")
+    piston.plot(run.series["travel"], run.series["pressure"] / 1e3, color=rgb(RUN))
     piston.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
-    solid.plot(table["place"], table["solid_fraction"], ".-", color="C2")
+    solid.plot(table["place"], table["solid_fraction"], ".-", color=rgb(RUN))
     solid.set(xlabel="position along the part [m]", ylabel="solid fraction (overlaps counted twice)", ylim=(0, None))
     rings = [name for name in table if name.endswith("R")]
     middles = [float(name.removeprefix("velocity_").removesuffix("R")) for name in rings]
     full = np.flatnonzero(np.isfinite(table["velocity"]))
-    for place in full[np.unique(np.linspace(0, len(full) - 1, 5).astype(int))] if len(full) else ():
+    shown = full[np.unique(np.linspace(0, len(full) - 1, 5).astype(int))] if len(full) else ()
+    for place, colour in zip(shown, SERIES):
         profile.plot(
-            middles, [100 * table[name][place] for name in rings], ".-", label=f"{table['place'][place]:.2f} m"
-        )
+            middles, [100 * table[name][place] for name in rings], ".-", color=rgb(colour),
+            label=f"{table['place'][place]:.2f} m",
+        )  # fmt: skip
     profile.set(xlabel="radius over pipe radius", ylabel="velocity [cm/s]", ylim=(0, None), xlim=(0, 1))
     if len(full):
-        profile.legend(frameon=False, fontsize=9, title="along the part")
+        legend_beside(profile, title="along the part")
     middle = run.scene.stations.middle
     for axes in (stresses, solid):
         if middle is not None:
-            axes.axvspan(*(end - run.scene.stations.origin for end in middle), color="C1", alpha=0.12, linewidth=0)
-    for axes in (stresses, piston, solid, profile):
-        axes.spines[["top", "right"]].set_visible(False)
+            ends = (end - run.scene.stations.origin for end in middle)
+            axes.axvspan(*ends, color=rgb(NOT_STRAIGHT), linewidth=0, zorder=0, label="middle of the part")
+    legend_beside(stresses)
+    open_frame(stresses, piston, solid, profile)
+    figure.suptitle(run.scene.caption, fontsize=10)
     return figure
 
 
@@ -123,9 +132,9 @@ def plot_strokes(run: ElementRun) -> Any:
             "use the scene pipe with 'strokes', or plot_pressure for the pressure over the travel",
         )
     time, pressure = run.series["time"], run.series["pressure"] / 1e3
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    figure = Figure(figsize=(8.6, 4.2), layout="constrained")
     axes = figure.add_subplot()
-    axes.plot(time, pressure, label="this run", linewidth=1.6)
+    axes.plot(time, pressure, label="this run", linewidth=1.6, color=rgb(RUN))
     for stop in range(stops.count):
         begin = stop * stops.period + stops.stroke_time
         if begin < time[-1]:
@@ -138,15 +147,16 @@ def plot_strokes(run: ElementRun) -> Any:
     rest = run.scene.rest
     if rest is not None and rest.at < time[-1]:
         stood = f"{rest.duration:g} s at rest, yield stress grown by {rest.gained:.4g} Pa"
-        axes.axvline(rest.at, color="C3", linewidth=1.2, label=stood)
+        axes.axvline(rest.at, color=rgb(SECOND), linewidth=1.4, label=stood)
     axes.set(
         xlabel="time, the rest left out [s]" if rest else "time without the rest [s]",
         ylabel="pressure on the piston [kPa]",
         ylim=(0, None),
         xlim=(0, time[-1] or 1.0),
     )
-    axes.legend(frameon=False, fontsize=9)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    figure.suptitle(run.scene.caption, fontsize=10)
+    open_frame(axes)
     return figure
 
 

@@ -6,18 +6,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.drawing.display import Curve, Display, DrawnWall, Plot, Points, Profile
+from ..core.drawing.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
 from ..core.drawing.paint import palette_colours
+from ..core.drawing.style import RUN, THEORY
 from ..geometry.axis import Axis, Line
 from ..theory.pipe import velocity
 from .probes import MIDDLE, Snapshot, over_radius
 
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
-PIPE = (150, 165, 180, 40)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
 """Golden angle [rad] between successive particles, as they are drawn about the axis of a tube."""
-OURS, THEORY = (215, 95, 30), (150, 150, 150)
 
 
 class FlowDisplay(Display):
@@ -101,11 +100,11 @@ class FlowDisplay(Display):
         theory = self.simulation.scene.theory()
         return (
             Plot("pressure", self.pressure_label.capitalize(), (
-                Curve("piston", f"{self.pressure_label} [kPa]", lambda row: row["pressure"] / 1e3, OURS),
+                Curve("piston", f"{self.pressure_label} [kPa]", lambda row: row["pressure"] / 1e3, RUN),
                 Curve("theory", "theory", lambda row: theory.pressure / 1e3, THEORY),
             )),
             Plot("slip", "Slip velocity", (
-                Curve("layer", "slip velocity [cm/s]", lambda row: 100 * row["slip_velocity"], OURS),
+                Curve("layer", "slip velocity [cm/s]", lambda row: 100 * row["slip_velocity"], RUN),
                 Curve("theory", "theory", lambda row: 100 * theory.slip_velocity, THEORY),
             )),
         )  # fmt: skip
@@ -115,7 +114,7 @@ class FlowDisplay(Display):
         place = "distance from the middle" if self.simulation.scene.dimensions == 2 else "radius"
         title = f"Velocity [cm/s] over {place} [mm]"
         return (Profile("velocity", title, (
-            Points("this run", self._velocities, OURS), Points("theory", self._expected, THEORY),
+            Points("this run", self._velocities, RUN), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
@@ -148,7 +147,7 @@ class FlowDisplay(Display):
             corners = [(s * scene.radius, y, z) for s in (-1, 1) for y in (-deep, deep) for z in (0.0, length)]
             faces = np.array([(4 * k + a, 4 * k + b, 4 * k + c) for k in (0, 1) for a, b, c in ((0, 1, 2), (1, 3, 2))])
             vertices = np.array(corners)
-        return [DrawnWall("pipe", vertices, faces, False, PIPE)]
+        return [DrawnWall("pipe", vertices, faces, False, GLASS)]
 
     def _travel(self) -> float:
         """Return how far the piston is expected to move during the run [m].

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.drawing.style import MEASURED, RUN, SERIES, THEORY, legend_beside, open_frame, rgb
 from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import velocity
@@ -23,13 +24,13 @@ def plot_flow(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.5 if particles is not None else 7.5, 4.2), layout="constrained")
+    figure = Figure(figsize=(11.5 if particles is not None else 9.5, 4.2), layout="constrained")
     ratios = [1.25, 1.25, 0.75] if particles is not None else [1, 1]
     axes = figure.subplots(1, len(ratios), width_ratios=ratios)
     _pressure(axes[0], run)
     _profiles(axes[1], run)
-    for one in axes[:2]:
-        one.spines[["top", "right"]].set_visible(False)
+    open_frame(*axes[:2])
+    figure.suptitle(run.scene.caption, fontsize=10)
     if particles is not None:
         _particles(axes[2], *particles, scale)
     return figure
@@ -37,11 +38,15 @@ def plot_flow(
 
 def _pressure(axes: Any, run: Run) -> None:
     theory = number(run.result["pressure_theory"]) / 1e3
-    axes.plot(run.series["time"], run.series["pressure"] / 1e3, linewidth=1.6, label="this run")
-    axes.axhline(theory, color="0.4", linestyle=":", label="theory")
+    axes.plot(run.series["time"], run.series["pressure"] / 1e3, linewidth=1.6, color=rgb(RUN), label="this run")
+    axes.axhline(theory, color=rgb(THEORY), linestyle="--", label="theory")
     if "pressure" in run.scene.published:
         axes.axhline(
-            run.scene.published["pressure"] / 1e3, color="k", linestyle="--", linewidth=0.8, label="printed (Xu et al.)"
+            run.scene.published["pressure"] / 1e3,
+            color=rgb(MEASURED),
+            linestyle=":",
+            linewidth=1.2,
+            label="printed (Xu et al.)",
         )
     piston = run.scene.ends == "piston"
     axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
@@ -51,23 +56,24 @@ def _pressure(axes: Any, run: Run) -> None:
     if np.isfinite(lowest + highest):
         margin = max(0.2 * (highest - lowest), 0.05 * abs(highest), 1e-9)
         axes.set_ylim(lowest - margin, highest + margin)
-    axes.legend(frameon=False, fontsize=8)
+    legend_beside(axes)
 
 
 def _profiles(axes: Any, run: Run) -> None:
     scene = run.scene
     piston = scene.ends == "piston"
     # In a periodic pipe all profiles are equal, so only the first one is drawn.
-    for part in run.result["profiles"][: None if piston else 1]:
+    for part, colour in zip(run.result["profiles"][: None if piston else 1], SERIES):
         axes.plot(
             100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]), ".", markersize=5,
+            color=rgb(colour),
             label=f"{100 * part['height']['value']:.0f} cm above the piston" if piston else "this run",
         )  # fmt: skip
     radius = np.linspace(0, scene.radius, 200)
     theory = velocity(scene.concrete, scene.line, scene.theory(), radius)
-    axes.plot(100 * radius, 100 * theory, color="0.4", linestyle=":", label="theory")
+    axes.plot(100 * radius, 100 * theory, color=rgb(THEORY), linestyle="--", label="theory")
     axes.set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
-    axes.legend(frameon=False, fontsize=8)
+    legend_beside(axes)
 
 
 def _particles(

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.device.device import PRECISIONS
 from ..core.drawing.html import Parametrised
+from ..core.drawing.style import pumping_caption
 from ..core.errors import between, one_of, positive, refuse
 from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
@@ -250,6 +251,16 @@ class FluidScene(Parametrised, FlowSettings):
             f"<FluidScene {self.name!r}: {self.concrete.name}, {phases}, {self.dimensions}D, R = {self.radius:g} m, "
             f"{self.velocity:.4g} m/s, spacing {self.spacing:g} m>"
         )
+
+    @property
+    def caption(self) -> str:
+        """Scene, diameter, concrete and flow in words, for titles of figures and recordings."""
+        if self.dimensions == 2:
+            return (
+                f"{self.name}, {2e3 * self.radius:.4g} mm wide, concrete {self.concrete.name}, {self.velocity:.3g} m/s"
+            )
+        flow = np.pi * self.radius**2 * self.velocity
+        return pumping_caption(self.name, self.radius, self.concrete.name, flow)
 
     @property
     def form(self) -> str:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.drawing.display import Display, DrawnWall
+from ..core.drawing.display import Display, DrawnWall, Plot
+from ..core.drawing.style import explained
 from ..geometry.rotation import rotate
 from .legend import capitalised, legend_title
 
@@ -21,6 +22,8 @@ CHAINS, CUT = "scene/network", "scene/cut"
 """Paths, in the recording, of the lines that show contact forces and of the walls that are cut open. The view of the
 whole scene hides what is recorded under these paths."""
 PAINT_LEGEND = "legend_of_walls"
+CUT_OPACITY = 150
+"""Minimum opacity of the half of a wall that the cut leaves, from 0 to 255."""
 
 
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
@@ -29,20 +32,41 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
 
     scenes = _arranged(display, _scenes(display, network))
     if legend:
-        bars = {"legend": legend_title(display)}
+        bars = {"legend": f"{display.simulation.scene.caption}. Colours: {legend_title(display)}"}
         if (paint := display.paint()) is not None:
             bars[PAINT_LEGEND] = capitalised(paint.label)
         views = [rrb.Spatial2DView(name=title, origin=path, background=PAPER) for path, title in bars.items()]
         scenes = rrb.Vertical(scenes, *views, row_shares=[8, *(1 for _ in views)])
-    curves = [rrb.TimeSeriesView(name=plot.title, origin=plot.path) for plot in display.plots()]
-    curves += [rrb.BarChartView(name=each.title, origin=f"profile/{each.path}") for each in display.profiles()]
+    # The viewer's own legends cover the curves, so titles name the colours instead.
+    hidden = rrb.PlotLegend(visible=False)
+    curves = [rrb.TimeSeriesView(name=plot_title(plot), origin=plot.path, plot_legend=hidden)
+              for plot in display.plots()]  # fmt: skip
+    curves += [
+        rrb.BarChartView(
+            name=explained(each.title, [(curve.name, curve.colour) for curve in each.curves]),
+            origin=f"profile/{each.path}", plot_legend=hidden,
+        ) for each in display.profiles()
+    ]  # fmt: skip
     speed = min(1.0, duration / MIN_PLAY_TIME)
     return rrb.Blueprint(
-        rrb.Horizontal(scenes, rrb.Vertical(*curves), column_shares=[2, 1]),
+        rrb.Horizontal(scenes, rrb.Vertical(*curves), column_shares=[3, 2]),
         rrb.TimePanel(timeline="time", playback_speed=speed, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def plot_title(plot: Plot) -> str:
+    """Return the title of a plot over time: the labels of its curves with their unit, and their colours if several."""
+    labels = [curve.label.partition(" [") for curve in plot.curves]
+    units = list(dict.fromkeys(unit for _, _, unit in labels if unit))
+    if len(plot.curves) == 1:
+        return capitalised(plot.curves[0].label)
+    if len(units) > 1:
+        return explained(plot.title, [(curve.label, curve.colour) for curve in plot.curves])
+    unit = f" [{units[0]}" if units else ""
+    colours = [(name, curve.colour) for (name, _, _), curve in zip(labels, plot.curves, strict=True)]
+    return explained(f"{plot.title}{unit}", colours)
 
 
 def _arranged(display: Display, views: list[Any]) -> Any:
@@ -61,7 +85,12 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     """Return the three-dimensional views: the whole scene, the scene cut open by a plane, and the force chains."""
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
-    found = [_view(display, f"{noun.capitalize()} by {display.colouring}", whole)]
+    found = [_view(display, noun.capitalize(), whole)]
+    contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
+    if display.surface() is not None:
+        if display.cut is not None:
+            found.append(_view(display, "Cut through the middle", [*contents, f"- scene/{noun}"]))
+        return found
     kept = spheres_behind_cut(display)
     if kept is not None:
         import rerun as rr
@@ -69,7 +98,6 @@ def _scenes(display: Display, network: bool) -> list[Any]:
         # In this view, bodies that are in front of the cutting plane at the start have the radius 0, which hides them.
         # The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
-        contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
         found.append(_view(display, "Cut through the middle", contents, hidden))
     if network:
         found.append(_view(display, "Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"]))
@@ -113,5 +141,7 @@ def cut_walls(display: Display) -> list[DrawnWall]:
         places = rotate(np.broadcast_to(orientation, (len(middles), 4)), middles) + position
         kept = wall.faces[places[:, 1] >= display.cut]
         if 0 < len(kept) < len(wall.faces):
-            found.append(DrawnWall(wall.name, wall.vertices, kept, False, wall.colour))
+            # Nothing lies behind this half, so it may be less transparent than the whole wall.
+            colour = (*wall.colour[:3], max(wall.colour[3], CUT_OPACITY))
+            found.append(DrawnWall(wall.name, wall.vertices, kept, False, colour))
     return found

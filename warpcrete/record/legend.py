@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..core.drawing.display import Display
-from ..core.drawing.paint import Paint
+from ..core.drawing.paint import ENDS, Paint, colour_map
 
 SIZE, DENSITY = (9.0, 0.55), 100
 """Size of the legend's picture [in], and its resolution [dots per inch]."""
@@ -30,7 +30,8 @@ def meaning(display: Display) -> str:
     scale = display.scale()
     if scale is not None:
         label, lower, upper = scale
-        return f"Colours: {label} from {lower:.3g} (dark violet) to {upper:.3g} and above (yellow), on viridis."
+        first, last = ENDS[display.palette]
+        return f"Colours: {label} from {lower:.3g} ({first}) to {upper:.3g} and above ({last}), on {display.palette}."
     categories = display.categories()
     if categories:
         return "Colours: " + ", ".join(f"{name} RGB {tuple(map(int, c))}" for name, c in categories.items()) + "."
@@ -51,7 +52,7 @@ def legend(display: Display) -> bytes | None:
     """
     scale, categories = display.scale(), display.categories()
     if scale is not None:
-        return _bar(scale[1], scale[2], "viridis")
+        return _bar(scale[1], scale[2], display.palette)
     if not categories:
         return None
     figure, axes = _blank()
@@ -72,7 +73,7 @@ def _bar(lower: float, upper: float, palette: str) -> bytes:
     from matplotlib.colors import Normalize
 
     figure, axes = _blank()
-    bar = ScalarMappable(Normalize(lower, upper), palette)
+    bar = ScalarMappable(Normalize(lower, upper), colour_map(palette))
     figure.colorbar(bar, cax=axes, orientation="horizontal", extend="max", extendfrac=0.02)
     axes.tick_params(labelsize=10)
     return _png(figure)

@@ -1,7 +1,7 @@
-"""Recorder for ParaView: bodies, walls and contacts over time as VTKHDF files, which PyVista and VTK open as well.
+"""Recorder for ParaView: bodies, walls, contacts and surfaces over time as VTKHDF files.
 
-The format is version 2.0 of the VTKHDF specification (VTK 9.3 and later), with `PolyData` in time steps. The files are
-written with h5py.
+PyVista and VTK open the files as well. The format is version 2.0 of the VTKHDF specification (VTK 9.3 and later), with
+`PolyData` in time steps. The files are written with h5py.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ VERSION = (2, 0)
 
 
 class ParaViewRecorder(Recorder):
-    """Recorder of `bodies.vtkhdf`, `walls.vtkhdf` and, if bodies touch each other, `contacts.vtkhdf` in `folder`.
+    """Recorder of bodies, walls, contacts between bodies and the surface of concrete as VTKHDF files in `folder`.
 
-    Bodies are points with `radius`, `colour` and the fields of the display; a clump appears as its spheres. ParaView
-    shows the bodies as spheres with the filter Glyph (type Sphere, scaled by `radius`) or as Point Gaussian. Frames are
-    kept in memory until a checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so
-    that no file is ever incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
+    The files are `bodies.vtkhdf`, `walls.vtkhdf`, `contacts.vtkhdf` if bodies touch each other, and `surface.vtkhdf`
+    for the concrete of flows on a grid. Bodies are points with `radius`, `colour` and the fields of the display; a
+    clump appears as its spheres. ParaView shows the bodies as spheres with the filter Glyph (type Sphere, scaled by
+    `radius`) or as Point Gaussian. The surface has normals, `colour` and fields. Frames are kept in memory until a
+    checkpoint.
+    Then they are appended to a copy of each file, and the copy replaces the file, so that no file is ever incomplete.
+    Raises :class:`WarpcreteError` if h5py is not installed.
     """
 
     expendable = True
@@ -59,6 +62,8 @@ class ParaViewRecorder(Recorder):
         self._files["bodies"] = Poly(self.folder / "bodies.vtkhdf", "Vertices")
         if self._walls:
             self._files["walls"] = Poly(self.folder / "walls.vtkhdf", "Polygons")
+        if self._display.surface() is not None:
+            self._files["surface"] = Poly(self.folder / "surface.vtkhdf", "Polygons")
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
@@ -90,6 +95,10 @@ class ParaViewRecorder(Recorder):
         self._files["bodies"].add(time, centres, cells, fields)
         if self._walls:
             self._draw_walls(time)
+        if (surface := display.surface()) is not None:
+            fields = {name: values.astype(np.float32) for name, values in surface.fields.items()}
+            fields |= {"Normals": surface.normals.astype(np.float32), "colour": display.surface_colours(surface)}
+            self._files["surface"].add(time, surface.vertices, surface.faces, fields)
         if display.has_network:
             lines = display.network()
             ends = np.concatenate([each.ends.reshape(-1, 2, 3) for each in lines.values()])

@@ -47,7 +47,7 @@ RECORDERS = (
         folder / "run.rrd", live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)),
     RecorderKind("usd", True, "Write scene.usdc for USD viewers and Blender", lambda folder, look: UsdRecorder(
         folder / "scene.usdc", colouring=look.colouring, velocities=False)),
-    RecorderKind("paraview", False, "Write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
+    RecorderKind("paraview", False, "Write bodies, walls, contacts and surfaces as VTKHDF for ParaView (needs h5py)",
          lambda folder, look: ParaViewRecorder(folder, colouring=look.colouring)),
 )  # fmt: skip
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, Profile
-from ..core.drawing.paint import COLOUR_STEPS, Paint
+from ..core.drawing.paint import COLOUR_STEPS, Paint, packed
+from ..core.drawing.style import THEORY
 from ..core.errors import RunFolderError, refuse
 from ..core.run.files import cannot_write, space_error
 from ..core.run.run_loop import Recorder, Run
@@ -34,7 +35,6 @@ CLOSE_TIMEOUT = 30.0
 """Longest time [s] for opening the file, or for closing the file if a viewer has not received the whole recording."""
 POLL_INTERVAL = 0.5
 """Time [s] between two checks whether the file has grown."""
-AXIS = (200, 200, 200)
 TEXTURE_MARGIN = 512
 """Number of texels that repeat the first colour at the start of the texture. A renderer may sample colours slightly
 outside the triangles at the edges of a mesh, and therefore slightly outside the colour scale."""
@@ -69,11 +69,11 @@ def _rerun() -> Any:
 class RerunRecorder(Recorder):
     """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
-    Every clump is drawn by its own spheres. `path` is the path of the .rrd file, or None. `live` is True to open a
-    viewer, or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly
-    opened viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds
-    lines between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds
-    without compression are orange.
+    Every clump is drawn by its own spheres, and the concrete of a flow on a grid by its surface. `path` is the path of
+    the .rrd file, or None. `live` is True to open a viewer, or the URL of a running one
+    (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened viewer listens. `colouring`
+    selects the colours of bodies from those of the method's display. `network` adds lines between bodies, if the
+    display has any. Lines of contacts are as wide and bright as their forces, and bonds without compression are orange.
 
     Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
     continues after a complete part. At the end the parts are joined into one file.
@@ -194,8 +194,13 @@ class RerunRecorder(Recorder):
         rr, display = self._rr, self._display
         assert display is not None
         self._set_time(time, steps)
-        spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.packed_colours())
-        self._log(f"scene/{display.noun}", spheres)
+        if display.surface() is None:
+            spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.packed_colours())
+            self._log(f"scene/{display.noun}", spheres)
+        else:
+            self._draw_surface(display, f"scene/{display.noun}")
+            if display.cut is not None:
+                self._draw_surface(display, f"{CUT}/{display.noun}", cut=True)
         for number, name in self._moving:
             self._log_pose(number, f"scene/walls/{name}")
         self._draw_paint(display)
@@ -204,6 +209,17 @@ class RerunRecorder(Recorder):
                 self._log(f"{CHAINS}/{name}", rr.LineStrips3D(lines.ends, colors=lines.colours, radii=lines.radii))
         for profile in display.profiles():
             self._draw_profile(profile)
+
+    def _draw_surface(self, display: Display, path: str, cut: bool = False) -> None:
+        """Record the surface of the concrete, or its colours alone if its shape is that of the frame before."""
+        surface = display.surface(cut)
+        assert surface is not None
+        fields: dict[str, Any] = {"vertex_colors": packed(display.surface_colours(surface))}
+        if not np.array_equal(self._places.get(path, ()), surface.vertices):
+            self._places[path] = surface.vertices
+            fields |= {"vertex_positions": surface.vertices, "triangle_indices": surface.faces,
+                       "vertex_normals": surface.normals}  # fmt: skip
+        self._log(path, self._rr.Mesh3D.from_fields(**fields))
 
     def _draw_paint(self, display: Display) -> None:
         """Record the colours of painted walls.
@@ -297,7 +313,8 @@ class RerunRecorder(Recorder):
         """Record all data that does not change during the run."""
         rr = self._rr
         self._log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
+        if display.surface() is None:
+            self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
         for number, wall in enumerate(display.walls()):
             mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
             self._log(f"scene/walls/{wall.name}", mesh, static=True)
@@ -325,7 +342,7 @@ class RerunRecorder(Recorder):
         """Record one point in every plot, so that the axis of values begins at zero."""
         self._set_time(time, steps)
         for plot in display.plots():
-            self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[AXIS], names="zero"), static=True)
+            self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[THEORY], names="zero"), static=True)
             self._log(f"{plot.path}/zero", self._rr.Scalars(0.0))
 
     def _log_pose(self, number: int, path: str, static: bool = False) -> None:
@@ -352,6 +369,8 @@ class RerunRecorder(Recorder):
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
         self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
+        if part == 0:
+            self._recording.send_recording_name(display.simulation.scene.caption)
         self._id, self._parts, self._display = recording_id, part, display
         walls = display.walls()
         self._walls = [wall.name for wall in walls]
@@ -362,7 +381,7 @@ class RerunRecorder(Recorder):
         # Tensors that hold the heights of bars in Rerun's format, by the number of bars. They are kept because
         # replacing the values of a tensor is faster than creating a new one.
         self._tensors: dict[int, Any] = {}
-        # positions of the bars that were recorded last, by the path of the bar chart in the recording
+        # positions of bars and of the vertices of surfaces that were recorded last, by their path in the recording
         self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)

@@ -1,6 +1,7 @@
 """Recorder of a USD scene: bodies with time samples, walls, materials, light and a camera.
 
-One point instancer, with a prototype for each shape, shows all rigid bodies. Fluid particles are points.
+One point instancer, with a prototype for each shape, shows all rigid bodies. A mesh shows the surface of the concrete
+of flows on a grid. The particles of other flows are points.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -86,7 +87,9 @@ class UsdRecorder(Recorder):
         stage.SetDefaultPrim(root.GetPrim())
         rigid = display.rigid_bodies()
         path = f"/Run/{display.noun.capitalize()}"
-        if rigid is None:
+        if display.surface() is not None:
+            self._bodies = _Surface(stage, path)
+        elif rigid is None:
             self._bodies = _Points(stage, path, display)
         else:
             self._bodies = _Instances(stage, path, rigid, self.velocities)
@@ -251,6 +254,33 @@ class _Instances:
             extent = _extent(position, self._reach)
             self._instancer.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
         self._colours.set(display.body_colours(), code)
+
+
+class _Surface:
+    """USD mesh that shows the surface of concrete, with its own vertices and faces in every frame."""
+
+    def __init__(self, stage: Any, path: str) -> None:
+        from pxr import UsdGeom
+
+        self._mesh = UsdGeom.Mesh.Define(stage, path)
+        self._mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        self._colours = Colours(self._mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex))
+        bind(self._mesh.GetPrim(), bodies_look(stage))
+
+    def frame(self, display: Display, code: Any) -> None:
+        from pxr import UsdGeom, Vt
+
+        mesh, surface = self._mesh, display.surface()
+        assert surface is not None
+        vertices = surface.vertices.astype(np.float32)
+        mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(vertices), code)
+        mesh.CreateNormalsAttr().Set(Vt.Vec3fArray.FromNumpy(surface.normals.astype(np.float32)), code)
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+        mesh.CreateFaceVertexCountsAttr().Set(Vt.IntArray.FromNumpy(np.full(len(surface.faces), 3, np.int32)), code)
+        mesh.CreateFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(surface.faces.astype(np.int32).ravel()), code)
+        if len(vertices):
+            mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(_extent(vertices, np.zeros(1, np.float32))), code)
+        self._colours.set(display.surface_colours(surface), code)
 
 
 class _Points:

@@ -32,12 +32,12 @@ def linear(colours: np.ndarray) -> np.ndarray:
 def describe(stage: Any, display: Display, scene: Any) -> None:
     """Write title, units and the meaning of the colours into the file and its root prim."""
     words = (
-        f"warpcrete: scene {scene.name}, {display.noun} coloured by {display.colouring}. Metres, Z up; time codes are "
+        f"warpcrete: {scene.caption}; {display.noun} coloured by {display.colouring}. Metres, Z up; time codes are "
         f"milliseconds of simulated time. {meaning(display)}"
     ).strip()
     layer = stage.GetRootLayer()
     layer.documentation = words
-    layer.customLayerData = {"title": f"warpcrete: {scene.name}", "scene": scene.name, "colours": meaning(display)}
+    layer.customLayerData = {"title": f"warpcrete: {scene.caption}", "scene": scene.name, "colours": meaning(display)}
     stage.GetDefaultPrim().SetDocumentation(words)
 
 
@@ -92,7 +92,7 @@ def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> 
     """
     from pxr import Gf, Sdf
 
-    opacity = 1.0 if wall.moves or wall.colour[3] == 255 else max(CLEAR, wall.colour[3] / 255)
+    opacity = max(CLEAR, wall.colour[3] / 255)
     opacity = PAINT if painted else opacity
     colour = Gf.Vec3f(*map(float, linear(np.array(wall.colour[:3]))))
     material, surface = _material(stage, name)

@@ -12,14 +12,15 @@ import numpy as np
 
 from ..device.recorder_thread import RecorderThread
 from ..errors import one_of
-from .paint import Paint, packed
+from .paint import Paint, packed, palette_colours
 from .snapshots import Snapshot, on_host, snapshot_of
+from .surfaces import Surface
 
 Colour = tuple[int, int, int, int]
 """Colour as red, green, blue and opacity, each from 0 to 255."""
-GLASS: Colour = (150, 165, 180, 22)
+GLASS: Colour = (95, 130, 170, 70)
 PISTON: Colour = (190, 110, 60, 255)
-OTHER: Colour = (150, 165, 180, 120)
+OTHER: Colour = (130, 150, 170, 80)
 T = TypeVar("T")
 
 
@@ -237,6 +238,31 @@ class Display(ABC):
     @abstractmethod
     def plots(self) -> tuple[Plot, ...]:
         """Return the plots over time that are shown next to the scene."""
+
+    def surface(self, cut: bool = False) -> Surface | None:
+        """Return the surface of the concrete; None if the bodies are drawn one by one.
+
+        With `cut`, the concrete in front of the plane of the attribute `cut` is left out.
+        """
+        return None
+
+    def surface_values(self, surface: Surface) -> np.ndarray:
+        """Return the quantity that colours a surface, at its vertices and in the unit of the scale, shape (v,).
+
+        Raises TypeError if the display has no surface.
+        """
+        raise TypeError(f"{type(self).__name__} does not draw a surface")
+
+    def surface_colours(self, surface: Surface) -> np.ndarray:
+        """Return the colours of a surface at its vertices as RGB bytes, shape (v, 3)."""
+        scale = self.scale()
+        assert scale is not None
+        return palette_colours(self.surface_values(surface), scale[2], scale[1], self.palette)
+
+    @property
+    def palette(self) -> str:
+        """Name of the colour map of the scale, as :func:`.colour_map` takes it."""
+        return "viridis"
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the plots over the radius or along the pipe that are shown next to the scene."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,11 @@ SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
 """Number of colours in a palette."""
+CONCRETE = ("#c9c6be", "#d9b26a", "#c9632f", "#8a1f2d", "#3d0c1f")
+"""Colours of the map `concrete`, from concrete at rest, which is grey, to concrete that is sheared fast. They become
+darker from one end to the other, so that the map can be read without colours."""
+ENDS = {"viridis": ("dark violet", "yellow"), "concrete": ("grey", "dark red")}
+"""Names of the first and the last colour of the maps that colour bodies and surfaces."""
 
 
 def palette_colours(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
@@ -35,11 +41,17 @@ def packed(colours: np.ndarray) -> np.ndarray:
     return red << 24 | green << 16 | blue << 8 | np.uint32(255)
 
 
+def colour_map(name: str) -> Any:
+    """Return a colour map by its name: `concrete`, or the name of one of Matplotlib's."""
+    from matplotlib import colormaps
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list(name, CONCRETE, COLOURS) if name == "concrete" else colormaps[name]
+
+
 @functools.cache
 def _palette(name: str) -> np.ndarray:
-    from matplotlib import colormaps
-
-    return (255 * colormaps[name](np.arange(COLOURS))[:, :3]).astype(np.uint8)
+    return (255 * colour_map(name)(np.arange(COLOURS))[:, :3]).astype(np.uint8)
 
 
 @dataclass(frozen=True)

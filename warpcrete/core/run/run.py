@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import json
 import os
 import shutil
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..drawing.html import html_table
+from ..drawing.style import SERIES, legend_beside, open_frame, rgb
 from ..errors import RunFolderError, WarpcreteError, one_of, refuse
 from ..inputs.origin import readable
 from ..narrowing import is_dict
@@ -144,19 +146,18 @@ class Run:
         for axes, unit in zip(every, units, strict=True):
             factor, shown_unit = shown(unit)
             same_unit = [name for name in columns if self.units[name] == unit]
-            for name in same_unit:
+            for name, colour in zip(same_unit, itertools.cycle(SERIES)):
                 axes.plot(
-                    scale * self.series[against], factor * self.series[name], label=_column_title(name), linewidth=1.6
-                )
-            axes.set_ylabel(
-                f"{_column_title(same_unit[0])} [{shown_unit}]" if len(same_unit) == 1 else f"[{shown_unit}]"
-            )
+                    scale * self.series[against], factor * self.series[name], label=_column_title(name), linewidth=1.6,
+                    color=rgb(colour),
+                )  # fmt: skip
+            axes.set_ylabel(f"{' and '.join(map(_column_title, same_unit))} [{shown_unit}]")
             if len(same_unit) > 1:
-                axes.legend(frameon=False, fontsize=9)
-            axes.spines[["top", "right"]].set_visible(False)
+                legend_beside(axes, 9)
+            open_frame(axes)
         every[-1].set_xlabel(f"{_column_title(against)} [{along}]")
         figure.suptitle(  # pyright: ignore[reportUnknownMemberType]
-            f"{self.scene.name}: {', '.join(map(_column_title, columns))}", fontsize=10
+            self.scene.caption, fontsize=10
         )
         return figure
 

@@ -22,6 +22,7 @@ from ...core.drawing.display import (
     RigidBodies,
 )
 from ...core.drawing.paint import Paint, packed, palette_colours, rounded_up
+from ...core.drawing.style import RUN, SECOND, THIRD
 from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
 from ..engine.pairs import chunks_of, pairs_of
@@ -41,8 +42,7 @@ WEAR_QUANTILE = 0.99
 The largest depth is unsuitable, because single patches are worn far deeper than the rest.
 """
 BONDS = (230, 140, 30)
-OURS, MEAN = (215, 95, 30), (90, 120, 170)
-ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
+ALONG = (("along the pipe", "axial_stress", RUN), ("mean normal", "pressure", SECOND))
 """Stresses plotted along the pipe: label, column in the table of the stations (slices of the pipe), and colour."""
 MAX_LINE_RADIUS, MIN_LINE_RATIO = 0.12, 0.04
 """Radii of the lines that show contact forces.
@@ -55,7 +55,12 @@ RINGS = 10
 """Number of rings of a velocity profile between the axis and the wall."""
 STRETCH = (0.2, 0.8)
 """Range of the concrete, as fractions of its length, over which a velocity profile is averaged."""
-ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
+ENERGIES = {
+    "kinetic_energy": ("kinetic [J]", RUN),
+    "elastic_energy": ("elastic [J]", SECOND),
+    "bond_energy": ("bonds [J]", THIRD),
+}
+"""Label and colour of each energy that is plotted over time, by its column in the series."""
 
 
 class ElementDisplay(Display):
@@ -170,9 +175,9 @@ class ElementDisplay(Display):
         """Return the plots of quantities over time: pressure on the piston, and energies."""
         pressure = Curve(
             "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
-            (215, 95, 30),
+            RUN,
         )  # fmt: skip
-        energies = tuple(Curve(name, label, lambda row, n=name: row[n]) for name, label in ENERGIES.items())
+        energies = tuple(Curve(name, label, lambda row, n=name: row[n], c) for name, (label, c) in ENERGIES.items())
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
@@ -180,10 +185,10 @@ class ElementDisplay(Display):
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
-            found.append(Profile("velocity", title, (Points("aggregates", self._velocities, OURS),)))
+            found.append(Profile("velocity", title, (Points("aggregates", self._velocities, RUN),)))
         if scene.stations is not None:
             curves = tuple(Points(name, lambda c=column: self._stresses(c), colour) for name, column, colour in ALONG)
-            found.append(Profile("pressure", "Pressure [kPa] over the position along the pipe [m]", curves))
+            found.append(Profile("pressure", "Pressure [kPa] along the pipe [m]", curves))
         return tuple(found)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.drawing.style import RUN, SECOND, THIRD, open_frame, rgb
 from ...core.run.method import Quantity
 from ...core.units import number
 from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
@@ -153,20 +154,21 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
         drawn = axes.scatter(s, np.degrees(angle), 14, hourly, marker="s", cmap="magma_r", vmin=0, linewidths=0)
     figure.colorbar(drawn, ax=axes, label="worn depth [um/h]")
     axes.set(ylabel="angle around the pipe [degrees]", yticks=[0, 90, 180, 270])
-    axes.set_title("0: outside of a bend", fontsize=9, loc="left")
+    axes.set_title("Angle 0 is the outside of a bend.", fontsize=9, loc="left")
     edges = np.linspace(s.min(), s.max() + 1e-9, 25)
     row = np.clip(np.digitize(s, edges) - 1, 0, 23)
     middle = 0.5 * (edges[1:] + edges[:-1])
     cosine = np.cos(angle)
-    for name, chosen in (
-        ("all round", cosine < 2),
-        ("around 0 degrees, a quarter of the circumference", cosine > np.sqrt(0.5)),
-        ("180 degrees", cosine < -np.sqrt(0.5)),
+    for colour, name, chosen in (
+        (RUN, "all round", cosine < 2),
+        (SECOND, "around 0 degrees, a quarter of the circumference", cosine > np.sqrt(0.5)),
+        (THIRD, "180 degrees", cosine < -np.sqrt(0.5)),
     ):
         total = np.bincount(row[chosen], (hourly * areas)[chosen], 24)
         area = np.bincount(row[chosen], areas[chosen], 24)
-        below.plot(middle[area > 0], total[area > 0] / area[area > 0], label=name, linewidth=1.6)
+        below.plot(middle[area > 0], total[area > 0] / area[area > 0], label=name, linewidth=1.6, color=rgb(colour))
     below.set(xlabel="position along the pipe [m]", ylabel="mean worn depth [um/h]", ylim=(0, None))
-    below.legend(frameon=False, fontsize=9)
-    below.spines[["top", "right"]].set_visible(False)
+    below.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=3)
+    figure.suptitle(run.scene.caption, fontsize=10)
+    open_frame(below)
     return figure

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
+from ...core.drawing.style import pumping_caption
 from ...core.errors import between, one_of, positive, refuse, vector
 from ...core.inputs.parameters import Above, Declared, Within
 from ...geometry.axis import Axis
@@ -431,6 +432,15 @@ class Scene(Parametrised):
     """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments with which the scene's function creates this scene again; empty if there is no such function."""
+
+    @property
+    def caption(self) -> str:
+        """Scene, diameter, concrete and flow in words, for titles of figures and recordings."""
+        concrete = str(self.parameters.get("concrete") or "")
+        if self.pipe is None:
+            return f"{self.name}, concrete {concrete}" if concrete else self.name
+        flow = np.pi * self.pipe.radius**2 * self.pipe.velocity
+        return pumping_caption(f"{self.name} {self.pipe.name}", self.pipe.radius, concrete, flow)
 
     def __post_init__(self) -> None:
         between("duration", self.duration, 0, np.inf, "s")

@@ -1,31 +1,33 @@
-"""Display of free-surface flows for recorders: a section, the half of the heap behind it, and the mould."""
+"""Display of free-surface flows for recorders: the concrete, a section through it, and the mould or the vessel."""
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from ...core.drawing.display import OTHER, Colour, Curve, DrawnWall, Plot
+from ...core.drawing.paint import rounded_up
+from ...core.drawing.style import RUN, SECOND
+from ...core.drawing.surfaces import Level
 from ..grid.display import GridDisplay
 from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
-MAX_SECTION_PARTICLES, MAX_HALF_PARTICLES = 4000, 8000
-"""Maximum number of particles drawn in the section, and maximum number drawn in the half of the flow behind it."""
-OURS = (215, 95, 30)
+MAX_PARTICLES = 12000
+"""Maximum number of particles in files for ParaView, mirror images included."""
 PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1
 """Depth with which a flow in a plane is drawn [m]."""
-MAX_SHOWN_SHEAR_RATE = 5.0
-"""Shear rate at the upper end of the colour scale [1/s]."""
+SHOWN_SHEAR = 0.02
+"""Shear rate at the upper end of the colour scale, before rounding up, relative to the shear rate at which viscosity
+alone would carry the stress under the concrete at the start, less its yield stress."""
 
 
 class FreeDisplay(GridDisplay):
-    """Display of a free-surface flow: particles coloured by shear rate, by speed or by pressure.
+    """Display of a free-surface flow: concrete coloured by shear rate, by speed or by pressure.
 
-    In axisymmetric flow a particle stands for a ring. At a plane of symmetry the mirror image is drawn as well.
+    Axisymmetric flow is drawn as a body of revolution. At a plane of symmetry the mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("shear", "speed", "pressure")
@@ -57,48 +59,43 @@ class FreeDisplay(GridDisplay):
     @property
     def drawn_particles(self) -> np.ndarray:
         """Indices of the particles that are displayed, shape (n,)."""
-        return self._places[0]
-
-    @cached_property
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of the particles that are drawn, and the angle about the axis at which each is drawn [rad]."""
         count = self.simulation.state.count
-        most = (MAX_SECTION_PARTICLES + MAX_HALF_PARTICLES) // self.copies if self._solid else MAX_SECTION_PARTICLES
-        section = np.arange(0, count, max(1, -(-count // most)))
-        if not self._axial:
-            return section, np.zeros(len(section))
-        around = 24
-        few = np.arange(0, count, max(1, -(-count * around // MAX_HALF_PARTICLES)))
-        turn = np.pi * (np.arange(around) + 0.5) / around
-        particles = np.concatenate([section, section, np.repeat(few, around)])
-        angles = [np.zeros(len(section)), np.full(len(section), np.pi), np.tile(turn, len(few))]
-        return particles, np.concatenate(angles)
+        return np.arange(0, count, max(1, -(-count * self.copies // MAX_PARTICLES)))
 
     def radii(self) -> np.ndarray:
         """Return the radii of drawn particles [m], larger where fewer of the particles are drawn."""
-        layout, (_, angles) = self.simulation.state.layout, self._places
-        if self._solid:
-            fewer = (len(layout.fluid) / len(angles)) ** (1 / 3)
-            return np.full(len(angles) * self.copies, 0.55 * layout.particle_spacing * fewer, np.float32)
-        cut = np.isin(angles, (0.0, np.pi))
-        stride = np.sqrt(max(1.0, len(layout.fluid) / max(np.count_nonzero(angles == 0), 1)))
-        size = np.where(cut, 0.5 * layout.particle_spacing * stride, 0.6 * layout.spacing)
-        return size.astype(np.float32)
+        count, drawn = self.simulation.state.count, self.drawn_particles
+        fewer = (count / max(len(drawn), 1)) ** (1 / self._layout.axes)
+        return np.full(len(drawn) * self.copies, 0.5 * self._layout.particle_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3).
 
         The axis z points upwards; the section of a two-dimensional flow lies in the plane y = 0.
         """
-        x = self.read("particles.position").astype(float)
-        particles, angles = self._places
-        x = x[particles]
+        particles = self.drawn_particles
+        x = self.read("particles.position").astype(float)[particles]
+        if not self._solid:
+            return np.insert(x, 1, 0.0, axis=1)
+        # Draw particles that have left the room at a place below it, out of sight.
+        gone = self.read("particles.mass")[particles] == 0
+        x[gone] = [0.0, 0.0, -0.5]
+        return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
+
+    def _level(self) -> Level:
+        level = super()._level()
         if self._solid:
-            # Draw particles that have left the room at a place below it, out of sight.
-            gone = self.read("particles.mass")[particles] == 0
-            x[gone] = [0.0, 0.0, -0.5]
-            return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
-        return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
+            for axis, side in enumerate(("left", "front")):
+                level = level.mirrored(axis) if self.simulation.scene.sides.get(side) == MIRROR else level
+        elif not self._axial:  # Draw a flow in a plane with some depth.
+
+            def deep(values: np.ndarray) -> np.ndarray:
+                return np.repeat(values[:, None], 2, axis=1)
+
+            places = level.places[0], SHOWN_DEPTH * np.array([0.25, 0.75]), level.places[1]
+            fields = {name: deep(values) for name, values in level.fields.items()}
+            level = Level(places, deep(level.values), fields)
+        return level
 
     def scale(self) -> tuple[str, float, float]:
         """Return label, lowest and highest value of the quantity that the colours show."""
@@ -108,7 +105,9 @@ class FreeDisplay(GridDisplay):
             return "pressure [kPa]", 0.0, scene.concrete.density * scene.gravity * height / 1e3
         if self.colouring == "speed":
             return "speed [m/s]", 0.0, 0.1 * float(np.sqrt(2 * scene.gravity * height))
-        return "rate of shear [1/s]", 0.0, MAX_SHOWN_SHEAR_RATE
+        concrete, stress = scene.concrete, scene.concrete.density * scene.gravity * height
+        rate = max(stress - concrete.yield_stress, 0.1 * stress) / concrete.viscosity
+        return "rate of shear [1/s]", 0.0, rounded_up(SHOWN_SHEAR * rate)
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""
@@ -117,22 +116,22 @@ class FreeDisplay(GridDisplay):
         if test and test.outflow:
             return (
                 Plot(
-                    "remaining", "Remaining", (Curve("inside", "remaining [%]", lambda row: 1e2 * row["inside"], OURS),)
+                    "remaining", "Remaining", (Curve("inside", "remaining [%]", lambda row: 1e2 * row["inside"], RUN),)
                 ),
-                Plot("speed", "Speed", (Curve("fastest", "fastest [mm/s]", lambda row: 1e3 * row["fastest"], OURS),)),
+                Plot("speed", "Speed", (Curve("fastest", "fastest [mm/s]", lambda row: 1e3 * row["fastest"], RUN),)),
             )
         return (
             Plot("shape", "Shape", (
-                Curve("spread", f"{word} [mm]", lambda row: 1e3 * row["spread"], OURS),
-                Curve("top", "highest point [mm]", lambda row: 1e3 * row["top"], (90, 120, 170)),
+                Curve("spread", f"{word} [mm]", lambda row: 1e3 * row["spread"], RUN),
+                Curve("top", "highest point [mm]", lambda row: 1e3 * row["top"], SECOND),
             )),
-            Plot("speed", "Speed", (Curve("fastest", "fastest [mm/s]", lambda row: 1e3 * row["fastest"], OURS),)),
+            Plot("speed", "Speed", (Curve("fastest", "fastest [mm/s]", lambda row: 1e3 * row["fastest"], RUN),)),
         )  # fmt: skip
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane of a room in space; None for two-dimensional rooms."""
-        return super().cut if self._solid else None
+        """Coordinate y [m] of the cutting plane, the axis of axisymmetric flow; None for a flow in a plane."""
+        return super().cut if self._solid else 0.0 if self._axial else None
 
     def walls(self) -> list[DrawnWall]:
         """Return the drawn walls: the plate, the walls of the scene, and the mould or gate, which moves."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.drawing.style import SERIES, THEORY, legend_beside, open_frame, rgb
 from ...core.run.run_loop import Run
 from ...core.units import number, shown
 from ...theory.vessels import heap_depth
@@ -18,7 +19,7 @@ def plot_free(run: Run) -> Any:
     from matplotlib.figure import Figure
 
     scene = run.scene
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
     shape, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
     if "surface" in run.result:
         place, base, height = (
@@ -29,27 +30,36 @@ def plot_free(run: Run) -> Any:
         shape.fill_between(place, base, base + height, color="0.75", label=f"after {run.series['time'][-1]:.3g} s")
     corners = 1e3 * np.clip(np.array([*scene.outline, scene.outline[0]]), 0.0, [scene.width, scene.height])
     for side in (1, -1) if scene.axial else (1,):
-        shape.plot(side * corners[:, 0], corners[:, 1], color="0.4", linewidth=0.8, linestyle=":")
+        shape.plot(
+            side * corners[:, 0],
+            corners[:, 1],
+            color="0.4",
+            linewidth=0.8,
+            linestyle=":",
+            label="at the start" if side == 1 else None,
+        )
     if "spread_heap" in run.result:
         half, concrete = 0.5 * number(run.result["spread_heap"]), scene.concrete
         r = np.linspace(0, half, 100)
         depth = heap_depth(half - r, concrete.yield_stress, concrete.density, scene.gravity)
         for side in (1, -1):
-            shape.plot(1e3 * side * np.r_[r, half], 1e3 * np.r_[depth, 0.0], color="k", linestyle="--", linewidth=0.8,
+            shape.plot(1e3 * side * np.r_[r, half], 1e3 * np.r_[depth, 0.0], "--", color=rgb(THEORY), linewidth=1.4,
                        label="heap, closed form" if side == 1 else None)  # fmt: skip
-    shape.set(aspect="equal", xlabel="[mm]", ylabel="height [mm]")
-    shape.legend(frameon=False, fontsize=8)
+    shape.set(
+        aspect="equal", xlabel="distance from the axis [mm]" if scene.axial else "position [mm]", ylabel="height [mm]"
+    )
+    legend_beside(shape)
     for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.axial else ())):
         corners = 1e3 * np.clip(np.array([*block, block[0]]), 0.0, [scene.width, scene.height])
         shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0)
     unit = "m"
-    for name, label in _curves(scene).items():
+    for (name, label), colour in zip(_curves(scene).items(), SERIES):
         unit = run.units[name]
-        course.plot(run.series["time"], shown(unit)[0] * run.series[name], label=label)
-    course.set(xlabel="time [s]", ylabel=f"[{shown(unit)[1]}]")
-    course.legend(frameon=False, fontsize=8)
-    for axes in (shape, course):
-        axes.spines[["top", "right"]].set_visible(False)
+        course.plot(run.series["time"], shown(unit)[0] * run.series[name], color=rgb(colour), label=label)
+    course.set(xlabel="time [s]", ylabel=f"{' and '.join(_curves(scene).values())} [{shown(unit)[1]}]")
+    legend_beside(course)
+    open_frame(shape, course)
+    figure.suptitle(scene.caption, fontsize=10)
     return figure
 
 

@@ -199,6 +199,13 @@ class FreeScene(Parametrised, FreeSettings):
         return np.stack([corners.min(0), corners.max(0)])
 
     @property
+    def caption(self) -> str:
+        """Scene and concrete in words, for titles of figures and recordings."""
+        concrete = self.concrete
+        return (f"{self.name}, concrete {concrete.name} ({concrete.yield_stress:.3g} Pa, "
+                f"{concrete.viscosity:.3g} Pa s)")  # fmt: skip
+
+    @property
     def form(self) -> str:
         """Geometry of the flow in words: about an axis, in a plane or in space."""
         return "about an axis" if self.axial else "in space" if self.depth else "in a plane"

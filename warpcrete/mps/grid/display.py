@@ -1,4 +1,4 @@
-"""Colours and fields of the particles of a flow on a grid, for displays."""
+"""Surface, colours and fields of the concrete of a flow on a grid, for displays."""
 
 from __future__ import annotations
 
@@ -9,12 +9,32 @@ import numpy as np
 
 from ...core.drawing.display import Display
 from ...core.drawing.paint import palette_colours
+from ...core.drawing.surfaces import Cut, Level, Surface, revolved, smoothed, surface_of
+from .layout import GridLayout
+
+HALF_CELL = 0.5
+"""Largest magnitude of the level of the concrete, in cells."""
+FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
+"""Name of the field that each colouring shows."""
 
 
 class GridDisplay(Display):
-    """Display of a flow on a grid by some of its particles and, in symmetric flows, by their mirror images."""
+    """Display of a flow on a grid: the surface of the concrete, and some of its particles with their mirror images.
+
+    The surface is where the cells are half full, and its colours are means over the particles in the cells beside it.
+    Files for ParaView hold the particles as well.
+    """
 
     noun: ClassVar = "concrete"
+
+    @property
+    def _layout(self) -> GridLayout:
+        return self.simulation.state.layout
+
+    @property
+    def palette(self) -> str:
+        """Name of the colour map: grey concrete that is not sheared, darker where it is; viridis for other fields."""
+        return "concrete" if self.colouring == "shear" else "viridis"
 
     @property
     @abstractmethod
@@ -27,23 +47,93 @@ class GridDisplay(Display):
         """Number of images of each displayed particle: the particle itself and its mirror images."""
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return speed [m/s] and pressure [Pa] of the drawn particles."""
-        found = {"speed": self._speed(), "pressure": self.read("particles.pressure").astype(float)}
-        return {name: np.tile(values[self.drawn_particles], self.copies) for name, values in found.items()}
+        """Return shear rate [1/s], speed [m/s] and pressure [Pa] of the drawn particles."""
+        return {name: np.tile(values[self.drawn_particles], self.copies) for name, values in self._values().items()}
+
+    def _values(self) -> dict[str, np.ndarray]:
+        """Return shear rate [1/s], speed [m/s] and pressure [Pa] of all particles."""
+        slope = self.read("particles.gradient").astype(float)
+        return {
+            "shear_rate": np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2))),
+            "speed": np.linalg.norm(self.read("particles.velocity").astype(float), axis=1),
+            "pressure": self.read("particles.pressure").astype(float),
+        }
 
     def colours(self) -> np.ndarray:
         """Return RGB bytes of all drawn particles, shape (n, 3)."""
-        if self.colouring == "pressure":
-            values = self.read("particles.pressure").astype(float) / 1e3
-        elif self.colouring == "speed":
-            values = self._speed()
-        else:
-            slope = self.read("particles.gradient").astype(float)
-            values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
         scale = self.scale()
         assert scale is not None
-        _, lower, upper = scale
-        return np.tile(palette_colours(values[self.drawn_particles], upper, lower), (self.copies, 1))
+        values = self._shown(self.fields()[FIELDS[self.colouring]])
+        return palette_colours(values, scale[2], scale[1], self.palette)
 
-    def _speed(self) -> np.ndarray:
-        return np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
+    def _shown(self, values: np.ndarray) -> np.ndarray:
+        """Convert a field from SI units to the unit of the scale."""
+        return values / 1e3 if self.colouring == "pressure" else values
+
+    def surface_values(self, surface: Surface) -> np.ndarray:
+        """Return the quantity that colours the surface, at its vertices and in the unit of the scale, shape (v,)."""
+        return self._shown(surface.fields[FIELDS[self.colouring]])
+
+    def surface(self, cut: bool = False) -> Surface:
+        """Return the closed surface of the concrete, or only its part behind the cutting plane."""
+        return self.derived(("surface", cut), lambda: self._surface(cut))
+
+    def _surface(self, cut: bool) -> Surface:
+        level = self._level()
+        if self._layout.axial:
+            return revolved(level, half=cut)
+        return surface_of(level, self._cutting_plane() if cut else None)
+
+    def _cutting_plane(self) -> Cut | None:
+        """Return the cutting plane in the axes of the grid; None if no cut is needed."""
+        return None if self.cut is None else Cut(np.array([0.0, 1.0, 0.0]), self.cut)
+
+    def _level(self) -> Level:
+        """Return the level of the concrete at the middles of the cells, with its fields, mirror images included."""
+        layout = self._layout
+        places = tuple(
+            layout.room.origin[k] + (np.arange(n) + 0.5) * layout.room.width[k] for k, n in enumerate(layout.cells)
+        )
+        return Level(places, self._cell_levels(), self._cell_fields())
+
+    def _cell_levels(self) -> np.ndarray:
+        """Return the filled fraction of each cell, less one half, first axis first."""
+        return self._filled() - HALF_CELL
+
+    def _filled(self) -> np.ndarray:
+        """Return the fraction of each cell that concrete fills, first axis first.
+
+        A step of the flow computes the fractions. Before the first step, and in a state that was read from a file, they
+        follow from the volume of the particles in each cell.
+        """
+        room = self._of_cells("geometry.room")
+        fill = self._of_cells("mesh.fill")
+        if fill.any():
+            return fill * room
+        layout, mass = self._layout, self.read("particles.mass").astype(float)
+        volume = np.bincount(self._cells_of_particles(), mass * layout.volume, room.size).reshape(room.shape)
+        if layout.axial:
+            volume /= (np.arange(layout.cells[0])[:, None] + 0.5) * layout.spacing
+        volume /= np.prod(layout.room.width)
+        return np.clip(volume if self.time == 0 else smoothed(volume) / smoothed(np.ones(room.shape)), 0.0, 1.0)
+
+    def _of_cells(self, path: str) -> np.ndarray:
+        """Return an array of the state with one value per cell, first axis first, without the frame around the grid."""
+        values = self.read(path).astype(float).reshape(self._layout.shape)
+        return values[(slice(1, -1),) * values.ndim].transpose()
+
+    def _cells_of_particles(self) -> np.ndarray:
+        """Return the index of the cell that contains each particle, shape (n,)."""
+        room = self._layout.room
+        index = np.floor((self.read("particles.position").astype(float) - room.origin) / room.width).astype(int)
+        return np.ravel_multi_index(tuple(index.T), room.cells, mode="clip")
+
+    def _cell_fields(self) -> dict[str, np.ndarray]:
+        """Return shear rate [1/s], speed [m/s] and pressure [Pa] in each cell, means over it and its neighbours."""
+        cells, shape = self._cells_of_particles(), self._layout.cells
+        mass, size = self.read("particles.mass").astype(float), int(np.prod(shape))
+        weight = smoothed(np.bincount(cells, mass, size).reshape(shape))
+        return {
+            name: smoothed(np.bincount(cells, mass * values, size).reshape(shape)) / np.maximum(weight, 1e-30)
+            for name, values in self._values().items()
+        }

@@ -1,4 +1,4 @@
-"""Display of a part of a line for recorders: particles of the concrete and a transparent wall."""
+"""Display of a part of a line for recorders: the concrete and a transparent wall."""
 
 from __future__ import annotations
 
@@ -8,21 +8,24 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.drawing.display import GLASS, Curve, DrawnWall, Plot, Points, Profile
+from ...core.drawing.style import RUN, SECOND, THEORY
+from ...core.drawing.surfaces import Cut, Level, Surface
 from ...geometry.mesh_parts import together
-from ..grid.display import GridDisplay
-from .layout import Frame
+from ..grid.display import HALF_CELL, GridDisplay
+from .layout import Frame, bore_distance, inlet_distance
 from .probes import friction_ahead
 from .scene import PartScene
 
+WALL_GAP = 0.03
+"""Distance between the concrete and the drawn wall, in radii at the start."""
 MAX_DRAWN_PARTICLES = 12000
-"""Maximum number of particles that are drawn."""
+"""Maximum number of particles in files for ParaView, mirror images included."""
 FACETS_AROUND, RING_COUNT = 48, 60
 """Number of facets around the axis, and number of rings along the axis, with which a round wall is drawn."""
-OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
 class PartDisplay(GridDisplay):
-    """Display of a part of a pump line: particles coloured by speed, by pressure or by shear rate.
+    """Display of a part of a pump line: concrete coloured by speed, by pressure or by shear rate.
 
     If only half of the part is simulated, its mirror image is drawn as well.
     """
@@ -60,6 +63,30 @@ class PartDisplay(GridDisplay):
         frame = Frame(self._scene)
         return np.concatenate([frame.to_scene(x * [1.0, sign, 1.0]) for sign in self._mirror_signs])
 
+    @cached_property
+    def _bore(self) -> np.ndarray:
+        """Distance of the middle of each cell from the wall and the inlet, in cells, first axis first."""
+        layout = self._layout
+        middles = layout.room.places([0.5] * layout.axes)
+        inner = (slice(1, -1),) * layout.axes
+        points = middles[inner].reshape(-1, layout.axes)
+        gap = np.minimum(bore_distance(self._scene)(points), inlet_distance(self._scene)(points))
+        return np.clip(gap.reshape(layout.cells) / layout.spacing, -HALF_CELL, HALF_CELL)
+
+    def _cell_levels(self) -> np.ndarray:
+        return self._bore
+
+    def _level(self) -> Level:
+        level = super()._level()
+        return level.mirrored(1) if self._scene.is_half else level
+
+    def _cutting_plane(self) -> Cut | None:
+        frame = Frame(self._scene)
+        return None if self.cut is None else Cut(frame.axes[:, 1], self.cut - frame.end[1])
+
+    def _surface(self, cut: bool) -> Surface:
+        return super()._surface(cut).moved(Frame(self._scene).to_scene)
+
     def scale(self) -> tuple[str, float, float]:
         """Return label, lowest and highest value of the quantity that the colours show."""
         scene = self._scene
@@ -76,18 +103,18 @@ class PartDisplay(GridDisplay):
         """
         return (
             Plot("pressure", "Pressure", (
-                Curve("pressure", "at the start [kPa]", lambda row: 1e-3 * row["pressure"], OURS),
+                Curve("pressure", "pressure at the start [kPa]", lambda row: 1e-3 * row["pressure"], RUN),
             )),
             Plot("friction", "Friction", (
-                Curve("upstream", "upstream [kPa/m]", lambda row: 1e-3 * row["upstream_gradient"], OURS),
-                Curve("downstream", "downstream [kPa/m]", lambda row: 1e-3 * row["downstream_gradient"], OTHER_LINE),
+                Curve("upstream", "upstream [kPa/m]", lambda row: 1e-3 * row["upstream_gradient"], RUN),
+                Curve("downstream", "downstream [kPa/m]", lambda row: 1e-3 * row["downstream_gradient"], SECOND),
             )),
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the pressure along the axis, and the theoretical pressure along straight pipes."""
-        return (Profile("pressure", "Pressure [kPa] over the position along the axis [m]", (
-            Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
+        return (Profile("pressure", "Pressure [kPa] along the axis [m]", (
+            Points("this run", self._pressures, RUN), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 
     def _friction_ahead(self) -> tuple[np.ndarray, np.ndarray]:
@@ -120,9 +147,15 @@ class PartDisplay(GridDisplay):
                     drawn.append(
                         scene.axis.swept(np.array([low, high]), float(scene.bore(0.5 * (low + high))), FACETS_AROUND)
                     )
-            return [DrawnWall("wall", *together(drawn), False, GLASS)]
-        s = np.linspace(0, scene.axis.length, RING_COUNT)
-        return [DrawnWall("wall", *scene.axis.swept(s, scene.bore(s), FACETS_AROUND), False, GLASS)]
+            vertices, faces = together(drawn)
+        else:
+            s = np.linspace(0, scene.axis.length, RING_COUNT)
+            vertices, faces = scene.axis.swept(s, scene.bore(s), FACETS_AROUND)
+        # Draw the wall a little outside the concrete, because a viewer cannot tell which of two surfaces at the same
+        # place is in front.
+        outward = vertices - scene.axis.projected(vertices)[0]
+        outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+        return [DrawnWall("wall", vertices + WALL_GAP * scene.radius * outward, faces, False, GLASS)]
 
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""

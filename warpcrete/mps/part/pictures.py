@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.drawing.style import BEND, NOT_STRAIGHT, RUN, THEORY, legend_beside, open_frame, rgb
 from ...core.run.run_loop import Run
 from .scene import PartScene
 
@@ -20,36 +21,34 @@ def plot_part(run: Run) -> Any:
     from matplotlib.figure import Figure
 
     scene = run.scene
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    figure = Figure(figsize=(10.5, 3.6), layout="constrained")
     along, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
     s, pressure = (np.array(run.result["profile"][name]["value"]) for name in ("place", "friction_ahead"))
-    along.plot(s, 1e-3 * pressure, label=f"after {run.series['time'][-1]:.3g} s")
+    along.plot(s, 1e-3 * pressure, color=rgb(RUN), label=f"this run, after {run.series['time'][-1]:.3g} s")
     fine = np.linspace(0, scene.axis.length, 60)
     theory = [1e-3 * scene.friction(x, scene.axis.length) for x in fine[:-1]] + [0.0]
-    along.plot(fine, theory, "k--", linewidth=0.9, label="straight pipes, theory")
+    along.plot(fine, theory, "--", color=rgb(THEORY), label="straight pipes, theory")
     for name, begin, end in _shaded(scene):
-        along.axvspan(begin, end, color="0.9", zorder=0.5, label=name)
+        colour = rgb(BEND if name == "bend" else NOT_STRAIGHT)
+        first = name not in along.get_legend_handles_labels()[1]
+        along.axvspan(begin, end, color=colour, linewidth=0, zorder=0.5, label=name if first else "")
     along.set(xlabel="position along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
-    along.legend(frameon=False, fontsize=8)
-    course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:])
+    legend_beside(along)
+    course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:], color=rgb(RUN))
     course.set(xlabel="time [s]", ylabel="pressure at the start [kPa]")
     course.set_ylim(0, 1.1e-3 * float(np.max(run.series["pressure"])))
-    for axes in (along, course):
-        axes.spines[["top", "right"]].set_visible(False)
+    open_frame(along, course)
+    figure.suptitle(scene.caption, fontsize=10)
     return figure
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end of each stretch of the pipeline part that is not straight pipe.
-
-    The names serve for the legend. The first name lists the kinds of all stretches, and the other names are empty.
-    """
+    """Yield name, begin and end of each stretch of the pipeline part that is not straight pipe."""
     odd = [section for section in scene.sections if not section.straight]
     if not odd and scene.middle[1] > scene.middle[0]:
         yield "other bore", *scene.middle
-    kinds = ", ".join(dict.fromkeys(section.kind for section in odd))
-    for number, section in enumerate(odd):
-        yield "" if number else kinds, section.begin, section.end
+    for section in odd:
+        yield section.kind, section.begin, section.end
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
+from ...core.drawing.style import pumping_caption
 from ...core.errors import between, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
@@ -231,6 +232,12 @@ class PartScene(Parametrised, PartSettings):
     def is_half(self) -> bool:
         """True if only one half of the part is simulated, because the other half mirrors it."""
         return self.wall is None and self.axis.is_plane
+
+    @property
+    def caption(self) -> str:
+        """Scene, diameter, concrete and flow in words, for titles of figures and recordings."""
+        unit = self.parameters.get("line") or self.parameters.get("unit") or ""
+        return pumping_caption(f"{self.name} {unit}".strip(), self.radius, self.concrete.name, self.flow)
 
     @property
     def velocity(self) -> float:

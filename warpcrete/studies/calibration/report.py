@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.drawing.style import RUN, legend_beside, rgb
 from ...core.inputs.yaml_files import yaml_text
 from ...core.run.files import atomic_file, write_json
 from .calibration import Calibration
@@ -170,22 +171,22 @@ def draw(found: Calibration) -> Any:
             across, up = task.free[column], task.free[row]
             if row == column:
                 here.hist(samples[:, column], bins=_bins(across), color="0.6")
-                here.axvline(found.best[across.name], color="C3", label="likeliest")
+                here.axvline(found.best[across.name], color=rgb(RUN), label="likeliest")
                 here.plot(trials[:, column], np.zeros(len(trials)), "k|", clip_on=False, label="trials")
                 here.set_yticks([])
             else:
                 here.hist2d(samples[:, column], samples[:, row], bins=[_bins(across), _bins(up)], cmap="Greys")
                 here.plot(trials[:, column], trials[:, row], "k.", ms=3)
-                here.plot(found.best[across.name], found.best[up.name], "C3x", ms=8, mew=2)
+                here.plot(found.best[across.name], found.best[up.name], "x", color=rgb(RUN), ms=8, mew=2)
                 here.set(ylim=(up.low, up.high), yscale="log" if up.log else "linear",
-                         ylabel=up.name if column == 0 else "")  # fmt: skip
+                         ylabel=up.name.replace("_", " ") if column == 0 else "")  # fmt: skip
             here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
-                     xlabel=across.name if row == free - 1 else "")  # fmt: skip
+                     xlabel=across.name.replace("_", " ") if row == free - 1 else "")  # fmt: skip
             for axis, of in ((here.xaxis, across), (here.yaxis, up)):
                 if of.log and (axis is here.xaxis or row != column):
                     _few_ticks(axis)
-    axes[0][0].legend(fontsize="small")
-    figure.suptitle("posterior of the parameters")
+    legend_beside(axes[0][0])
+    figure.suptitle("Posterior of the parameters: dark where a value is likely", fontsize=10)
     return figure
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.html import html_table
+from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THEORY, legend_beside, open_frame, rgb
 from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
@@ -434,31 +435,67 @@ def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.3g} min"
 
 
+MIN_STRIPE = 0.004
+"""Smallest width of the stripe that marks a bend in the figure, relative to the length of the line."""
+
+
 def draw(result: LineResult) -> Any:
     """Return a Matplotlib figure of the pressure along a line, with its band and the closed form."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
     axes = figure.add_subplot()
     places, bands = result.bands()
     low, ours, high = (np.array([getattr(each, end) for each in bands]) for end in ("low", "value", "high"))
     low, high = low / 1e5, high / 1e5
-    axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0, label="band")
-    axes.plot(places, ours / 1e5, color="C0", linewidth=1.8, label="simulated" if result.simulated else "pressure")
-    axes.plot(*_scaled(result.course(lambda x: x.theory + x.weight)), "k--", linewidth=1.0, label="straight pipe")
-    axes.plot(*_scaled(result.course(lambda x: x.weight)), color="0.6", linewidth=1.0, label="weight alone")
+    main = RUN if result.simulated else SECOND
+    axes.fill_between(places, low, high, color=rgb(main), alpha=0.15, linewidth=0, label="likely range")
+    axes.plot(
+        places,
+        ours / 1e5,
+        color=rgb(main),
+        linewidth=1.8,
+        label="simulated" if result.simulated else "by theory",
+    )
+    if result.simulated:
+        theory = _scaled(result.course(lambda x: x.theory + x.weight))
+        axes.plot(*theory, "--", color=rgb(THEORY), linewidth=1.4, label="theory, as straight pipe")
+    axes.plot(
+        *_scaled(result.course(lambda x: x.weight)),
+        color=rgb(MEASURED),
+        linestyle=":",
+        linewidth=1.2,
+        label="weight alone",
+    )
     begin = 0.0
     for x in result.losses:
         if not x.part.is_by_length:
-            axes.axvspan(begin, begin + x.part.length, color="C1" if x.part.kind == "bend" else "C2", alpha=0.35,
-                         linewidth=0)  # fmt: skip
+            name = x.part.kind
+            first = name not in axes.get_legend_handles_labels()[1]
+            # A bend is short beside a line of hundreds of metres, so draw at least a visible stripe.
+            middle, half = begin + 0.5 * x.part.length, 0.5 * max(x.part.length, MIN_STRIPE * places[-1])
+            axes.axvspan(middle - half, middle + half, color=rgb(BEND if name == "bend" else NOT_STRAIGHT), linewidth=0,
+                         zorder=0, label=name if first else "")  # fmt: skip
         begin += x.part.length
     if result.line.recorded is not None:
-        axes.plot(0, result.line.recorded / 1e5, "k+", markersize=11, clip_on=False, label="recorded")
+        axes.plot(
+            0,
+            result.line.recorded / 1e5,
+            "+",
+            color=rgb(MEASURED),
+            markersize=12,
+            markeredgewidth=2,
+            clip_on=False,
+            label="recorded",
+        )
     axes.set(xlabel="position along the line [m]", ylabel="pressure [bar]", xlim=(0, places[-1]), ylim=(0, None))
-    axes.set_title(f"{result.line.name}, {result.concrete.name}, {3600 * result.flow:.3g} m3/h", fontsize=10)
-    axes.legend(frameon=False, fontsize=9)
-    axes.spines[["top", "right"]].set_visible(False)
+    widths = sorted({1e3 * x.part.diameter for x in result.losses})
+    diameter = "diameter " + (f"{widths[0]:.4g} mm" if len(widths) == 1 else f"{widths[0]:.4g} to {widths[-1]:.4g} mm")
+    axes.set_title(
+        f"{result.line.name}, {diameter}, concrete {result.concrete.name}, {3600 * result.flow:.3g} m3/h", fontsize=10
+    )
+    legend_beside(axes, 9)
+    open_frame(axes)
     return figure
 
 

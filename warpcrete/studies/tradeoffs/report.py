@@ -6,6 +6,7 @@ import csv
 import math
 from typing import Any
 
+from ...core.drawing.style import legend_beside, open_frame
 from ...core.run.files import atomic_file, write_json
 from ...core.units import shown
 from .fronts import Error, front
@@ -183,7 +184,7 @@ def draw(trade: Trade) -> Any:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure = Figure(figsize=(8.4, 5.0), layout="constrained")
+    figure = Figure(figsize=(9.6, 4.8), layout="constrained")
     axes = figure.subplots()
     origins = [GIVEN, *(knob.name for knob in trade.knobs), COMBINED, REFERENCE]
     for k, origin in enumerate(origins):
@@ -208,8 +209,8 @@ def draw(trade: Trade) -> Any:
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
     _name_levels(axes, trade)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=7, ncols=2)
+    open_frame(axes)
+    legend_beside(axes)
     return figure
 
 

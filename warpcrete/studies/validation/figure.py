@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ...core.drawing.style import RUN, SECOND, rgb
 from .comparison import Comparison
 from .kinds import KINDS
 
 COLUMNS = 5
 """Number of panels in a row of the figure."""
 STYLES = (
-    (False, False, {"marker": "o", "color": "C0", "markerfacecolor": "white", "label": "others, with band"}),
-    (True, False, {"marker": "o", "color": "C0", "label": "held out, with band"}),
-    (False, True, {"marker": "s", "color": "C1", "label": "simulated as a flow"}),
+    (False, False, {"marker": "o", "color": rgb(SECOND), "markerfacecolor": "white", "label": "others, with band"}),
+    (True, False, {"marker": "o", "color": rgb(SECOND), "label": "held out, with band"}),
+    (False, True, {"marker": "s", "color": rgb(RUN), "label": "simulated as a flow"}),
 )
 """Markers of the three groups of cases in the figure. Each entry has three elements: True if the cases are held out
 (not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib."""
