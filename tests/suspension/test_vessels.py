@@ -86,3 +86,17 @@ def test_a_fraction_that_finds_no_place_is_refused(device):
     )
     with pytest.raises(warpcrete.SceneError, match=r"only \d+ of \d+ aggregates found a place"):
         simulation.begin()
+
+
+def test_aggregates_are_drawn_beside_the_surface_of_the_concrete(device):
+    simulation = warpcrete.Simulation(box(aggregate_fraction=0.1), device=device)
+    simulation.begin()
+    surface, bodies = simulation.display().surface(), simulation.flow.aggregates
+    stones = surface.fields["aggregate"] > 0
+    # The box is half of a symmetric one, so each aggregate has a mirror image.
+    assert np.count_nonzero(stones) % (2 * bodies.count) == 0
+    spheres = surface.vertices[stones].reshape(2 * bodies.count, -1, 3)
+    assert np.ptp(spheres, axis=1).max(1)[: bodies.count] == pytest.approx(2 * bodies.radius, rel=0.02)
+    assert len(np.unique(simulation.display().surface_colours(surface)[stones], axis=0)) == 1
+    half = simulation.display().surface(cut=True)
+    assert len(half.vertices) < len(surface.vertices)

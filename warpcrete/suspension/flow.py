@@ -106,6 +106,7 @@ class SuspensionFlow(GridFlow):
         self.aggregates = BodyState(
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
         )
+        state.aggregates = self.aggregates.bodies
         # A second view of the mesh, whose viscosities are those of the samples' mortar.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from ..mps.free.method import METHOD as FREE_FLOWS
+from .display import SuspensionDisplay
 from .simulation import SuspensionSimulation
 
-METHOD = replace(FREE_FLOWS, name="suspension", simulation=SuspensionSimulation)
+METHOD = replace(FREE_FLOWS, name="suspension", simulation=SuspensionSimulation, display=SuspensionDisplay)

@@ -10,6 +10,7 @@ from ..core.errors import InstabilityError
 from ..mps.free.layout import free_cells, free_layout
 from ..mps.free.simulation import FreeSimulation
 from ..mps.grid.state import GridState, check_memory
+from .display import SuspensionDisplay
 from .flow import SuspensionFlow
 from .placing import placed_aggregates
 from .scene import SuspensionScene
@@ -30,6 +31,10 @@ class SuspensionSimulation(FreeSimulation):
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
         return UNITS.get(column) or super().unit(column)
+
+    def display(self, colouring: str | None = None) -> SuspensionDisplay:
+        """Return the display, which tells recorders what to draw: concrete, aggregates, walls and curves."""
+        return SuspensionDisplay(self, colouring)
 
     def place_flow(self) -> SuspensionFlow:
         """Return the flow at its start, with its particles, its aggregates and its grid."""
