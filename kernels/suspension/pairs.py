@@ -25,7 +25,7 @@ WALL = wp.constant(-1)
 HOLD = wp.constant(300.0)
 """Stiffness of a contact times the time step, relative to the resistance of the aggregate to motion.
 
-A step removes all but 1 / (1 + HOLD) of an overlap."""
+A step of the longest duration removes all but about 1 / (1 + HOLD) of an overlap."""
 LOOKED_AT = wp.constant(2.0)
 """Largest gap of a neighbour, in cells. In a step, an aggregate moves by at most one cell."""
 
@@ -177,7 +177,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `find`, `load` and `touch`, each with one task per aggregate.
 
     - `find` finds the neighbours of each aggregate.
-    - `load` adds the forces of the neighbours to the forces on the aggregates.
+    - `load` adds the forces of the neighbours to the forces on the aggregates. An overlap disappears in the time
+      `longest`, because in a shorter step it would fling the two apart.
     - `touch` finds pairs that would overlap at the end of the step, and lets them touch.
     """
     vec = mps_types(scalar, 3).vec
@@ -246,17 +247,22 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         pairs.count[b] = count
 
     @wp.kernel(enable_backward=False, module="unique")
-    def load(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, force: wp.array(dtype=vec)):
+    def load(
+        flags: wp.array(dtype=wp.int32),
+        bodies: Bodies,
+        pairs: Pairs,
+        longest: scalar,
+        force: wp.array(dtype=vec),
+    ):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
-        dt = scalar(mesh.clock[DT])
         sum = -pair.between(pairs, bodies.velocity, b)
         for k in range(pairs.count[b]):
             place = b * CAPACITY + k
             size = pair.resistance(pairs, place) * pairs.still[place]
             if pairs.touching[place] != 0:
-                size -= pairs.hold[place] / dt * (pairs.rough[place] - pairs.gap[place])
+                size -= pairs.hold[place] / longest * (pairs.rough[place] - pairs.gap[place])
             sum += size * pairs.normal[place]
         force[b] = force[b] + sum
 

@@ -25,6 +25,8 @@ from ..kernels.suspension.velocity import force_kernels, search_kernels, update_
 from ..mps.common.allocation import allocate
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}
+"""Residual that rounding errors leave, relative to the largest residual of the step, by precision."""
 NEGLIGIBLE = 0.1
 """Part of the coupled solve's tolerance that a pressure solve may ignore."""
 CONTACT_PASSES = 3
@@ -78,6 +80,7 @@ class CoupledSolve:
         self.inner = 0
         self.error = 0.0
         self._momentum = 0.0
+        self._largest = 0.0
 
     def _vector(self) -> Any:
         slots = self.flow.state.slots
@@ -124,7 +127,7 @@ class CoupledSolve:
         flow = self.flow
         for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
             array.zero_()
-        self.inner, self.outer = 0, 0
+        self.inner, self.outer, self._largest = 0, 0, 0.0
         for turn in range(CONTACT_PASSES):
             self._begin(again=turn > 0)
             self._iterate()
@@ -153,7 +156,7 @@ class CoupledSolve:
                      projection=flow.projection.arrays, inflow=self.inflow, again=int(again),
                      residual=self.residual)  # fmt: skip
         self._launch(self.forces.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
-        self._launch(self.pairs.load, self.count, force=self.residual.linear)
+        self._launch(self.pairs.load, self.count, longest=flow.scene.time_step, force=self.residual.linear)
         self._launch(self.residuals.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
         if again:
@@ -197,8 +200,13 @@ class CoupledSolve:
 
     def _relative_error(self) -> float:
         left = self._inner_product(self.residual, self.residual)
+        self._largest = max(self._largest, left)
         self._launch(self.algebra.scale_of, self.tasks + self.count, change=self.solution)
         whole = self._momentum = float(self.partial.numpy().sum())
+        if left <= (ROUNDING["float64" if self.scalar is wp.float64 else "float32"]) ** 2 * self._largest:
+            # No solve can reduce the residual further. In a first short step, weight and pressure exceed the momentum
+            # of the flow by far.
+            return min(float(np.sqrt(left / whole)), self.tolerances.coupled) if whole > 0 else 0.0
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 
     def _pressure_floor(self) -> float:
