@@ -187,11 +187,10 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def serial_multigrid(scalar):
-    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches it once.
+def serial_functions(scalar) -> SimpleNamespace:
+    """Build the functions that a CPU thread applies to its rows in a solve.
 
-    The rows with unknowns are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and
-    `workers` threads take part.
+    `precondition` applies the preconditioner. The other functions process a range of positions in the list of rows.
     """
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -285,6 +284,26 @@ def serial_multigrid(scalar):
             sum += system.partial[first + k]
         return sum
 
+    return SimpleNamespace(
+        precondition=precondition,
+        start=start,
+        multiply=multiply,
+        inner=inner,
+        turn_direction=turn_direction,
+        total=total,
+    )
+
+
+@functools.cache
+def serial_multigrid(scalar):
+    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches it once.
+
+    The rows with unknowns are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and
+    `workers` threads take part.
+    """
+    structs, f = system_structs(scalar), serial_functions(scalar)
+    Matrix, Solve = structs.Matrix, structs.Solve
+
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
         # The next arguments are the error code that is stored if the solve fails, the relative tolerance, and the
@@ -313,38 +332,40 @@ def serial_multigrid(scalar):
         # products are rz = r.z, rr = r.r and pq = p.q.
         rows = matrix.begin[1]
         for part in range(lower, upper):
-            system.partial[part] = start(rows * part / parts, rows * (part + 1) / parts, scalar(0.0), matrix, system, x)
+            system.partial[part] = f.start(
+                rows * part / parts, rows * (part + 1) / parts, scalar(0.0), matrix, system, x
+            )
         meet(gate, workers)
-        rr = total(0, parts, system)
+        rr = f.total(0, parts, system)
         before = wp.sqrt(rr)
         goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         count = wp.int32(0)
         rz = wp.float64(1.0)
         while rr > goal and count < maximum:
-            precondition(parts, lower, upper, workers, gate, matrix, system)
+            f.precondition(parts, lower, upper, workers, gate, matrix, system)
             for part in range(lower, upper):
-                system.partial[parts + part] = inner(rows * part / parts, rows * (part + 1) / parts, matrix, system)
+                system.partial[parts + part] = f.inner(rows * part / parts, rows * (part + 1) / parts, matrix, system)
             meet(gate, workers)
             last = rz
-            rz = total(parts, parts, system)
+            rz = f.total(parts, parts, system)
             beta = scalar(0.0)
             if count > 0:
                 beta = scalar(rz / last)
-            turn_direction(rows * lower / parts, rows * upper / parts, beta, matrix, system)
+            f.turn_direction(rows * lower / parts, rows * upper / parts, beta, matrix, system)
             meet(gate, workers)
             for part in range(lower, upper):
-                system.partial[2 * parts + part] = multiply(
+                system.partial[2 * parts + part] = f.multiply(
                     rows * part / parts, rows * (part + 1) / parts, matrix, system
                 )
             meet(gate, workers)
-            pq = total(2 * parts, parts, system)
+            pq = f.total(2 * parts, parts, system)
             if pq <= wp.float64(0.0):
                 break
             alpha = scalar(rz / pq)
             for part in range(lower, upper):
-                system.partial[part] = start(rows * part / parts, rows * (part + 1) / parts, alpha, matrix, system, x)
+                system.partial[part] = f.start(rows * part / parts, rows * (part + 1) / parts, alpha, matrix, system, x)
             meet(gate, workers)
-            rr = total(0, parts, system)
+            rr = f.total(0, parts, system)
             if lower == 0 and count < system.history.shape[0]:
                 system.history[count] = wp.sqrt(rr)
             count += 1
@@ -364,13 +385,11 @@ def serial_multigrid(scalar):
 
 
 @functools.cache
-def resident_multigrid(scalar, width: int = BLOCK):
-    """Build the GPU kernel that solves a linear system and adds the solution to `x`.
+def resident_functions(scalar, width: int) -> SimpleNamespace:
+    """Build the functions that a GPU thread applies in a solve; a block has `width` threads.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. Rows with
-    unknowns are divided into chunks of `width` rows, of which each block processes several.
+    `precondition` applies the preconditioner. The other functions process one position `k` in the list of rows.
     """
-    accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
     f = cycle_functions(scalar, False)
@@ -454,6 +473,20 @@ def resident_multigrid(scalar, width: int = BLOCK):
         system.product[i] = sum
         return wp.float64(own) * wp.float64(sum)
 
+    return SimpleNamespace(precondition=precondition, start=start, inner=inner, multiply=multiply)
+
+
+@functools.cache
+def resident_multigrid(scalar, width: int = BLOCK):
+    """Build the GPU kernel that solves a linear system and adds the solution to `x`.
+
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. Rows with
+    unknowns are divided into chunks of `width` rows, of which each block processes several.
+    """
+    accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
+    structs, f = system_structs(scalar), resident_functions(scalar, width)
+    Matrix, Solve = structs.Matrix, structs.Solve
+
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
         # The next arguments are the error code that is stored if the solve fails, the relative tolerance, the maximum
@@ -480,7 +513,7 @@ def resident_multigrid(scalar, width: int = BLOCK):
         finest = matrix.first[1]
         rr = wp.float64(0.0)
         for chunk in range(block, chunks, parties):
-            own = start(chunk * width + lane, rows, scalar(0.0), 0, matrix, system, x)
+            own = f.start(chunk * width + lane, rows, scalar(0.0), 0, matrix, system, x)
             rr += accumulate(chunk * width + lane, system.partial, 0, own)
         gather(gate, parties)
         rr = total_of(rr, lane, system.partial, 0, chunks)
@@ -493,11 +526,11 @@ def resident_multigrid(scalar, width: int = BLOCK):
             rr = wp.float64(0.0)
             goal = wp.float64(0.0)
         while rr > goal and done < maximum:
-            precondition(thread, parties, gate, matrix, system)
+            f.precondition(thread, parties, gate, matrix, system)
             last = rz
             rz = wp.float64(0.0)
             for chunk in range(block, chunks, parties):
-                own = inner(chunk * width + lane, rows, matrix, system)
+                own = f.inner(chunk * width + lane, rows, matrix, system)
                 rz += accumulate(chunk * width + lane, system.partial, chunks, own)
             gather(gate, parties)
             rz = total_of(rz, lane, system.partial, chunks, chunks)
@@ -506,7 +539,7 @@ def resident_multigrid(scalar, width: int = BLOCK):
                 beta = scalar(rz / last)
             pq = wp.float64(0.0)
             for chunk in range(block, chunks, parties):
-                own = multiply(chunk * width + lane, rows, beta, old, finest - old, matrix, system)
+                own = f.multiply(chunk * width + lane, rows, beta, old, finest - old, matrix, system)
                 pq += accumulate(chunk * width + lane, system.partial, 2 * chunks, own)
             gather(gate, parties)
             pq = total_of(pq, lane, system.partial, 2 * chunks, chunks)
@@ -515,7 +548,7 @@ def resident_multigrid(scalar, width: int = BLOCK):
                 alpha = scalar(rz / pq)
             rr = wp.float64(0.0)
             for chunk in range(block, chunks, parties):
-                own = start(chunk * width + lane, rows, alpha, finest - old, matrix, system, x)
+                own = f.start(chunk * width + lane, rows, alpha, finest - old, matrix, system, x)
                 rr += accumulate(chunk * width + lane, system.partial, 0, own)
             gather(gate, parties)
             rr = total_of(rr, lane, system.partial, 0, chunks)
