@@ -8,7 +8,7 @@ edge. Each corner is the mean of the points at which the level is zero on the ed
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
