@@ -23,6 +23,14 @@ class SuspensionDisplay(FreeDisplay):
     that the cutting plane meets, and those behind it.
     """
 
+    @property
+    def cut(self) -> float | None:
+        """Coordinate y [m] of the cutting plane, in the middle of the simulated room.
+
+        No aggregate crosses a plane of symmetry, so a cut along it would show none of them.
+        """
+        return 0.5 * self.simulation.scene.depth
+
     def surface(self, cut: bool = False) -> Surface:
         """Return the surface of the concrete followed by those of the aggregates, or the part behind the cut."""
         concrete = super().surface(cut)
