@@ -26,6 +26,8 @@ HOLD = wp.constant(300.0)
 """Stiffness of a contact times the time step, relative to the resistance of the aggregate to motion.
 
 A step of the longest duration removes all but about 1 / (1 + HOLD) of an overlap."""
+SAME = wp.constant(0.8)
+"""Cosine of the angle between the normals of two walls above which they may be the same wall."""
 LOOKED_AT = wp.constant(2.0)
 """Largest gap of a neighbour, in cells. In a step, an aggregate moves by at most one cell."""
 
@@ -105,7 +107,7 @@ def wall_gap_function(scalar, of: GridKind):
 def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions of an aggregate and its neighbours.
 
-    `store` stores a neighbour. `between` is the force with which the neighbours of an aggregate oppose given
+    `store` stores a neighbour, and `is_known` tells whether a wall has been stored. `between` is the force with which the neighbours of an aggregate oppose given
     velocities, and `resistance_block` the matrix of this force for the aggregate's own velocity. `resistance` is that
     of one pair.
     """
@@ -117,6 +119,7 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
     def store(
         g: Grid, pairs: Pairs, b: wp.int32, count: wp.int32, other: wp.int32, normal: vec, gap: scalar,
         approach: scalar, still: scalar, reduced: scalar, radius: scalar, cutoff: scalar, roughness: scalar, dt: scalar,
+        longest: scalar,
     ) -> wp.int32:  # fmt: skip
         """Store a neighbour with its forces, and return the new number of neighbours.
 
@@ -141,9 +144,21 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         pairs.lubrication[place] = lubrication
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
-        pairs.touching[place] = wp.where(gap - approach * dt < rough, 1, 0)
+        # A contact must not hold two aggregates that part faster than their overlap disappears.
+        parting = gap < rough and -approach * longest > rough - gap
+        pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
         return count + 1
+
+    @wp.func
+    def is_known(pairs: Pairs, b: wp.int32, count: wp.int32, normal: vec, gap: scalar, radius: scalar) -> wp.bool:
+        """Return whether a wall with about this normal and gap is among the neighbours of an aggregate."""
+        for k in range(count):
+            place = b * CAPACITY + k
+            if pairs.other[place] == WALL and wp.dot(pairs.normal[place], normal) > scalar(SAME):
+                if wp.abs(pairs.gap[place] - gap) < scalar(0.1) * radius:
+                    return True
+        return False
 
     @wp.func
     def resistance(pairs: Pairs, place: wp.int32) -> scalar:
@@ -169,7 +184,9 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
             sum += resistance(pairs, place) * wp.dot(relative, n) * n
         return sum
 
-    return SimpleNamespace(store=store, resistance=resistance, resistance_block=resistance_block, between=between)
+    return SimpleNamespace(
+        store=store, is_known=is_known, resistance=resistance, resistance_block=resistance_block, between=between
+    )
 
 
 @functools.cache
@@ -193,7 +210,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def find(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
-        pairs: Pairs, aggregates: wp.int32, sides: wp.int32, cutoff: scalar, roughness: scalar,
+        pairs: Pairs, aggregates: wp.int32, sides: wp.int32, mirrors: wp.int32,
+        cutoff: scalar, roughness: scalar, longest: scalar,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
@@ -214,10 +232,24 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
                     reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
                     count = pair.store(
-                        g, pairs, b, count, o, n, gap, approach, scalar(0.0), reduced, radius, cutoff, roughness, dt
+                        g,
+                        pairs,
+                        b,
+                        count,
+                        o,
+                        n,
+                        gap,
+                        approach,
+                        scalar(0.0),
+                        reduced,
+                        radius,
+                        cutoff,
+                        roughness,
+                        dt,
+                        longest,
                     )
-        # Sides of the room that are walls or planes of symmetry.
-        plane_gap = scalar(1.0e30)
+        # Sides of the room. A plane of symmetry acts like the mirror image of the aggregate: half the reduced radius,
+        # and twice the gap and the speed of approach.
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2
@@ -226,24 +258,34 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 gap = x[axis] - g.origin[axis] - radius
                 if side % 2 == 1:
                     gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
-                plane_gap = wp.min(plane_gap, gap)
+                part = wp.where((mirrors >> side) % 2 == 1, scalar(0.5), scalar(1.0))
                 if gap < reach:
                     approach = wp.dot(bodies.velocity[b], n)
                     count = pair.store(
-                        g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), radius, radius, cutoff, roughness, dt
-                    )
-        distance, slope, wall = wall_gap(g, geometry, x)
-        steep = wp.length(slope)
-        gap = distance - radius
-        # The nearest wall may be a side of the room, which has been stored.
-        if gap < reach and gap < plane_gap - scalar(1.0e-3) * radius and steep > scalar(0.0):
-            n = -slope / steep
-            moving = vec()
-            for axis in range(3):
-                moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
-            still = wp.dot(moving, n)
-            approach = wp.dot(bodies.velocity[b], n) - still
-            count = pair.store(g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt)
+                        g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
+                        part * roughness, dt, longest,
+                    )  # fmt: skip
+        # Other walls are looked for at the centre and at six points of the surface, because the distance of the grid is
+        # that from the nearest wall, which may be a side of the room.
+        for probe in range(7):
+            e = vec()
+            if probe > 0:
+                e[(probe - 1) / 2] = wp.where(probe % 2 == 1, scalar(-1.0), scalar(1.0))
+            distance, slope, wall = wall_gap(g, geometry, x + radius * e)
+            steep = wp.length(slope)
+            if steep > scalar(0.1):
+                n = -slope / steep
+                gap = distance + radius * wp.dot(e, n) - radius
+                if gap < reach and not pair.is_known(pairs, b, count, n, gap, radius):
+                    moving = vec()
+                    for axis in range(3):
+                        moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
+                    still = wp.dot(moving, n)
+                    approach = wp.dot(bodies.velocity[b], n) - still
+                    count = pair.store(
+                        g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
+                        longest,
+                    )  # fmt: skip
         pairs.count[b] = count
 
     @wp.kernel(enable_backward=False, module="unique")

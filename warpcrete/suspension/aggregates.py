@@ -96,5 +96,5 @@ class BodyState:
             getattr(self.bodies, name).assign(found[name])
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap of an aggregate, divided by its radius; negative for an overlap."""
+        """Return the smallest gap at the start of the last step, divided by the radius; negative for an overlap."""
         return float(self.pairs.smallest_gap.numpy().min())

@@ -61,7 +61,8 @@ class SuspensionStep(GridStep):
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
             *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
-                         sides=flow.sides, cutoff=flow.cutoff, roughness=flow.roughness),
+                         sides=flow.sides, mirrors=flow.mirrors,
+                         longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -114,11 +115,20 @@ class SuspensionFlow(GridFlow):
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
         self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
         sides = [side for pair in state.layout.room.sides for side in pair]
+        self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
+        self._build_stages()
+
+    def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))
         self._before, self._after, self._blocks = part.before(), part.after(), part.blocks()
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
+
+    def share(self, abreast: int) -> None:
+        """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
+        super().share(abreast)
+        self._build_stages()
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:

@@ -21,7 +21,7 @@ class SuspensionScene(FreeScene):
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
-    """Smallest and largest diameter of the aggregates [m]; diameters are evenly distributed by volume."""
+    """Smallest and largest diameter of the aggregates [m]; each diameter between them is equally likely for an aggregate."""
     aggregate_density: float
     """Density of the aggregates [kg/m3]."""
     roughness: float

@@ -81,6 +81,7 @@ class CoupledSolve:
         self.error = 0.0
         self._momentum = 0.0
         self._largest = 0.0
+        self._dt = 0.0
 
     def _vector(self) -> Any:
         slots = self.flow.state.slots
@@ -89,14 +90,13 @@ class CoupledSolve:
         )
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
-        # Launches are recorded once for each set of arrays and numbers.
-        key = (id(kernel), *((name, id(value) if hasattr(value, "_cls") or hasattr(value, "ptr") else value)
-                             for name, value in named.items()))  # fmt: skip
-        stage = self._stages.get(key)
-        if stage is None:
-            stage = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
-            if "factor" not in named:
-                self._stages[key] = stage
+        # Launches are recorded once for each set of arrays; the factor of a multiple changes.
+        key = (id(kernel), *((name, _identity(value)) for name, value in named.items() if name != "factor"))
+        if key not in self._stages:
+            self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
+        stage = self._stages[key]
+        if "factor" in named:
+            stage.set("factor", named["factor"])
         stage()
 
     @property
@@ -104,8 +104,6 @@ class CoupledSolve:
         flow = self.flow
         return flow.kernel_arrays | {
             "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
-            "bodies": flow.aggregates.bodies, "cover": flow.aggregates.cover, "cut": flow.cut,
-            "pairs": flow.aggregates.pairs,
         }  # fmt: skip
 
     def _sum(self, slot: int) -> None:
@@ -128,6 +126,7 @@ class CoupledSolve:
         for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
             array.zero_()
         self.inner, self.outer, self._largest = 0, 0, 0.0
+        self._dt = float(flow.mesh.clock.numpy()[int(DT)])
         for turn in range(CONTACT_PASSES):
             self._begin(again=turn > 0)
             self._iterate()
@@ -212,7 +211,7 @@ class CoupledSolve:
     def _pressure_floor(self) -> float:
         """Return the residual norm below which a pressure solve no longer reduces the error of the coupled solve."""
         flow, width = self.flow, min(self.flow.state.layout.room.width)
-        concrete, dt = flow.scene.concrete, float(flow.mesh.clock.numpy()[int(DT)])
+        concrete, dt = flow.scene.concrete, self._dt
         worth = (concrete.density * width**2 / dt + concrete.viscosity) / width**3
         inflow = NEGLIGIBLE * self.tolerances.coupled * np.sqrt(self._momentum / worth)
         return float(concrete.density / dt * inflow)
@@ -282,3 +281,8 @@ class CoupledSolve:
         wp.copy(self.force, change.faces)
         self._launch(self.forces.blend, self.count, x=change, flow=self.force)
         self._launch(self.residuals.inflow, slots, change=self.force, sign=-1.0, result=effect.cells)
+
+
+def _identity(value: Any) -> Any:
+    """Return what tells an argument of a kernel from another one: a number itself, or the identity of an array."""
+    return value if isinstance(value, (int, float)) else id(value)
