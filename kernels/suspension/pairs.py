@@ -132,8 +132,8 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         open = wp.max(gap, rough)
         lubrication = scalar(0.0)
         if open < cutoff:
-            # At a small gap h, the resistance of two spheres of radii R1 and R2 to approach is 6 pi mu a^2 / h, with the
-            # viscosity mu and 1 / a = 1 / R1 + 1 / R2 (Brenner 1961).
+            # At a small gap h, the force per speed of approach is 6 pi mu a^2 / h, where mu is the viscosity and
+            # 1 / a = 1 / R1 + 1 / R2 with the radii R1 and R2 of the spheres (Brenner 1961).
             missing = scalar(1.0) / open - scalar(1.0) / cutoff
             lubrication = scalar(6.0 * wp.pi) * g.viscosity * reduced * reduced * missing
         pairs.other[place] = other

@@ -50,7 +50,7 @@ class Aggregates:
 
 
 class BodyState:
-    """State of the aggregates on a device: their motion, their neighbours, and the parts of the grid that they cover."""
+    """State of the aggregates on a device: motion, neighbours, and the parts of the grid that they cover."""
 
     def __init__(
         self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any, device: Any
@@ -97,5 +97,5 @@ class BodyState:
             getattr(self.bodies, name).assign(found[name])
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap between an aggregate and a neighbour or wall, over its radius; negative for an overlap."""
+        """Return the smallest gap to a neighbour or wall, relative to the radius; negative for an overlap."""
         return float(self.pairs.smallest_gap.numpy().min())

@@ -24,7 +24,7 @@ class SuspensionDisplay(FreeDisplay):
     """
 
     def surface(self, cut: bool = False) -> Surface:
-        """Return the surfaces of the concrete and of the aggregates; with `cut`, only their part behind the cutting plane."""
+        """Return the surfaces of concrete and aggregates; with `cut`, only the part behind the cutting plane."""
         concrete = super().surface(cut)
         return self.derived(("with aggregates", cut), lambda: self._with_spheres(concrete, cut))
 

@@ -29,8 +29,8 @@ from .solve import CoupledSolve, Tolerances
 CUTOFF_CELLS = 0.7
 """Smallest gap between two aggregates that the grid resolves, in cells.
 
-In narrower gaps, the part of the lubrication force that the grid lacks is added. The value was fitted to the approach of
-two spheres (Brenner 1961) with four cells across a sphere."""
+In narrower gaps, the part of the lubrication force that the grid lacks is added. The value was fitted to the approach
+of two spheres (Brenner 1961) with four cells across a sphere."""
 
 
 class SuspensionStep(GridStep):
@@ -154,7 +154,7 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return the iterations of the viscous and the coupled solves of the last step, and the error of the coupled solve."""
+        """Return iterations of the viscous and coupled solves of the last step, and the error of the coupled solve."""
         coupled = self.coupled
         return {
             "viscosity": {"iterations": float(coupled.inner)},

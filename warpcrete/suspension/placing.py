@@ -56,7 +56,7 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
 
 
 def _radii(scene: SuspensionScene, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
-    """Return random radii [m], largest first, such that the spheres have the volume fraction that the scene requires."""
+    """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires."""
     wanted = scene.aggregate_fraction * float(np.sum(layout.mass)) * layout.volume
     radii, volume = [], 0.0
     while True:

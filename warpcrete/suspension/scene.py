@@ -21,7 +21,7 @@ class SuspensionScene(FreeScene):
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
-    """Smallest and largest diameter of the aggregates [m]; diameters between them are uniformly distributed by number."""
+    """Smallest and largest diameter of the aggregates [m]; the distribution by number is uniform between them."""
     aggregate_density: float
     """Density of the aggregates [kg/m3]."""
     roughness: float

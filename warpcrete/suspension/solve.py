@@ -211,7 +211,7 @@ class CoupledSolve:
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 
     def _pressure_floor(self) -> float:
-        """Return the residual norm below which a pressure solve hardly reduces the error of the coupled solve further."""
+        """Return the residual norm below which a pressure solve would hardly improve the coupled solve."""
         flow, width = self.flow, min(self.flow.state.layout.room.width)
         concrete, dt = flow.scene.concrete, float(flow.mesh.clock.numpy()[int(DT)])
         worth = (concrete.density * width**2 / dt + concrete.viscosity) / width**3
