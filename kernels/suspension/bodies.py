@@ -2,7 +2,7 @@
 
 The grid stores one velocity component at each cell face. A face whose centre lies in an aggregate moves with the
 aggregate. With the velocity V and the spin w of the aggregate, and the vector d from its centre to the face, the face's
-velocity is the component of V + w x d along the face's axis, and no unknown. With P, the matrix that maps V and w to
+velocity is the component of V + w x d along the face's axis, not an unknown. With P, the matrix that maps V and w to
 face velocities, the viscous matrix A of all faces becomes P^T A P. The drag follows from this, without a drag law.
 
 Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). Comments on array shapes
