@@ -25,7 +25,7 @@ class SuspensionSimulation(FreeSimulation):
     """Simulation of a mortar with aggregates; parameters and errors are those of :class:`warpcrete.Simulation`."""
 
     scene_type = SuspensionScene
-    scene: SuspensionScene
+    scene: SuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
     method = "suspension"
 
     def unit(self, column: str) -> str:
