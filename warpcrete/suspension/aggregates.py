@@ -39,7 +39,7 @@ class Aggregates:
                    "give one centre and one radius for each aggregate")  # fmt: skip
         if not (np.isfinite(centre).all() and np.all(radius > 0)):
             refuse("radius", radius.tolist(), "must be above 0, and all centres must be finite",
-                   "remove or correct the other aggregates")  # fmt: skip
+                   "remove or correct aggregates with other values")  # fmt: skip
         object.__setattr__(self, "centre", centre)
         object.__setattr__(self, "radius", radius)
 
