@@ -3,8 +3,8 @@
 Flows without aggregates solve for velocity and pressure one after the other. With aggregates, this would cause errors
 of a third in their velocities. The method of generalised conjugate residuals (Eisenstat, Elman & Schultz 1983)
 therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of Cahouet &
-Chabard (1988). It adds the solution of a pressure solve for the net inflow of the residual to the viscosity times the
-net inflow per volume, and then computes the velocities in a viscous solve.
+Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus the viscosity
+times the net inflow per volume. A viscous solve then gives its velocities.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Tolerances:
     coupled: float = 1e-4
     """Norm of the residual at which the coupled solve stops, divided by the norm of the flow's momentum."""
     viscous: float = 0.1
-    """Factor by which a viscous solve of the preconditioner reduces the norm of its residual."""
+    """Residual norm at which a viscous solve of the preconditioner stops, divided by the norm at its start."""
     pressure: float = 0.1
-    """Factor by which a pressure solve of the preconditioner reduces the norm of its residual."""
+    """Residual norm at which a pressure solve of the preconditioner stops, divided by the norm at its start."""
     outer: int = 60
     """Maximum number of iterations of the coupled solve."""
     inner: int = 5000
@@ -142,7 +142,7 @@ class CoupledSolve:
             )
 
     def _begin(self, again: bool) -> None:
-        """Compute the residual of the current solution, which is zero unless the solve is repeated (`again`)."""
+        """Compute the residual of the current solution; the solution is zero unless the solve is repeated (`again`)."""
         flow, slots = self.flow, self.flow.state.slots
         # The pressure forces and inflows computed so far treat partly covered faces as mortar only. Correct both for
         # the parts of the faces that aggregates cover.
