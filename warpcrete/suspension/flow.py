@@ -27,13 +27,14 @@ from .aggregates import Aggregates, BodyState
 from .solve import CoupledSolve, Tolerances
 
 CUTOFF_CELLS = 0.7
-"""Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force.
+"""Smallest gap between two aggregates that the grid resolves, in cells.
 
-Fitted to the approach of two spheres (Brenner 1961) with four cells across a sphere."""
+In narrower gaps, the part of the lubrication force that the grid lacks is added. The value was fitted to the approach
+of two spheres (Brenner 1961) with four cells across a sphere."""
 
 
 class SuspensionStep(GridStep):
-    """Stages of a time step before and after the coupled solve, for one thread."""
+    """Stages of one time step of a mortar with aggregates, before and after the coupled solve."""
 
     def before(self) -> list[Any]:
         """Return the stages that set up the equations of the step."""
@@ -75,7 +76,7 @@ class SuspensionStep(GridStep):
         ]  # fmt: skip
 
     def blocks(self) -> list[Any]:
-        """Return the stage that inverts the blocks of the aggregates in the matrix."""
+        """Return the stage that inverts the diagonal blocks of the aggregates in the viscous matrix."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
         return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
 
@@ -97,7 +98,7 @@ class SuspensionStep(GridStep):
 
 
 class SuspensionFlow(GridFlow):
-    """Flow of a mortar on a grid in space, with rigid aggregates in it."""
+    """Flow of a mortar with rigid aggregates on a three-dimensional grid."""
 
     def __init__(
         self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, tolerances: Tolerances | None = None
@@ -108,7 +109,8 @@ class SuspensionFlow(GridFlow):
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
         )
         state.aggregates = self.aggregates.bodies
-        # A second view of the mesh, whose viscosities are those of the samples' mortar.
+        # `cut` shares the arrays of the mesh except the viscosities, which are divided by the mortar fractions of cells
+        # and edges.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
@@ -132,7 +134,7 @@ class SuspensionFlow(GridFlow):
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        """Arrays and structs of the flow, by the names of the kernel parameters for which they are passed."""
         return self._kernel_arrays
 
     @property
@@ -143,12 +145,12 @@ class SuspensionFlow(GridFlow):
         }  # fmt: skip
 
     def invert_blocks(self) -> None:
-        """Invert the blocks of the aggregates in the matrix again, after pairs have begun to touch."""
+        """Recompute the inverse blocks of the aggregates after new contacts have changed the matrix."""
         for stage in self._blocks:
             stage()
 
     def launch(self) -> None:
-        """Take the steps that the flow still needs to reach its goal; the host launches every stage."""
+        """Take time steps until the flow reaches its goal, such as a time; the host launches every stage."""
         self.begin_goal()
         while not self.flags.numpy()[int(HALTED)]:
             self.take_step()
@@ -162,7 +164,7 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return iterations of the viscous solves and of the coupled solve, and its error, in the last step."""
+        """Return iterations of the viscous and coupled solves of the last step, and the error of the coupled solve."""
         coupled = self.coupled
         return {
             "viscosity": {"iterations": float(coupled.inner)},

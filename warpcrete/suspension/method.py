@@ -1,4 +1,4 @@
-"""Entry of mortars with aggregates in the list of methods, through which the program runs, draws and reports them."""
+"""Method record of mortars with aggregates, through which the program runs, draws and reports such scenes."""
 
 from dataclasses import replace
 from functools import partial
