@@ -35,10 +35,10 @@ PACKED = 0.60
 """Share of the volume that the spheres with their shells fill in the pipe."""
 SPEED = 0.3
 """Speed of the piston [m/s]."""
-SAMPLE_TRAVEL = 0.08
+SAMPLE_TRAVEL = 0.09
 """Travel of the piston between two samples [diameters of the inlet].
 
-The checks for blockage are :data:`BLOCKED_TRAVEL` / 8 apart, so there is one sample for each check.
+Checks for blockage are at least :data:`BLOCKED_TRAVEL` / 8 apart. A little more makes a check of every sample.
 """
 BLOCKED_TRAVEL = 0.7
 """Travel of the piston during which part of a blocked concrete stands still [diameters of the inlet]."""

@@ -9,9 +9,9 @@ through the nearer contact point, perpendicular to the nearer normal. A toleranc
 The far surface of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
 share corners are hidden in the same way. If the overlap is small, no true contact is hidden.
 
-A list of candidates lasts for hundreds of steps, so most of its triangles are too far away to touch. Each sphere
-therefore has a second, shorter list of near candidates, which the kernel chooses anew when the sphere has moved through
-a margin. Near candidates keep their order, so they give the same contacts as all candidates.
+A sphere's list of candidate triangles stays valid for hundreds of steps, so most of these triangles are too far away to
+touch. Each sphere therefore has a second, shorter list of near candidates. The kernel rebuilds this list when sphere
+and meshes may have approached by more than a margin. Both lists have the same order and yield the same contacts.
 
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
@@ -39,8 +39,9 @@ MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # radii].
 BEHIND = 2.0e-2
 ROUNDING = 0.99
-"""Share of the margin through which a sphere may move before its near candidates are chosen anew; the rest covers
-rounding errors."""
+"""Fraction of the margin by which sphere and meshes may approach before near candidates are chosen again.
+
+The rest of the margin covers rounding errors."""
 # Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
 # contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
@@ -211,7 +212,7 @@ def contact_function(scalar, law):
 
 @functools.cache
 def near_function(scalar):
-    """Return the function `choose_near`, which brings the near candidates of a sphere up to date."""
+    """Return the function `choose_near`, which updates the list of near candidates of a sphere."""
     t = types(scalar)
     SceneRow, Candidates = scene_struct(scalar), array_structs(scalar).Candidates
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
@@ -224,17 +225,18 @@ def near_function(scalar):
         face_wall: wp.array(dtype=wp.int32), wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_moved: wp.array(dtype=wp.float64),
     ) -> wp.int32:  # fmt: skip
-        """Return the end index in `candidates.near` of the near candidates of sphere i, which begin at `begin`.
+        """Update the near candidates of sphere i, and return the index in `candidates.near` at which they end.
 
-        Near candidates are those of the sphere's candidates, `begin` to `end` - 1, within the distance `margin` [m].
-        They are chosen anew if the sphere and the meshes may have come closer by the margin since the last choice.
+        The candidates of the sphere have the indices `begin` to `end` - 1. Near candidates are the candidates whose
+        distance from the surface of the sphere is less than `margin` [m]. They are chosen again if sphere and meshes
+        may have approached by the margin since the last choice.
         """
         moved = wp.float64(0.0)
         for w in range(scene.walls + scene.analytic, scene.walls + scene.wall_count):
             moved += wall_moved[w]
         chosen = candidates.chosen[i]
         is_valid = wp.length(x - xyz(chosen)) + radius + scalar(moved) <= chosen[3]
-        # Threads of a warp wait for each other, so all of them choose when one must.
+        # The threads of a warp wait for each other, so if one thread must rebuild its list, all of them do.
         if any_active(not is_valid):
             near = begin
             for k in range(begin, end):
@@ -338,7 +340,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                         if found > MESH_SLOTS:
                             found = MESH_SLOTS
                             flags[scene, OVERFLOW] = 1
-            # The first slot is unused only if all slots are.
+            # Slots are filled in order. If the first slot is unused, all slots are, and there is no history to clear.
             if found == 0 and slot_wall[i, analytic] < 0:
                 continue
             dt, scale = scalar(scenes.clock[scene, DT_PREVIOUS]), scenes.clock[scene, FORCE_SCALE]

@@ -166,7 +166,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
                             candidates.face[place + found] = face - scenes.row[s].faces
                         found += 1
             if wp.static(fill):
-                candidates.chosen[i] = t.vec4()  # The near candidates belong to the previous list.
+                candidates.chosen[i] = t.vec4()  # Invalidate the near candidates of the previous list.
             else:
                 count[i + s] = found
 

@@ -1,4 +1,4 @@
-"""Kernels for rigid aggregates in a grid flow of mortar: places on the grid, viscosity beside them, coupled solve.
+"""Kernels for rigid aggregates in mortar that flows on a grid: aggregates on the grid, viscosity, and coupled solve.
 
-They use the grid functions of `kernels/mps/grid` and nothing of `kernels/dem`. Start with `bodies`.
+The kernels use the grid functions of `kernels/mps/grid`, but nothing from `kernels/dem`. Start with `bodies`.
 """

@@ -1,4 +1,4 @@
-"""Preconditioner of the viscous solve with aggregates: the diagonal blocks of each aggregate."""
+"""Preconditioner of the viscous solve with aggregates: inverses of the diagonal blocks of each aggregate."""
 
 import functools
 
@@ -14,10 +14,11 @@ from .pairs import pair_functions, pair_struct
 
 @functools.cache
 def block_kernel(scalar, serial: bool, of: GridKind):
-    """Build the kernel that inverts the blocks of the reduced matrix P^T A P of each aggregate.
+    """Build the kernel that inverts the 3 x 3 diagonal blocks of each aggregate in the reduced viscous matrix.
 
-    An aggregate has one block for its velocity and one for its spin. They precondition the conjugate gradients; the
-    coupling of velocity and spin is left out. The kernel runs with one task per aggregate.
+    The reduced matrix is P^T A P, with the viscous matrix A of all faces and the matrix P of rigid motions, see
+    `bodies.py`. An aggregate has one block for its velocity and one for its spin. The inverses precondition the
+    conjugate gradients, without the coupling of velocity and spin. The kernel runs with one task per aggregate.
     """
     t = mps_types(scalar, 3)
     vec = t.vec

@@ -1,9 +1,12 @@
-"""Rigid aggregates on the staggered grid of a flow: which faces they carry, and how much of each sample is mortar.
+"""Rigid aggregates on the staggered grid of a flow: faces that move with them, and the mortar fraction of samples.
 
-A face whose centre lies in an aggregate moves with it. Its velocity is not an unknown of its own: with the velocity V
-and the spin w of the aggregate, and the lever d from its centre, it is the component of V + w x d. The matrix of all
-face velocities is therefore multiplied from both sides with the matrix P of these components (P^T A P), and no drag law
-is needed.
+The grid stores one velocity component at each cell face. A face whose centre lies in an aggregate moves with the
+aggregate. With the velocity V and the spin w of the aggregate, and the vector d from its centre to the face, the face's
+velocity is the component of V + w x d along the face's axis, not an unknown. With P, the matrix that maps V and w to
+face velocities, the viscous matrix A of all faces becomes P^T A P. The drag follows from this, without a drag law.
+
+Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). Comments on array shapes
+call the number of aggregates n, and the number of cells, including a frame around the grid, `slots`.
 
 The grid is filled with mortar everywhere, also inside aggregates. An aggregate adds the difference between its own mass
 and that of the mortar in its place, so its weight in mortar does not depend on how the grid resolves its surface.
@@ -21,14 +24,14 @@ from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
 
 FULL = wp.constant(1 << 20)
-"""Integer that stands for a sample that is filled by aggregates.
+"""Integer that represents the fraction 1 of a sample or of a face.
 
-Aggregates add their parts of a sample as integers, so that the sum does not depend on their order."""
+Aggregates add their fractions as integers, because a sum of integers does not depend on the order of the additions."""
 
 
 @functools.cache
 def body_structs(scalar) -> SimpleNamespace:
-    """Build the structs `Bodies`, the arrays of rigid aggregates, and `Cover`, what they cover of the grid."""
+    """Build the structs `Bodies`, the state of the aggregates, and `Cover`, the parts of the grid that they cover."""
     vec3, mat33, quat = types(scalar).vec3, types(scalar).mat33, types(scalar).quat
 
     @wp.struct
@@ -38,46 +41,46 @@ def body_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=vec3)  # Angular velocity [rad/s], shape (n,).
         turn: wp.array(dtype=quat)  # Orientation, shape (n,).
         radius: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (n,).
-        # Mass minus the mass of the mortar in its place [kg], and the same for the moment of inertia [kg m2]; shape
-        # (n,).
+        # Mass of each aggregate minus that of an equal volume of mortar [kg], and the same difference of the moments of
+        # inertia [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
-        force: wp.array(dtype=vec3)  # Force from outside, such as weight in mortar [N], shape (n,).
-        torque: wp.array(dtype=vec3)  # Torque from outside about the centre [N m], shape (n,).
-        # Inverse of the block of the reduced matrix that belongs to velocity and to spin, shape (n,).
+        force: wp.array(dtype=vec3)  # External force, such as weight minus buoyancy [N], shape (n,).
+        torque: wp.array(dtype=vec3)  # External torque about the centre [N m], shape (n,).
+        # Inverses of the blocks of the reduced matrix for velocity and for spin, each of shape (n,).
         mobility: wp.array(dtype=mat33)
         spin_mobility: wp.array(dtype=mat33)
 
     @wp.struct
     class Cover:
-        # Number of aggregates that contain the centre of each face, and 1 + the number of the last of them, shape
-        # (3 slots,).
+        # Number of aggregates that contain the centre of each face, and 1 + the largest index of these aggregates, each
+        # of shape (3 slots,).
         claims: wp.array(dtype=wp.int32)
         owner: wp.array(dtype=wp.int32)
-        # Number of cells whose last free face this is, and 1 + the number of the aggregate that has their other faces,
-        # shape (3 slots,).
+        # Number of cells whose other faces all move with one aggregate, while this face is free, and 1 + the index of
+        # that aggregate, each of shape (3 slots,).
         closing: wp.array(dtype=wp.int32)
         closer: wp.array(dtype=wp.int32)
-        # 1 for cells whose faces must move freely, because aggregates are close to each other or to a wall, shape
-        # (slots,).
+        # 1 for cells whose faces must not move with an aggregate, because two aggregates, or an aggregate and a wall,
+        # are close to each other; otherwise 0; shape (slots,).
         shared: wp.array(dtype=wp.int32)
-        # Number of aggregates that cover part of a face, 1 + the number of the last of them, and the covered part of
-        # the face's area times FULL, shape (3 slots,).
+        # Number of aggregates that cover a part of each face, 1 + the largest index of these aggregates, and the
+        # covered fraction of the face's area times FULL, each of shape (3 slots,).
         touches: wp.array(dtype=wp.int32)
         toucher: wp.array(dtype=wp.int32)
         covered: wp.array(dtype=wp.int32)
-        # Part of each sample that aggregates fill, times FULL: of the cells, then of the edges of the three pairs of
-        # axes, shape (4 slots,).
+        # Fraction of each sample that aggregates fill, times FULL, shape (4 slots,). Cells come first, followed by the
+        # edges for shear in the planes of the three pairs of axes.
         solid: wp.array(dtype=wp.int32)
         first: wp.array(dtype=wp.int32)  # Index in `faces` of each aggregate's first face, shape (n + 1,).
         count: wp.array(dtype=wp.int32)  # Number of faces that move with each aggregate, shape (n,).
-        # Number of faces of which an aggregate covers at least a part, shape (n,).
+        # Number of entries of each aggregate in `faces`, shape (n,).
         touched: wp.array(dtype=wp.int32)
-        # Faces of the aggregates, sorted by aggregate: first those that move with it, then those that it covers in
-        # part.
+        # Faces of all aggregates, sorted by aggregate. For each aggregate, the faces that move with it come first,
+        # followed by the faces that it covers partly.
         faces: wp.array(dtype=wp.int32)
-        # Part of the flow through each entry of `faces` that has the velocity of the aggregate; 1 for faces that move
-        # with it.
+        # Fraction of each face in `faces` through which the flow has the velocity of the aggregate. It is 1 for faces
+        # that move with the aggregate.
         part: wp.array(dtype=scalar)
 
     return SimpleNamespace(Bodies=Bodies, Cover=Cover)
@@ -85,7 +88,7 @@ def body_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def body_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build functions of an aggregate on the grid: levers, velocities of its faces, and the mortar part of samples."""
+    """Build functions for an aggregate on the grid, such as its face velocities and the mortar fraction of samples."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -95,7 +98,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return a distance vector, in a periodic pipe that to the nearest image."""
+        """Return the vector `d` between two points; in a periodic pipe, return that to the nearest periodic image."""
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)
@@ -114,7 +117,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def box(g: Grid, bodies: Bodies, b: wp.int32):
-        """Return the lowest and the highest cell indices whose samples an aggregate may touch."""
+        """Return the lowest and the highest indices along each axis of the cells that an aggregate may touch."""
         low = whole()
         high = whole()
         for axis in range(3):
@@ -129,7 +132,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def sample_middle(g: Grid, c: whole, sample: wp.int32) -> vec:
-        """Return the middle of a sample: of a cell (0), or of its lowest edge of the pair of axes `sample` - 1."""
+        """Return the midpoint of cell `c` if `sample` is 0, or of its lowest edge for the pair of axes `sample` - 1."""
         x = vec()
         for axis in range(3):
             on_edge = (sample == 1 and axis < 2) or (sample == 2 and axis != 1) or (sample == 3 and axis > 0)
@@ -140,7 +143,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
     def solid_part(g: Grid, bodies: Bodies, b: wp.int32, middle: vec) -> scalar:
         """Return the fraction of a cell-sized box about `middle` that lies in an aggregate.
 
-        In each of 27 smaller boxes, the surface of the aggregate counts as a plane.
+        The box is divided into 27 smaller boxes. In each of them, a plane approximates the surface of the aggregate.
         """
         d = middle - bodies.centre[b]
         radius = bodies.radius[b]
@@ -165,7 +168,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
     def covered_part(g: Grid, bodies: Bodies, b: wp.int32, middle: vec, axis: wp.int32) -> scalar:
         """Return the fraction of a face's area that lies in an aggregate; `middle` is the face's centre.
 
-        In each of 9 smaller rectangles, the outline of the aggregate counts as a straight line.
+        The face is divided into 9 rectangles. In each of them, a line approximates the outline of the aggregate.
         """
         d = middle - bodies.centre[b]
         radius = bodies.radius[b]
@@ -186,7 +189,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def mortar_part(g: Grid, cover: Cover, number: wp.int32, sample: wp.int32) -> scalar:
-        """Return the fraction of a sample that is mortar; `sample` is 0 for a cell, else 1 + the pair of axes."""
+        """Return the mortar fraction of a sample; `sample` is 0 for a cell and 1 + the pair of axes for an edge."""
         filled = scalar(cover.solid[number + sample * g.slots]) / scalar(FULL)
         return wp.max(scalar(1.0) - filled, scalar(0.0))
 
@@ -198,11 +201,11 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that find what aggregates cover of the grid.
+    """Build the kernels that find the faces and samples that aggregates cover.
 
-    - `clear`, with one task per sample, forgets what was covered in the last step.
-    - `claim`, with one task per aggregate, marks faces and adds the aggregate's part of each sample.
-    - `collect`, with one task per aggregate, lists its faces; `release_kernels` run before it.
+    - `clear` deletes the results of the previous step, with one task per sample.
+    - `claim` marks covered faces and adds up the filled fractions of samples, with one task per aggregate.
+    - `collect` lists the faces of each aggregate, with one task per aggregate, after the kernels of `release_kernels`.
     """
     whole = mps_types(scalar, 3).whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -276,7 +279,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     number = places.at(g, whole(i, j, k))
                     for axis in range(3):
                         r = number + axis * g.slots
-                        # A face between two aggregates has a velocity of its own.
+                        # A face that two aggregates cover partly belongs to neither of them.
                         if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
                             cover.faces[cover.first[b] + count] = r
                             cover.part[cover.first[b] + count] = scalar(cover.covered[r]) / scalar(FULL)
@@ -288,7 +291,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that free faces between aggregates that are close to each other, or to a wall.
+    """Build the kernels that decide which faces in narrow gaps between aggregates and walls move with an aggregate.
 
     `close`, `share` and `release` run with one task per cell, and `shut` with one task per face. The order is `close`,
     `shut`, `share`, `release`.
@@ -300,10 +303,10 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def close(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
-        """Find the last free face of cells whose other faces move with the same aggregate, and let it move with them.
+        """Find cells of which all faces but one move with the same aggregate, and mark the remaining face.
 
-        The mortar in such a cell cannot deform, so its last face has the velocity of the aggregate anyway. `claims` and
-        `owner` of the face change after all cells have been looked at (`closing`, `closer`).
+        Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. The result is stored in
+        `closing` and `closer`, because other tasks still read `claims` and `owner`.
         """
         if flags[HALTED] != 0:
             return
@@ -331,7 +334,7 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def shut(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
-        """Let the faces that `close` has found move with their aggregate, with one task per face."""
+        """Let the faces that `close` has marked move with their aggregate."""
         if flags[HALTED] != 0:
             return
         r = wp.tid()
@@ -341,10 +344,10 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def share(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
-        """Find the cells from which mortar could not leave if the aggregates moved apart, or away from a wall.
+        """Find the cells that would prevent two aggregates, or an aggregate and a wall, from moving apart.
 
-        Two aggregates have faces of such a cell, or contain the same face, or all its faces belong to an aggregate and
-        to walls.
+        Such a cell has faces of two different aggregates, or a face whose centre lies in two aggregates, or all its
+        faces belong to an aggregate and to walls.
         """
         if flags[HALTED] != 0:
             return
@@ -373,10 +376,10 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def release(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
-        """Give the faces of shared cells a velocity of their own.
+        """Make the velocities of the faces of shared cells unknowns again.
 
-        If all faces of a cell moved with two aggregates, the mortar in it could not leave, and the aggregates would be
-        glued together.
+        If all faces of a cell moved with two aggregates, mortar could neither enter nor leave the cell, and the
+        aggregates would stick together.
         """
         if flags[HALTED] != 0:
             return
@@ -395,7 +398,8 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `carry` and `move`, with one task per aggregate.
 
-    `carry` gives the faces of an aggregate its velocity, and `move` moves and turns the aggregate by one step.
+    `carry` sets the velocities of the faces that move with an aggregate. `move` moves and turns the aggregate by one
+    time step.
     """
     vec, quat = mps_types(scalar, 3).vec, types(scalar).quat
     Grid = grid_parameters_struct(scalar, 3)

@@ -1,13 +1,15 @@
-"""Vectors and operators of the coupled equations of mortar velocity, rigid aggregates and pressure.
+"""Kernels for the coupled equations of mortar velocities, rigid aggregates and pressure.
 
 The unknowns of a time step are the changes of the face velocities u, of the velocities and spins U of the aggregates,
-and of the cell pressures p. With the viscous matrix A, the rigid motion P, the pressure forces G and the net inflow D
-of the cells, the equations are
+and of the cell pressures p. A is the viscous matrix of all faces. P maps U to the velocities of the faces that move
+with aggregates, and keeps the velocities of all others. G p are the pressure forces on the faces, and D u is the net
+inflow into the cells. The equations are
 
     P^T (A u - G p) + E U = P^T F + L,    D u = -inflow at the start,
 
-where F are the forces at the start of the step, L are forces on the aggregates, and E is the inertia that aggregates
-have in excess of the mortar in their place. A face of an aggregate has no equation of its own.
+where F are the forces on faces at the start of the step, L are the weight and contact forces of the aggregates, and E
+is the inertia of the aggregates minus that of an equal volume of mortar, divided by the time step. Faces that move with
+an aggregate have no equations of their own.
 """
 
 import functools
@@ -22,20 +24,19 @@ from .bodies import body_structs
 from .vectors import share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Pressure that a divergence of the velocity causes in a viscous fluid, over viscosity and divergence.
-
-A velocity field that is the gradient of a potential has the viscous force 2 mu times the gradient of its divergence."""
+"""Pressure in the preconditioner that a divergence of the velocity causes, divided by viscosity and divergence."""
 
 
 @functools.cache
 def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels of residuals and of the pressure in the preconditioner.
+    """Build the kernels that compute residuals, and the pressure in the preconditioner.
 
-    - `start` sets the residual from the forces and inflows at the beginning of the step.
+    - `start` sets the residual from the forces and inflows at the start of the step.
     - `pressure_force` computes the forces of a pressure field on the faces.
     - `inflow` computes the net inflow into the cells that a change of the velocities causes.
-    - `request` sets up a pressure solve that removes an inflow.
-    - `press` computes the pressure of the preconditioner: the solution of the pressure solve plus the viscous part.
+    - `request` sets the right-hand side of a pressure solve whose solution removes the net inflow of the residual.
+    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus the net
+      inflow per volume times the viscosity (Cahouet & Chabard 1988).
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -60,7 +61,7 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 residual.faces[r] = wp.where(matrix.free[r] == 0, viscous.residual[r], scalar(0.0))
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 if again == 0:
-                    # Pressure solves overwrite this residual, so keep the inflow in case the step is solved again.
+                    # Keep the inflow for a repeated solve of the step, because pressure solves overwrite this residual.
                     inflow[c] = projection.residual[c] * scalar(mesh.clock[DT]) / g.density
                 residual.cells[c] = residual.cells[c] + inflow[c]
         else:
@@ -99,7 +100,7 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def request(g: Grid, mesh: Fields, inflow: Vector, projection: Solve):
-        """Set the residual of a pressure solve from the net inflow into the cells."""
+        """Set the right-hand side of a pressure solve from the net inflow into the cells."""
         number = wp.tid()
         mesh.increment[number] = scalar(0.0)
         projection.residual[number] = g.density / scalar(mesh.clock[DT]) * inflow.cells[number]
@@ -117,10 +118,10 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels of generalised conjugate residuals.
+    """Build the kernels of the method of generalised conjugate residuals.
 
     - `inner` computes partial sums of the weighted inner product of two vectors.
-    - `scale_of` does the same for the squared momentum of the flow, with which residuals are compared.
+    - `scale_of` computes partial sums of the squared norm of the flow's momentum, with which residuals are compared.
     - `add` adds a multiple of a vector to another one.
     - `finish` adds the solution to the velocities and pressures of the flow.
     """
@@ -134,7 +135,7 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def cell_weight(g: Grid, cut: Fields, c: wp.int32) -> scalar:
-        """Return the pressure that a net inflow of one unit of volume per time into a cell is worth."""
+        """Return the weight of a cell's net inflow in inner products: the pressure that removes a unit of inflow."""
         inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
         return (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g)
 

@@ -1,9 +1,9 @@
 """Lubrication and contacts between aggregates, and between aggregates and walls.
 
-The grid resolves the mortar between two aggregates down to about one cell. Narrower gaps get what is missing: the
-lubrication force at their gap minus that at the cut-off gap. Touching aggregates repel each other. Both forces depend
-linearly on the relative velocity along the line of centres, so they enter the matrix of the velocities, and neither
-limits the time step.
+The grid resolves the flow between two aggregates if their gap is at least about one cell wide (the cut-off gap). In
+narrower gaps, the lubrication force at the actual gap minus that at the cut-off gap is added. Touching aggregates repel
+each other. Both forces depend linearly on the relative velocity along the line of centres, so they are part of the
+matrix of the implicit solve and do not limit the time step.
 """
 
 import functools
@@ -21,13 +21,15 @@ from .bodies import body_functions, body_structs
 CAPACITY = wp.constant(48)
 """Maximum number of neighbours of an aggregate, including walls."""
 WALL = wp.constant(-1)
-"""Number that stands for a wall in place of a neighbour."""
+"""Value that is stored instead of a neighbour's index if the neighbour is a wall."""
 HOLD = wp.constant(300.0)
-"""Stiffness of a contact times the time step, relative to the resistance of the aggregate to motion.
+"""Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
-A step of the longest duration removes all but about 1 / (1 + HOLD) of an overlap."""
+A time step of the largest allowed duration reduces an overlap to about 1 / (1 + HOLD) of its value."""
+SAME = wp.constant(0.8)
+"""Cosine of the angle between the normals of two walls above which they may be the same wall."""
 LOOKED_AT = wp.constant(2.0)
-"""Largest gap of a neighbour, in cells. In a step, an aggregate moves by at most one cell."""
+"""Largest gap between neighbours, in cells. Two aggregates can approach by two cells, as each moves by one at most."""
 
 
 @functools.cache
@@ -39,18 +41,18 @@ def pair_struct(scalar):
     class Pairs:
         count: wp.array(dtype=wp.int32)  # Number of neighbours of each aggregate, shape (n,).
         # The following arrays have one entry for each neighbour, shape (n * CAPACITY,).
-        other: wp.array(dtype=wp.int32)  # Number of the neighbour, or WALL.
+        other: wp.array(dtype=wp.int32)  # Index of the neighbour, or WALL.
         normal: wp.array(dtype=vec3)  # Unit vector towards the neighbour.
         gap: wp.array(dtype=scalar)  # Gap at the start of the step, negative for an overlap [m].
-        rough: wp.array(dtype=scalar)  # Gap at which the two touch [m].
+        rough: wp.array(dtype=scalar)  # Gap below which the neighbours touch [m].
         still: wp.array(dtype=scalar)  # Velocity of a wall along the normal [m/s]; 0 for an aggregate.
-        lubrication: wp.array(dtype=scalar)  # Lubrication force per velocity of approach [N s/m].
-        hold: wp.array(dtype=scalar)  # Force of a contact per velocity of approach [N s/m].
-        touching: wp.array(dtype=wp.int32)  # 1 if the two touch in this step.
-        # The following arrays have one entry for each aggregate, shape (n,), or one in all.
-        smallest_gap: wp.array(dtype=scalar)  # Smallest gap of each aggregate, divided by its radius.
+        lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
+        hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
+        touching: wp.array(dtype=wp.int32)  # 1 if the neighbours touch in this step, else 0.
+        # The next array has one entry for each aggregate, shape (n,). The other two have a single entry.
+        smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the radius.
         full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
-        changed: wp.array(dtype=wp.int32)  # 1 if a pair has begun to touch during the solve.
+        changed: wp.array(dtype=wp.int32)  # 1 if the solve has made a pair touch.
 
     return Pairs
 
@@ -103,11 +105,13 @@ def wall_gap_function(scalar, of: GridKind):
 
 @functools.cache
 def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build functions of an aggregate and its neighbours.
+    """Build functions for the forces between an aggregate and its neighbours.
 
-    `store` stores a neighbour. `between` is the force with which the neighbours of an aggregate oppose given
-    velocities, and `resistance_block` the matrix of this force for the aggregate's own velocity. `resistance` is that
-    of one pair.
+    - `store` stores a neighbour of an aggregate.
+    - `is_known` tells whether a wall is already stored.
+    - `resistance` returns the force of a pair per speed of approach [N s/m].
+    - `between` returns the force by which all neighbours of an aggregate oppose the given velocities.
+    - `resistance_block` returns the 3 x 3 matrix of that force as a function of the aggregate's own velocity.
     """
     vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
     Grid = grid_parameters_struct(scalar, 3)
@@ -117,10 +121,12 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
     def store(
         g: Grid, pairs: Pairs, b: wp.int32, count: wp.int32, other: wp.int32, normal: vec, gap: scalar,
         approach: scalar, still: scalar, reduced: scalar, radius: scalar, cutoff: scalar, roughness: scalar, dt: scalar,
+        longest: scalar,
     ) -> wp.int32:  # fmt: skip
-        """Store a neighbour with its forces, and return the new number of neighbours.
+        """Store a neighbour with the coefficients of its forces, and return the new number of neighbours.
 
-        `approach` is the present speed of approach, and `reduced` the product of both radii over their sum.
+        `approach` is the speed of approach at the start of the step [m/s]. `reduced` is the product of both radii
+        divided by their sum [m], which is the radius of the aggregate if the neighbour is a wall.
         """
         if count == CAPACITY:
             pairs.full[0] = 1
@@ -130,7 +136,8 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         open = wp.max(gap, rough)
         lubrication = scalar(0.0)
         if open < cutoff:
-            # Lubrication of two spheres at a small gap (Brenner 1961): 6 pi mu a^2 / gap, 1/a = 1/R1 + 1/R2.
+            # At a small gap h, the force per speed of approach is 6 pi mu a^2 / h, where mu is the viscosity and
+            # 1 / a = 1 / R1 + 1 / R2 with the radii R1 and R2 of the spheres (Brenner 1961).
             missing = scalar(1.0) / open - scalar(1.0) / cutoff
             lubrication = scalar(6.0 * wp.pi) * g.viscosity * reduced * reduced * missing
         pairs.other[place] = other
@@ -141,9 +148,21 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         pairs.lubrication[place] = lubrication
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
-        pairs.touching[place] = wp.where(gap - approach * dt < rough, 1, 0)
+        # A contact must not hold two aggregates that part faster than their overlap disappears.
+        parting = gap < rough and -approach * longest > rough - gap
+        pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
         return count + 1
+
+    @wp.func
+    def is_known(pairs: Pairs, b: wp.int32, count: wp.int32, normal: vec, gap: scalar, radius: scalar) -> wp.bool:
+        """Return whether a wall with about this normal and gap is among the neighbours of an aggregate."""
+        for k in range(count):
+            place = b * CAPACITY + k
+            if pairs.other[place] == WALL and wp.dot(pairs.normal[place], normal) > scalar(SAME):
+                if wp.abs(pairs.gap[place] - gap) < scalar(0.1) * radius:
+                    return True
+        return False
 
     @wp.func
     def resistance(pairs: Pairs, place: wp.int32) -> scalar:
@@ -169,7 +188,9 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
             sum += resistance(pairs, place) * wp.dot(relative, n) * n
         return sum
 
-    return SimpleNamespace(store=store, resistance=resistance, resistance_block=resistance_block, between=between)
+    return SimpleNamespace(
+        store=store, is_known=is_known, resistance=resistance, resistance_block=resistance_block, between=between
+    )
 
 
 @functools.cache
@@ -177,9 +198,10 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `find`, `load` and `touch`, each with one task per aggregate.
 
     - `find` finds the neighbours of each aggregate.
-    - `load` adds the forces of the neighbours to the forces on the aggregates. An overlap disappears in the time
-      `longest`, because in a shorter step it would fling the two apart.
-    - `touch` finds pairs that would overlap at the end of the step, and lets them touch.
+    - `load` adds the forces between neighbours at the start of the step to the forces on the aggregates. Contacts
+      remove an overlap within the time `longest`, the maximum time step. In a shorter step, removing the whole overlap
+      would fling the aggregates apart.
+    - `touch` finds pairs that would overlap at the end of the step, and marks them as touching.
     """
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)
@@ -193,7 +215,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def find(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
-        pairs: Pairs, aggregates: wp.int32, sides: wp.int32, cutoff: scalar, roughness: scalar,
+        pairs: Pairs, aggregates: wp.int32, sides: wp.int32, mirrors: wp.int32,
+        cutoff: scalar, roughness: scalar, longest: scalar,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
@@ -214,10 +237,11 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
                     reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
                     count = pair.store(
-                        g, pairs, b, count, o, n, gap, approach, scalar(0.0), reduced, radius, cutoff, roughness, dt
-                    )
-        # Sides of the room that are walls or planes of symmetry.
-        plane_gap = scalar(1.0e30)
+                        g, pairs, b, count, o, n, gap, approach, scalar(0.0), reduced, radius, cutoff, roughness, dt,
+                        longest,
+                    )  # fmt: skip
+        # Neighbours also include the sides of the room that are walls or planes of symmetry. A plane of symmetry acts
+        # like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed of approach.
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2
@@ -226,24 +250,34 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 gap = x[axis] - g.origin[axis] - radius
                 if side % 2 == 1:
                     gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
-                plane_gap = wp.min(plane_gap, gap)
+                part = wp.where((mirrors >> side) % 2 == 1, scalar(0.5), scalar(1.0))
                 if gap < reach:
                     approach = wp.dot(bodies.velocity[b], n)
                     count = pair.store(
-                        g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), radius, radius, cutoff, roughness, dt
-                    )
-        distance, slope, wall = wall_gap(g, geometry, x)
-        steep = wp.length(slope)
-        gap = distance - radius
-        # The nearest wall may be a side of the room, which has been stored.
-        if gap < reach and gap < plane_gap - scalar(1.0e-3) * radius and steep > scalar(0.0):
-            n = -slope / steep
-            moving = vec()
-            for axis in range(3):
-                moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
-            still = wp.dot(moving, n)
-            approach = wp.dot(bodies.velocity[b], n) - still
-            count = pair.store(g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt)
+                        g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
+                        part * roughness, dt, longest,
+                    )  # fmt: skip
+        # Other walls are looked for at the centre and at six points of the surface, because the distance of the grid is
+        # that from the nearest wall, which may be a side of the room.
+        for probe in range(7):
+            e = vec()
+            if probe > 0:
+                e[(probe - 1) / 2] = wp.where(probe % 2 == 1, scalar(-1.0), scalar(1.0))
+            distance, slope, wall = wall_gap(g, geometry, x + radius * e)
+            steep = wp.length(slope)
+            if steep > scalar(0.1):
+                n = -slope / steep
+                gap = distance + radius * wp.dot(e, n) - radius
+                if gap < reach and not pair.is_known(pairs, b, count, n, gap, radius):
+                    moving = vec()
+                    for axis in range(3):
+                        moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
+                    still = wp.dot(moving, n)
+                    approach = wp.dot(bodies.velocity[b], n) - still
+                    count = pair.store(
+                        g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
+                        longest,
+                    )  # fmt: skip
         pairs.count[b] = count
 
     @wp.kernel(enable_backward=False, module="unique")

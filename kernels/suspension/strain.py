@@ -1,9 +1,9 @@
 """Strain rate and viscosity of mortar beside aggregates.
 
-A sample of the grid, a cell or an edge, may be cut by an aggregate. Aggregates do not deform, so the difference of the
-velocities across the sample is borne by its mortar alone: with the mortar's fraction f of the sample, the rate of the
-mortar is the rate of the sample divided by f. Its dissipation per sample is then mu / f times the square of the
-sample's rate, so the matrix contains mu / f instead of mu.
+Strain rates belong to samples, the cells and edges of the grid. An aggregate may cut a sample. The aggregate does not
+deform, so the mortar in the sample deforms more: with the mortar's fraction f of the sample, the strain rate of the
+mortar is that of the sample divided by f. The dissipation in the sample is then mu / f times the square of the sample's
+strain rate, where mu is the viscosity of the mortar. The matrix therefore contains mu / f instead of mu.
 """
 
 import functools
@@ -20,16 +20,16 @@ from ..mps.structs import mps_types
 from .bodies import body_functions, body_structs
 
 LEAST = wp.constant(0.1)
-"""Smallest mortar fraction of a sample that counts; a smaller one would make the matrix stiffer without gain."""
+"""Lower limit of the mortar fraction of a sample; smaller values would only make the equations harder to solve."""
 
 
 @functools.cache
 def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `rates` and `viscosity`, which compute apparent viscosities of cells and then of edges.
+    """Build the kernels `rates` and `viscosity`, which compute the apparent viscosities of cells and of edges.
 
-    They are the kernels of `kernels/mps/grid/forces.py` for grids with aggregates. Each of them also stores the
-    viscosity divided by the mortar's fraction of the sample, in the arrays of `cut`, from which the matrix follows.
-    Both run with one task per cell.
+    They replace the kernels of `kernels/mps/grid/forces.py` on grids with aggregates. Each of them also stores the
+    viscosity divided by the mortar fraction of the sample in `cut`, for the viscous matrix. `rates` runs first. Both
+    run with one task per cell.
     """
     dims, pairs = 3, 3
     Grid = grid_parameters_struct(scalar, dims)

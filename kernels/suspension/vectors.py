@@ -1,4 +1,4 @@
-"""Vectors of the coupled equations of mortar and aggregates, and how tasks share and add up their entries."""
+"""Vectors of the coupled equations of mortar and aggregates, division of their entries among tasks, and sums."""
 
 import functools
 from types import SimpleNamespace
@@ -8,34 +8,34 @@ import warp as wp
 from ..common.reductions import total
 from ..common.types import types
 
-# Indices of the array of sums of a solve by conjugate gradients.
-RZ = wp.constant(0)  # Product of residual and preconditioned residual.
-PQ = wp.constant(1)  # Product of the search direction and its product with the matrix.
-RZ_AFTER = wp.constant(2)  # Product of residual and preconditioned residual after the step.
-RZ_FIRST = wp.constant(3)  # Product of residual and preconditioned residual at the start of the solve.
+# Indices into the array of inner products in a solve by conjugate gradients.
+RZ = wp.constant(0)  # Inner product of residual and preconditioned residual.
+PQ = wp.constant(1)  # Inner product of the search direction p and the product A p, with the matrix A.
+RZ_AFTER = wp.constant(2)  # Value of RZ at the end of the iteration.
+RZ_FIRST = wp.constant(3)  # Value of RZ at the start of the solve.
 SUMS = 4
 
 
 @functools.cache
 def vector_struct(scalar):
-    """Build the struct `Vector`: values of all unknowns, or of the residuals of all equations."""
+    """Build the struct `Vector`, which holds the values of all unknowns, or the residuals of all equations."""
     vec3 = types(scalar).vec3
 
     @wp.struct
     class Vector:
-        faces: wp.array(dtype=scalar)  # Values of the faces, shape (3 slots,).
+        faces: wp.array(dtype=scalar)  # Velocity of or force on each face, shape (3 slots,).
         linear: wp.array(dtype=vec3)  # Velocity of or force on each aggregate, shape (n,).
         angular: wp.array(dtype=vec3)  # Spin of or torque on each aggregate, shape (n,).
-        cells: wp.array(dtype=scalar)  # Values of the cells, shape (slots,).
+        cells: wp.array(dtype=scalar)  # Pressure of or net inflow into each cell, shape (slots,).
 
     return Vector
 
 
 @functools.cache
 def share_functions(serial: bool) -> SimpleNamespace:
-    """Build functions that divide items among tasks: `first`, `end` and `stride` of the items of one task.
+    """Build the functions `first`, `end` and `stride`, which give the range of items that one task processes.
 
-    A CPU task gets a contiguous range of items; the tasks of a GPU take the items in turn.
+    A task on a CPU gets a contiguous range of items. On a GPU, a task gets every n-th item, with the number n of tasks.
     """
 
     @wp.func

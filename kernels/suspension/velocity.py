@@ -1,8 +1,8 @@
 """Conjugate gradients for the viscous matrix of mortar and aggregates, and forces on aggregates.
 
-The unknowns are the velocities of the faces that move with no aggregate, and the velocities and spins of the
-aggregates. The matrix is P^T A P + E, see `coupling.py`. Its preconditioner is the diagonal, for aggregates their
-blocks.
+The unknowns are the velocities of the faces that do not move with an aggregate, and the velocities and spins of the
+aggregates. The matrix is P^T A P + E, see `coupling.py`. The preconditioner is the diagonal of the matrix for faces,
+and the 3 x 3 diagonal blocks of `blocks.py` for aggregates.
 """
 
 import functools
@@ -21,10 +21,12 @@ from .vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, share_functions, vector_struct
 
 @functools.cache
 def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build functions of aggregates and their faces.
+    """Build functions for aggregates and their faces.
 
-    `give` gives the faces of an aggregate its motion, and `resultant` adds up the forces on them. `pair` is an inner
-    product, and `is_mortar` tells whether the velocity of a face is an unknown of its own.
+    - `give` sets the velocities of the faces that move with an aggregate.
+    - `resultant` adds up the forces on these faces.
+    - `pair` returns an aggregate's contribution to the inner product of two vectors.
+    - `is_mortar` returns whether the velocity of a face is an unknown.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -34,14 +36,14 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def give(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, x: Vector):
-        """Give the faces of an aggregate the components of its rigid motion."""
+        """Set the velocities in `x` of the faces that move with an aggregate, from its velocity and spin in `x`."""
         for k in range(cover.count[b]):
             r = cover.faces[cover.first[b] + k]
             x.faces[r] = body.carried(x.linear[b], x.angular[b], body.lever(g, bodies, b, r), r / g.slots)
 
     @wp.func
     def resultant(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
-        """Return the sum of the forces on the faces of an aggregate, and their torque about its centre."""
+        """Return the total force on the faces that move with an aggregate, and its torque about the centre."""
         force = vec3()
         torque = vec3()
         for k in range(cover.count[b]):
@@ -58,7 +60,7 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def is_mortar(matrix: Matrix, cover: Cover, r: wp.int32) -> wp.bool:
-        """Return whether the velocity of a face is an unknown of its own."""
+        """Return whether the velocity of a face is an unknown, so that the face does not move with an aggregate."""
         return matrix.free[r] == 0 and cover.owner[r] == 0
 
     return SimpleNamespace(give=give, resultant=resultant, pair=pair, is_mortar=is_mortar)
@@ -66,14 +68,14 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that compute search directions and their product with the matrix.
+    """Build the kernels that compute search directions and their products with the matrix.
 
-    Kernels run with `tasks` tasks for the faces, and one further task for each aggregate:
+    Unless stated otherwise, the kernels run with `tasks` tasks for the faces and one more task for each aggregate:
 
     - `begin` computes the first search direction.
     - `turn` computes the next search direction.
-    - `multiply` computes the product of the matrix A and a direction on all faces (only `tasks` tasks).
-    - `gather` adds up these products on the faces of each aggregate (only one task per aggregate).
+    - `multiply` computes the product of the viscous matrix A and a direction on all faces, with `tasks` tasks.
+    - `gather` adds up these products on the faces of each aggregate, with one task per aggregate.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -178,7 +180,7 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `update`, which changes solution and residual, and `shift`, which ends an iteration."""
+    """Build the kernels `update`, which updates solution and residual, and `shift`, which ends an iteration."""
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
@@ -220,7 +222,7 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def shift(first: wp.int32, sums: wp.array(dtype=wp.float64)):
-        """Start the next iteration with the sums of this one, in one task."""
+        """Move the inner products of this iteration to where the next iteration expects them, with one task."""
         if first != 0:
             sums[RZ_FIRST] = sums[RZ]
         else:
@@ -231,12 +233,14 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels for forces on aggregates and for flow through faces that they cover, a task per aggregate.
+    """Build the kernels for forces on aggregates and for the flow through faces that aggregates cover partly.
 
-    - `spread` gives the faces of each aggregate its motion.
-    - `reduce` adds up forces on the faces of each aggregate.
-    - `push` does the same with pressure forces, of which an aggregate bears the part of a face that it covers.
-    - `blend` replaces the velocity of covered parts of faces.
+    Each kernel runs with one task per aggregate:
+
+    - `spread` sets the velocities of the faces that move with an aggregate.
+    - `reduce` adds the forces on these faces to the force and torque on the aggregate.
+    - `push` adds pressure forces to an aggregate, also those on faces that it covers partly.
+    - `blend` computes mean velocities of faces that aggregates cover partly.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -251,7 +255,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
-        """Add a multiple of the forces on the faces of each aggregate to its force and torque; a task for each."""
+        """Add a multiple of the forces on the faces that move with each aggregate to its force and torque."""
         b = wp.tid()
         force, torque = v.resultant(g, bodies, cover, b, forces)
         result.linear[b] = result.linear[b] + factor * force
@@ -259,9 +263,9 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def push(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
-        """Add a multiple of pressure forces to the forces on each aggregate and on the faces that it covers in part.
+        """Add a multiple of the pressure forces on the covered parts of faces to the forces on each aggregate.
 
-        An aggregate bears the part of a face's force that it covers, and the mortar the rest. One task per aggregate.
+        The mortar bears only the force on the uncovered part of a face, so the kernel subtracts the covered part there.
         """
         b = wp.tid()
         force = vec3()
@@ -274,16 +278,16 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
             force += e
             torque += wp.cross(body.lever(g, bodies, b, r), e)
             if k >= cover.count[b]:
-                # All faces have been given the whole force; take the covered part back.
+                # The force on this face already contains the whole pressure force, so subtract the covered part.
                 result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
         result.linear[b] = result.linear[b] + factor * force
         result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
     def blend(g: Grid, bodies: Bodies, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
-        """Replace the velocity of covered parts of faces by that of the aggregate, with one task per aggregate.
+        """Replace the mortar velocities in `flow` by the mean velocities of partly covered faces.
 
-        `flow` holds the velocities of the mortar at the faces, and receives the mean velocities of the faces.
+        The mean of the velocities of mortar and aggregate is weighted by the area of the face that each of them has.
         """
         b = wp.tid()
         for k in range(cover.count[b], cover.touched[b]):

@@ -444,13 +444,13 @@ ENTRIES = (
     Entry("viewer", "The same bend in the viewer", "The recording in the Rerun viewer: bodies, a cut, force chains and "
           "curves over time on one timeline.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
-    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm: they form an "
-          "arch, and the run stops because those in the throat (dark) hardly move.",
+    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm. They form an "
+          "arch, and the run stops because the stones in the throat (dark) hardly move.",
           "warpcrete run part-dem --unit vertical --diameter 0.08 --outlet-diameter 0.036 --taper 0.08 \\\n"
           "    --straight 0.12 --size-min 0.014 --size-max 0.018 --plug none --stop-when-blocked \\\n"
           "    --colour speed --out OUT",
           usd(direction=(0.3, -1.0, 0.25), cut=True)),
-    Entry("worn", "A worn bend", "Depth that sliding and impacts have worn off the wall of a bend.",
+    Entry("worn", "A worn bend", "Depth of the wear that sliding and impacts have caused on the wall of a bend.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.3 --wear --out OUT",
           usd(direction=(-0.55, -1.0, 0.1), only_walls=True)),
     Entry("slump", "Slump test", "A cone of concrete whose mould is lifted, coloured by the shear rate.",
@@ -461,7 +461,7 @@ ENTRIES = (
     Entry("jring", "J-ring test", "Grains that spread through a ring of bars, coloured by their speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
           "--out OUT", usd(time=0.25, direction=(0.2, -1.0, 0.55), opacity=0.2)),
-    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box, as the gate opens.",
+    Entry("lbox", "L-box test", "Concrete that flows between two bars into the box while the gate opens.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
           "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
           usd(direction=(0.45, -1.0, 0.35), opacity=0.2)),
@@ -469,19 +469,20 @@ ENTRIES = (
           "warpcrete run funnel --concrete own --density 2300 --viscosity 20 --yield-stress 20 --spacing 0.015 \\\n"
           "    --duration 1 --out OUT", usd(direction=(0.3, -1.0, 0.15))),
     Entry("line", "Pressure along a line", "Pressure in the line of the Shanghai Tower by theory, with its likely "
-          "range, its weight, and the pressure recorded at the pump.",
+          "range, the part due to the weight of the concrete, and the pressure recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
-    Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program; the line joins "
-          "those that no other setting beats.", "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
-    Entry("posterior", "What measurements determine", "Slip layers that agree with the pressures at two flows: only a "
-          "narrow band of viscosity and yield stress is likely.",
+    Entry("trade", "Error against time", "A trade-off front. Each point is a combination of settings. The line joins "
+          "the combinations that no other one beats in both error and time.",
+          "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
+    Entry("posterior", "What measurements determine", "Viscosities and yield stresses of a slip layer that agree "
+          "with the pressures at two flow rates. Only a narrow band is likely.",
           "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
-    Entry("migration", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid; the mortar beside "
-          "the wall is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
+    Entry("migration", "Stones in mortar", "Rigid grains in the mortar of a channel. Mainly the mortar beside the wall "
+          "is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
-    Entry("validation", "Predicted against measured", "Blind predictions over measurements, with the likely range of "
-          "each prediction.", "warpcrete validate --quick --out OUT", image("validation.png")),
+    Entry("validation", "Predicted against measured", "Blind predictions against measurements, with the likely range "
+          "of each prediction.", "warpcrete validate --quick --out OUT", image("validation.png")),
     Entry("strokes", "Two strokes with a stop", "Pressure on a piston that stops and starts again.",
           "warpcrete run pipe --unit horizontal --concrete no2 --diameter 0.1 --length 0.25 --ramp 0.02 \\\n"
           "    --strokes 2 --stroke 0.1 --pause 0.3 --out OUT", image("pressure.png")),
@@ -490,19 +491,19 @@ ENTRIES = (
           "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
           "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
-    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open: a plug that becomes faster.",
+    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open. The plug accelerates.",
           REDUCER, lambda folder: None),
     Entry("paraview", "A file for ParaView", "Concrete in a bend, coloured by the pressure without weight, from "
           "`surface.vtkhdf` and `walls.vtkhdf` of the run, drawn by VTK.",
           "warpcrete run part --unit bend-to-vertical --spacing 0.0125 --paraview --out OUT", surface_file),
     Entry("profile", "Plug and slip", "Velocity over the radius of a tube: the concrete moves as a plug and slips on "
-          "the wall, as theory says.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
+          "the wall, as theory predicts.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
     Entry("study", "A parameter study", "Slump and spread over the yield stress, for two viscosities.",
           "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
           "    --spacing 0.0125 --out OUT", image("study.png")),
-    Entry("restart", "Pressure after a rest", "Pressure of 100 m of pipe that starts again, by theory, for three rates "
-          "at which the concrete stiffens at rest.", RESTART, lambda folder: None),
+    Entry("restart", "Pressure after a rest", "Theoretical pressure that restarts the flow in 100 m of pipe, over the "
+          "duration of the rest, for three rates at which concrete stiffens at rest.", RESTART, lambda folder: None),
 )  # fmt: skip
 
 
@@ -559,8 +560,8 @@ def page() -> str:
     """Return the page of the gallery."""
     lines = ["# Gallery", "", "What does warpcrete show, and which command shows it?", ""]
     lines += [
-        "Every picture was made by `python notebooks/gallery/make.py` from the command or the lines below it. The runs "
-        "are short and coarse, so that the whole gallery takes some ten minutes on two CPU cores.",
+        "Every picture was made by `python notebooks/gallery/make.py` from the command or the lines of Python below "
+        "it. The runs are short and coarse, so the whole gallery takes about ten minutes on two CPU cores.",
         "",
     ]
     for entry in ENTRIES:

@@ -53,7 +53,7 @@ def mixed_scene(seed=0, energy_balance=False) -> Scene:
                 motion=Driven(direction=(0, 0, -1), force=5, mass=0.1),
             ),
             MeshWall(
-                name="drum", vertices=vertices, faces=faces, motion=Prescribed(spin=(0, 0, 8.0), ramp_time=0.05)
+                name="drum", vertices=vertices, faces=faces, motion=Prescribed(spin=(0, 0, 2.0), ramp_time=0.05)
             ),
         ),
         contact=Contact(friction=0.3, shear_damping_ratio=0.1),

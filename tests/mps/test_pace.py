@@ -130,5 +130,6 @@ def test_what_is_traded_is_the_step_s_error_or_its_length(name):
 
 
 def _given(module, scene):
-    kind = next(value for key, value in vars(module).items() if key.endswith("Parameters") and key != "FreeConcrete")
+    kind = next(value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__
+                and value.__name__.endswith("Parameters"))  # fmt: skip
     return kind(**scene.parameters | {"step_error": scene.step_error, "time_step": scene.time_step})

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from warpcrete.mps.grid.geometry import ROUGH
 from warpcrete.suspension.aggregates import Aggregates
+from warpcrete.suspension.flow import CUTOFF_CELLS
 from warpcrete.suspension.solve import Tolerances
 from warpcrete.verification.suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow
 
@@ -90,13 +92,14 @@ def test_spheres_as_heavy_as_the_mortar_stay(device):
 
 def test_forces_within_the_mortar_add_up_to_nothing(device):
     """Two spheres are pushed apart by equal forces: no force remains, so nothing moves as a whole."""
-    flow = room(TWO, device, "float64", tolerances=Tolerances(coupled=1e-8), time_step=1e-3)
+    centres = [(-0.0005, -0.001, -1.05 * RADIUS), (0.0005, 0.001, 1.05 * RADIUS)]
+    flow = room(centres, device, "float64", tolerances=Tolerances(coupled=1e-8), time_step=1e-3)
     push = np.array([[0.0, 0.0, -1e-3], [0.0, 0.0, 1e-3]])
     flow.aggregates.bodies.force.assign(push)
     flow.take(1)
     found = flow.aggregates.bodies.velocity.numpy()
     assert found[0, 2] < 0 < found[1, 2]
-    assert abs(found[:, 2].sum()) < 0.1 * np.abs(found[:, 2]).max()
+    assert abs(found[:, 2].sum()) < 1e-6 * np.abs(found[:, 2]).max()
 
 
 def test_close_spheres_are_not_glued_together(device):
@@ -128,3 +131,29 @@ def test_coupled_velocities_hold_at_large_viscous_numbers(device):
             flow.take(1)
             found.append(flow.aggregates.bodies.velocity.numpy()[0, 2])
         assert found[0] == pytest.approx(found[1], rel=0.02)
+
+
+def test_an_aggregate_on_the_floor_sees_a_wall_beside_it(device):
+    """A sphere 0.2 cells from the floor and 0.5 cells from an inner wall has both as neighbours, and only these."""
+    low = -8 * WIDTH + 1.04 * RADIUS + 0.1 * WIDTH
+    centre = np.array([0.0, 0.0, low])
+    inner = (lambda x: RADIUS + 0.5 * WIDTH - x[:, 0], ROUGH)
+    flow = room([centre], device, walls=[inner])
+    flow.take(1)
+    pairs, count = flow.aggregates.pairs, flow.aggregates.pairs.count.numpy()[0]
+    found = sorted(zip(pairs.gap.numpy()[:count], map(tuple, np.round(pairs.normal.numpy()[:count], 2)), strict=True))
+    assert [normal for _, normal in found] == [(0, 0, -1), (1, 0, 0)]
+    assert [gap for gap, _ in found] == pytest.approx([0.04 * RADIUS + 0.1 * WIDTH, 0.5 * WIDTH], abs=0.02 * RADIUS)
+
+
+def test_a_plane_of_symmetry_acts_like_the_mirror_image(device):
+    """The lubrication of a sphere and its image: half the reduced radius, twice the gap, and twice the speed."""
+    side = -6 * WIDTH
+    centre = np.array([side + RADIUS + 0.1 * WIDTH, 0.0, 0.0])
+    sides = (("mirror", "wall"), ("wall", "wall"), ("wall", "wall"))
+    flow = room([centre], device, sides=sides)
+    flow.take(1)
+    reduced, gap, cutoff = RADIUS / 2, 0.2 * WIDTH, CUTOFF_CELLS * WIDTH
+    # The force is that at twice the speed of approach.
+    image = 6 * np.pi * VISCOSITY * reduced**2 * (1 / gap - 1 / cutoff)
+    assert flow.aggregates.pairs.lubrication.numpy()[0] == pytest.approx(2 * image, rel=0.02)

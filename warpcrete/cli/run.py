@@ -179,7 +179,12 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:
-        return [("pipeline, Eq. 13", "not known; it needs the pressure plateau of a finished run")]
+        return [
+            (
+                "pipeline, Eq. 13",
+                "not known; it needs the pressure plateau of a finished run, or a warning states why it failed",
+            )
+        ]
     estimate = run.result["pipeline_estimate"]
     total = number(estimate["total_pressure"]) / 1e6
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]

@@ -146,17 +146,12 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest:
     at the first point in the direction `ahead` and has no kinks. The radii of its arcs exceed `widest`, the largest
     radius of the bore [m], if one of the tolerances permits it.
     """
-    closest = _pieces(points, ahead, AXIS_TOLERANCES[0] * radius)
-    if _bends_gently(closest, widest):
-        return closest
-    for tolerance in AXIS_TOLERANCES:
-        found = tuple(
-            Line(piece.length) if isinstance(piece, Arc) and piece.angle < LEAST_TURN else piece
-            for piece in _pieces(points, ahead, tolerance * radius)
-        )
-        if _bends_gently(found, widest):
-            return found
-    return closest
+    fits = [_pieces(points, ahead, AXIS_TOLERANCES[0] * radius)]
+    for tolerance in AXIS_TOLERANCES[1:]:
+        if _bends_gently(fits[-1], widest):
+            break
+        fits.append(_pieces(points, ahead, tolerance * radius))
+    return fits[-1] if _bends_gently(fits[-1], widest) else fits[0]
 
 
 def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
@@ -178,6 +173,8 @@ def _pieces(points: np.ndarray, ahead: np.ndarray, allowed: float) -> tuple[Line
         if curve is None or (reached - here < LEAST_STRAIGHT and reached < last):
             curve, reached = _longest(_biarc, points, tangents, here, position, tangent, allowed)
         assert curve is not None
+        # A turn that is too small to matter becomes a line here, so that the next piece starts at its true end.
+        curve = [Line(x.length) if isinstance(x, Arc) and x.angle < LEAST_TURN else x for x in curve]
         axis = Axis(tuple(position.tolist()), tuple(tangent.tolist()), tuple(curve))
         end, way = axis.at(axis.length)
         position, tangent, here = end[0], way[0], reached

@@ -110,9 +110,13 @@ def _run_group(
     progress: Progress,
 ) -> bool:
     """Run a group of cases together on a GPU, store their outcomes, and return whether Ctrl-C ended the runs."""
-    by_name, found = simulations_of(record, module, folder, group, progress_of)
-    simulations = [simulation for simulation, _ in by_name.values()]
+    simulations: list[Simulation] = []
     with StopAtSample(simulations) as stop:
+        by_name, found = simulations_of(record, module, folder, group, progress_of)
+        simulations += [simulation for simulation, _ in by_name.values()]
+        for simulation in simulations:
+            # A Ctrl-C while the simulations were made has reached none of them.
+            simulation.stop_requested |= stop.requested
 
         def packing(phase: str, fraction: float) -> None:
             if phase == "packing":

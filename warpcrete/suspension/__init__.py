@@ -1,5 +1,5 @@
-"""Aggregates suspended in a mortar: rigid bodies inside the viscous solve of a grid flow.
+"""Aggregates suspended in mortar: rigid spheres whose motion is solved together with the grid flow of the mortar.
 
-Modules here import `core`, `geometry`, `theory`, `kernels`, `mps` and `dem`; `mps` and `dem` do not import this
-package. Start with `flow`, which contains one time step, and go on with `solve`.
+Modules in this package import `core`, `geometry`, `theory`, `kernels`, `mps` and `dem`. `mps` and `dem` do not import
+this package. `flow` contains one time step, and `solve` the solution of its equations.
 """

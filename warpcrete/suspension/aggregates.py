@@ -1,4 +1,4 @@
-"""Arrays of rigid aggregates in a grid flow, and what they cover of the grid."""
+"""Rigid aggregates in a grid flow: their initial state, and their arrays on a device."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..mps.common.allocation import allocate
 from ..mps.grid.layout import GridLayout
 
 MIN_CELLS = 3.0
-"""Minimum number of cells across the smallest aggregate; below it, the drag is more than a tenth too small."""
+"""Minimum number of cells across the smallest aggregate. With fewer cells, the drag is more than 10 % too small."""
 STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
-"""Names of the arrays of aggregates that the next step depends on."""
+"""Names of the arrays in `Bodies` that a checkpoint contains, because the next step depends on them."""
 
 
 @dataclass(frozen=True)
 class Aggregates:
-    """Spheres in a mortar at the start of a run."""
+    """Spherical aggregates in a mortar at the start of a run."""
 
     centre: np.ndarray
-    """Centres [m], shape (n, 3), in the axes of the grid."""
+    """Centres in the coordinates of the grid [m], shape (n, 3)."""
     radius: np.ndarray
     """Radii [m], shape (n,)."""
     density: float
@@ -38,7 +38,8 @@ class Aggregates:
             refuse("centre", centre.shape, f"must have the shape (n, 3) for radii of shape {radius.shape}",
                    "give one centre and one radius for each aggregate")  # fmt: skip
         if not (np.isfinite(centre).all() and np.all(radius > 0)):
-            refuse("radius", radius.tolist(), "must be above 0, and all centres must be numbers", "remove the others")
+            refuse("radius", radius.tolist(), "must be above 0, and all centres must be finite",
+                   "remove or correct aggregates with other values")  # fmt: skip
         object.__setattr__(self, "centre", centre)
         object.__setattr__(self, "radius", radius)
 
@@ -49,7 +50,7 @@ class Aggregates:
 
 
 class BodyState:
-    """Aggregates on a device: the structs `Bodies` and `Cover` of `kernels/suspension/bodies.py`."""
+    """State of the aggregates on a device: motion, neighbours, and the parts of the grid that they cover."""
 
     def __init__(
         self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any, device: Any
@@ -58,9 +59,9 @@ class BodyState:
         count, radius = aggregates.count, aggregates.radius
         width = min(layout.room.width)
         if 2 * radius.min() < MIN_CELLS * width:
-            refuse("spacing", width, f"is too coarse: {2 * radius.min():.3g} m, the smallest aggregate, must be at "
+            refuse("spacing", width, f"is too coarse: the smallest aggregate, {2 * radius.min():.3g} m, must be at "
                                      f"least {MIN_CELLS:g} cells wide",
-                   f"use {2 * radius.min() / 4:.3g} m or less, or leave smaller aggregates to the mortar")  # fmt: skip
+                   f"use {2 * radius.min() / 4:.3g} m or less, or count smaller aggregates as mortar")  # fmt: skip
         volume = 4 / 3 * np.pi * radius**3
         extra = (aggregates.density - density) * volume
         zero = np.zeros((count, 3))
@@ -72,7 +73,7 @@ class BodyState:
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
         )  # fmt: skip
-        # A sphere of radius R touches fewer faces of each axis than a sphere wider by two cells contains.
+        # A sphere touches fewer faces of each axis than there are cells in a sphere whose radius is two cells larger.
         room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
@@ -87,14 +88,17 @@ class BodyState:
         )  # fmt: skip
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return the places and motions of the aggregates, by name."""
+        """Return centres, velocities, spins and orientations of the aggregates, by name."""
         return {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
-        """Restore places and motions of the aggregates."""
+        """Restore centres, velocities, spins and orientations of the aggregates from a `state_dict`."""
         for name in STATE_ARRAYS:
             getattr(self.bodies, name).assign(found[name])
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap of an aggregate, divided by its radius; negative for an overlap."""
+        """Return the smallest gap to a neighbour or wall at the start of the last step, relative to the radius.
+
+        The gap is negative for an overlap.
+        """
         return float(self.pairs.smallest_gap.numpy().min())

@@ -13,18 +13,26 @@ from ..mps.free.display import FreeDisplay
 STONE = (168, 120, 82)
 """Colour of aggregates."""
 DIVISIONS = 2
-"""Number of times that the triangles of an icosahedron are divided to draw a sphere."""
+"""Number of subdivisions of the triangles of an icosahedron, which then approximates a sphere."""
 
 
 class SuspensionDisplay(FreeDisplay):
     """Display of a mortar with aggregates.
 
-    The surface of the concrete encloses the aggregates, of which those that bulge out are seen. The cut shows those
-    that the cutting plane meets, and those behind it.
+    Most aggregates are hidden inside the surface of the concrete, and only those that bulge out of it are visible. A
+    cut shows the aggregates that lie in or behind the cutting plane.
     """
 
+    @property
+    def cut(self) -> float | None:
+        """Coordinate y [m] of the cutting plane, in the middle of the simulated room.
+
+        No aggregate crosses a plane of symmetry, so a cut along it would show none of them.
+        """
+        return 0.5 * self.simulation.scene.depth
+
     def surface(self, cut: bool = False) -> Surface:
-        """Return the surface of the concrete followed by those of the aggregates, or the part behind the cut."""
+        """Return the surfaces of concrete and aggregates; with `cut`, only the part behind the cutting plane."""
         concrete = super().surface(cut)
         return self.derived(("with aggregates", cut), lambda: self._with_spheres(concrete, cut))
 

@@ -27,13 +27,14 @@ from .aggregates import Aggregates, BodyState
 from .solve import CoupledSolve, Tolerances
 
 CUTOFF_CELLS = 0.7
-"""Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force.
+"""Smallest gap between two aggregates that the grid resolves, in cells.
 
-Fitted to the approach of two spheres (Brenner 1961) with four cells across a sphere."""
+In narrower gaps, the part of the lubrication force that the grid lacks is added. The value was fitted to the approach
+of two spheres (Brenner 1961) with four cells across a sphere."""
 
 
 class SuspensionStep(GridStep):
-    """Stages of a time step before and after the coupled solve, for one thread."""
+    """Stages of one time step of a mortar with aggregates, before and after the coupled solve."""
 
     def before(self) -> list[Any]:
         """Return the stages that set up the equations of the step."""
@@ -61,7 +62,8 @@ class SuspensionStep(GridStep):
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
             *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
-                         sides=flow.sides, cutoff=flow.cutoff, roughness=flow.roughness),
+                         sides=flow.sides, mirrors=flow.mirrors,
+                         longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -74,7 +76,7 @@ class SuspensionStep(GridStep):
         ]  # fmt: skip
 
     def blocks(self) -> list[Any]:
-        """Return the stage that inverts the blocks of the aggregates in the matrix."""
+        """Return the stage that inverts the diagonal blocks of the aggregates in the viscous matrix."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
         return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
 
@@ -96,7 +98,7 @@ class SuspensionStep(GridStep):
 
 
 class SuspensionFlow(GridFlow):
-    """Flow of a mortar on a grid in space, with rigid aggregates in it."""
+    """Flow of a mortar with rigid aggregates on a three-dimensional grid."""
 
     def __init__(
         self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, tolerances: Tolerances | None = None
@@ -107,22 +109,32 @@ class SuspensionFlow(GridFlow):
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
         )
         state.aggregates = self.aggregates.bodies
-        # A second view of the mesh, whose viscosities are those of the samples' mortar.
+        # `cut` shares the arrays of the mesh except the viscosities, which are divided by the mortar fractions of cells
+        # and edges.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
         self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
         sides = [side for pair in state.layout.room.sides for side in pair]
+        self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
+        self._build_stages()
+
+    def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))
         self._before, self._after, self._blocks = part.before(), part.after(), part.blocks()
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
+    def share(self, abreast: int) -> None:
+        """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
+        super().share(abreast)
+        self._build_stages()
+
     @property
     def kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        """Arrays and structs of the flow, by the names of the kernel parameters for which they are passed."""
         return self._kernel_arrays
 
     @property
@@ -133,12 +145,12 @@ class SuspensionFlow(GridFlow):
         }  # fmt: skip
 
     def invert_blocks(self) -> None:
-        """Invert the blocks of the aggregates in the matrix again, after pairs have begun to touch."""
+        """Recompute the inverse blocks of the aggregates after new contacts have changed the matrix."""
         for stage in self._blocks:
             stage()
 
     def launch(self) -> None:
-        """Take the steps that the flow still needs to reach its goal; the host launches every stage."""
+        """Take time steps until the flow reaches its goal, such as a time; the host launches every stage."""
         self.begin_goal()
         while not self.flags.numpy()[int(HALTED)]:
             self.take_step()
@@ -152,7 +164,7 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return iterations of the viscous solves and of the coupled solve, and its error, in the last step."""
+        """Return iterations of the viscous and coupled solves of the last step, and the error of the coupled solve."""
         coupled = self.coupled
         return {
             "viscosity": {"iterations": float(coupled.inner)},

@@ -1,4 +1,4 @@
-"""Aggregates at the start of a run: spheres at random places in the concrete, without overlaps."""
+"""Random placement of spherical aggregates in the concrete without overlaps, for the start of a run."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from .aggregates import Aggregates
 from .scene import SuspensionScene
 
 TRIES = 50_000
-"""Number of random places that are tried before the fraction is refused."""
+"""Maximum number of random positions to try for all aggregates before the scene is refused."""
 CLEARANCE = 0.02
-"""Smallest gap at the start, relative to the radius of the sphere that is placed."""
+"""Minimum gap of a new sphere to others and to walls at the start, divided by the radius of the new sphere."""
 
 
 def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
-    """Return spheres of the scene's fraction and diameters, the largest placed first (random sequential addition).
+    """Return randomly placed spheres with the volume fraction and the diameters of a scene.
 
-    Raises :class:`warpcrete.SceneError` if not all of them find a place.
+    The spheres are placed one after the other, the largest first (random sequential addition).
+
+    Raises :class:`warpcrete.SceneError` if not all spheres find a place.
     """
     rng = np.random.default_rng(scene.seed)
     radii = _radii(scene, layout, rng)
@@ -54,7 +56,7 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
 
 
 def _radii(scene: SuspensionScene, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
-    """Return radii, largest first, whose volume is nearest to the scene's fraction of the concrete's volume."""
+    """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires."""
     wanted = scene.aggregate_fraction * float(np.sum(layout.mass)) * layout.volume
     radii, volume = [], 0.0
     while True:

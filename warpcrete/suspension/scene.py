@@ -11,7 +11,7 @@ from ..mps.free.scene import FreeScene
 from .aggregates import MIN_CELLS
 
 MAX_FRACTION = 0.3
-"""Largest volume fraction of aggregates that random placement without overlaps reaches reliably."""
+"""Largest volume fraction of aggregates that random placement without overlaps can reliably achieve."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,16 +21,17 @@ class SuspensionScene(FreeScene):
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
-    """Smallest and largest diameter of the aggregates [m]; diameters are evenly distributed by volume."""
+    """Smallest and largest diameter of the aggregates [m]; the distribution by number is uniform between them."""
     aggregate_density: float
     """Density of the aggregates [kg/m3]."""
     roughness: float
-    """Height of the roughness at which two aggregates touch, divided by their reduced radius."""
+    """Gap below which two aggregates touch, divided by 1 / (1 / R1 + 1 / R2), where R1 and R2 are their radii."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.depth:
-            refuse("depth", self.depth, "must be above 0, because aggregates move in space", "use half of the width")
+            refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
+                   "use half of the width")  # fmt: skip
         smallest, largest = self.aggregate_diameters
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
@@ -38,7 +39,7 @@ class SuspensionScene(FreeScene):
         if smallest < MIN_CELLS * self.spacing:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {smallest:g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
-                   f"use {smallest / 4:.3g} m or less, or leave aggregates of this size to the mortar")  # fmt: skip
+                   f"use {smallest / 4:.3g} m or less, or count aggregates of this size as mortar")  # fmt: skip
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
@@ -46,7 +47,7 @@ class SuspensionScene(FreeScene):
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters(Declared):
-    """Aggregates that are simulated as rigid spheres in the mortar."""
+    """Parameters of the aggregates that are simulated as rigid spheres in the mortar."""
 
     common: ClassVar[tuple[str, ...]] = ("aggregate_fraction",)
 
@@ -57,13 +58,13 @@ class AggregateParameters(Declared):
         Within(0, MAX_FRACTION),
     ] = 0.0
     aggregate_smallest: Annotated[
-        float, "Smallest diameter of these aggregates [m]; at least three cells, better four", Above()
+        float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above()
     ] = 0.05
-    aggregate_largest: Annotated[float, "Largest diameter of these aggregates [m]", Above()] = 0.05
-    aggregate_density: Annotated[float, "Density of these aggregates [kg/m3]", Within(500, 10000)] = 2650.0
+    aggregate_largest: Annotated[float, "Largest diameter of the simulated aggregates [m]", Above()] = 0.05
+    aggregate_density: Annotated[float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000)] = 2650.0
     roughness: Annotated[
         float,
-        "Roughness of aggregates: gap at which two of them touch, divided by 1 / (1 / R1 + 1 / R2)",
+        "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
         Within(1e-4, 0.1),
     ] = 0.01
 
@@ -78,7 +79,7 @@ class AggregateParameters(Declared):
 
 
 def vessel_scene(parameters: AggregateParameters, **fields: Any) -> FreeScene:
-    """Return the scene of a vessel: with aggregates if the parameters state a fraction, otherwise without."""
+    """Return the scene of a vessel, with aggregates if their volume fraction is above 0."""
     if parameters.aggregate_fraction > 0:
         return SuspensionScene(**fields, **parameters.aggregates())
     return FreeScene(**fields)

@@ -18,7 +18,7 @@ from .scene import SuspensionScene
 UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1"}
 """Units of the columns of the time series that describe the aggregates."""
 DEEPEST = 0.3
-"""Overlap of two aggregates, relative to a radius, at which a run stops."""
+"""Overlap of two aggregates, divided by a radius, above which the run stops with an error."""
 
 
 class SuspensionSimulation(FreeSimulation):
@@ -33,11 +33,11 @@ class SuspensionSimulation(FreeSimulation):
         return UNITS.get(column) or super().unit(column)
 
     def display(self, colouring: str | None = None) -> SuspensionDisplay:
-        """Return the display, which tells recorders what to draw: concrete, aggregates, walls and curves."""
+        """Return the display, from which recorders draw concrete, aggregates, walls and curves."""
         return SuspensionDisplay(self, colouring)
 
     def place_flow(self) -> SuspensionFlow:
-        """Return the flow at its start, with its particles, its aggregates and its grid."""
+        """Return the flow in its initial state, with particles, aggregates and grid."""
         scene = self.scene
         check_memory(free_cells(scene), self.device, self.precision)
         layout = free_layout(scene)
@@ -58,7 +58,7 @@ class SuspensionSimulation(FreeSimulation):
         }
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if aggregates overlap so much that the state is no longer meaningful."""
+        """Raise :class:`InstabilityError` if aggregates overlap so much that the results are no longer meaningful."""
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(

@@ -1,9 +1,10 @@
 """Coupled solve of mortar velocity, rigid aggregates and pressure in one time step.
 
-One pressure increment per step, as in a flow without aggregates, leaves the velocities of aggregates wrong by a third.
-Here generalised conjugate residuals (Eisenstat, Elman & Schultz 1983) solve for velocities and pressure together, to a
-stated error. Its preconditioner is that of Cahouet & Chabard (1988): the pressure of the residual inflow is the
-solution of a pressure solve plus the viscosity times the inflow, and a viscous solve gives the velocities.
+Flows without aggregates solve for velocity and pressure one after the other. With aggregates, this would cause errors
+of a third in their velocities. The method of generalised conjugate residuals (Eisenstat, Elman & Schultz 1983)
+therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of Cahouet &
+Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus the viscosity
+times the net inflow per volume. A viscous solve then gives its velocities.
 """
 
 from __future__ import annotations
@@ -26,25 +27,25 @@ from ..mps.common.allocation import allocate
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
-"""Residual that rounding errors leave, relative to the largest residual of the step, by precision."""
+"""Smallest residual that rounding errors allow, divided by the largest residual of the step, by precision."""
 NEGLIGIBLE = 0.1
-"""Part of the coupled solve's tolerance that a pressure solve may ignore."""
+"""Fraction of the tolerance of the coupled solve below which a pressure solve need not reduce its residual."""
 CONTACT_PASSES = 3
-"""Maximum number of solves in a step; each finds pairs that begin to touch, which take part in the next one."""
+"""Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
 CHECKED = 5
-"""Number of iterations of the viscous solve between two looks at its residual."""
+"""Number of iterations of a viscous solve between two convergence checks, for which the device must wait."""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Errors to which the coupled solve and the solves of its preconditioner are taken."""
+    """Tolerances and iteration limits of the coupled solve and of the solves in its preconditioner."""
 
     coupled: float = 1e-4
-    """Norm of the residual, divided by that of the momentum of the flow."""
+    """Norm of the residual at which the coupled solve stops, divided by the norm of the flow's momentum."""
     viscous: float = 0.1
-    """Reduction of the residual by the viscous solves of the preconditioner."""
+    """Residual norm at which a viscous solve of the preconditioner stops, divided by the norm at its start."""
     pressure: float = 0.1
-    """Reduction of the residual by the pressure solves of the preconditioner."""
+    """Residual norm at which a pressure solve of the preconditioner stops, divided by the norm at its start."""
     outer: int = 60
     """Maximum number of iterations of the coupled solve."""
     inner: int = 5000
@@ -52,7 +53,7 @@ class Tolerances:
 
 
 class CoupledSolve:
-    """Solver of the coupled equations of one flow; `flow` is a :class:`SuspensionFlow`."""
+    """Solver of the coupled equations of mortar, aggregates and pressure in a :class:`SuspensionFlow`."""
 
     def __init__(self, flow: Any, tolerances: Tolerances) -> None:
         self.flow, self.tolerances = flow, tolerances
@@ -81,6 +82,7 @@ class CoupledSolve:
         self.error = 0.0
         self._momentum = 0.0
         self._largest = 0.0
+        self._dt = 0.0
 
     def _vector(self) -> Any:
         slots = self.flow.state.slots
@@ -89,14 +91,13 @@ class CoupledSolve:
         )
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
-        # Launches are recorded once for each set of arrays and numbers.
-        key = (id(kernel), *((name, id(value) if hasattr(value, "_cls") or hasattr(value, "ptr") else value)
-                             for name, value in named.items()))  # fmt: skip
-        stage = self._stages.get(key)
-        if stage is None:
-            stage = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
-            if "factor" not in named:
-                self._stages[key] = stage
+        # Launches are recorded once for each set of arrays; the factor of a multiple changes.
+        key = (id(kernel), *((name, _identity(value)) for name, value in named.items() if name != "factor"))
+        if key not in self._stages:
+            self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
+        stage = self._stages[key]
+        if "factor" in named:
+            stage.set("factor", named["factor"])
         stage()
 
     @property
@@ -104,8 +105,6 @@ class CoupledSolve:
         flow = self.flow
         return flow.kernel_arrays | {
             "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
-            "bodies": flow.aggregates.bodies, "cover": flow.aggregates.cover, "cut": flow.cut,
-            "pairs": flow.aggregates.pairs,
         }  # fmt: skip
 
     def _sum(self, slot: int) -> None:
@@ -128,6 +127,7 @@ class CoupledSolve:
         for array in (self.solution.faces, self.solution.linear, self.solution.angular, self.solution.cells):
             array.zero_()
         self.inner, self.outer, self._largest = 0, 0, 0.0
+        self._dt = float(flow.mesh.clock.numpy()[int(DT)])
         for turn in range(CONTACT_PASSES):
             self._begin(again=turn > 0)
             self._iterate()
@@ -141,10 +141,10 @@ class CoupledSolve:
             )
 
     def _begin(self, again: bool) -> None:
-        """Compute the residual of the solution so far, at first that of the forces and inflows at the step's start."""
+        """Compute the residual of the current solution; the solution is zero unless the solve is repeated (`again`)."""
         flow, slots = self.flow, self.flow.state.slots
-        # The faces have been given their share of the old pressure's force as if no aggregate covered a part of them,
-        # and the inflow as if the mortar had the whole of their area. Correct both for the covered parts.
+        # The pressure forces and inflows computed so far treat partly covered faces as mortar only. Correct both for
+        # the parts of the faces that aggregates cover.
         start = self.product
         bodies = flow.aggregates.bodies
         for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
@@ -165,7 +165,7 @@ class CoupledSolve:
             self._add(-1.0, self.product, self.residual)
 
     def _iterate(self) -> None:
-        """Improve the solution until its residual is small; raise :class:`ConvergenceError` if it stays large."""
+        """Reduce the residual to the tolerance; raise :class:`ConvergenceError` if this fails."""
         history = []
         for outer in range(self.tolerances.outer + 1):
             self.error = self._relative_error()
@@ -192,7 +192,7 @@ class CoupledSolve:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
 
     def _new_contacts(self) -> bool:
-        """Let pairs touch that would overlap at the end of the step, and return whether there are any."""
+        """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs."""
         changed = self.flow.aggregates.pairs.changed
         changed.zero_()
         self._launch(self.pairs.touch, self.count, change=self.solution.linear)
@@ -204,15 +204,15 @@ class CoupledSolve:
         self._launch(self.algebra.scale_of, self.tasks + self.count, change=self.solution)
         whole = self._momentum = float(self.partial.numpy().sum())
         if left <= (ROUNDING["float64" if self.scalar is wp.float64 else "float32"]) ** 2 * self._largest:
-            # No solve can reduce the residual further. In a first short step, weight and pressure exceed the momentum
-            # of the flow by far.
+            # Rounding errors prevent a smaller residual, so accept it. This happens in a short first step, in which
+            # the weight is much larger than the momentum of the flow.
             return min(float(np.sqrt(left / whole)), self.tolerances.coupled) if whole > 0 else 0.0
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 
     def _pressure_floor(self) -> float:
-        """Return the residual norm below which a pressure solve no longer reduces the error of the coupled solve."""
+        """Return the residual norm below which a pressure solve would hardly improve the coupled solve."""
         flow, width = self.flow, min(self.flow.state.layout.room.width)
-        concrete, dt = flow.scene.concrete, float(flow.mesh.clock.numpy()[int(DT)])
+        concrete, dt = flow.scene.concrete, self._dt
         worth = (concrete.density * width**2 / dt + concrete.viscosity) / width**3
         inflow = NEGLIGIBLE * self.tolerances.coupled * np.sqrt(self._momentum / worth)
         return float(concrete.density / dt * inflow)
@@ -228,7 +228,8 @@ class CoupledSolve:
     def _push(self, factor: float, into: Any, edges_only: bool = False) -> None:
         """Add a multiple of the pressure forces `self.force` to the forces on mortar faces and aggregates.
 
-        With `edges_only`, the faces have already got these forces, apart from the parts that aggregates cover.
+        With `edges_only`, the forces on mortar faces already contain the pressure forces, and the method only corrects
+        them for the parts of faces that aggregates cover.
         """
         if edges_only:
             self._launch(self.forces.reduce, self.count, forces=self.force, factor=-factor, result=into)
@@ -237,7 +238,7 @@ class CoupledSolve:
         self._launch(self.forces.push, self.count, forces=self.force, factor=factor, result=into)
 
     def _precondition(self, residual: Any, change: Any) -> None:
-        """Compute an approximate solution `change` for a residual."""
+        """Apply the preconditioner: store in `change` an approximate solution for the right-hand side `residual`."""
         flow, slots = self.flow, self.flow.state.slots
         self._launch(self.residuals.request, slots, inflow=residual, projection=flow.projection.arrays)
         flow.pressure_threshold.fill_(self._pressure_floor())
@@ -252,7 +253,7 @@ class CoupledSolve:
         self._solve_velocity(change)
 
     def _solve_velocity(self, solution: Any) -> None:
-        """Solve for the velocities that the forces in `inner_residual` cause."""
+        """Solve the viscous equations for the velocities that the forces in `inner_residual` cause."""
         all_tasks = self.tasks + self.count
         named = {"solution": solution, "residual": self.inner_residual, "direction": self.direction}
         self._launch(self.search.begin, all_tasks, **named)
@@ -273,7 +274,7 @@ class CoupledSolve:
             self.inner += 1
 
     def _multiply(self, change: Any, effect: Any) -> None:
-        """Compute the effect of a change of velocities and pressure on the residual."""
+        """Multiply the matrix of the coupled equations with `change`, and store the product in `effect`."""
         slots = self.flow.state.slots
         self._launch(self.search.multiply, self.tasks, direction=change, result=effect)
         self._launch(self.search.gather, self.count, direction=change, result=effect)
@@ -282,3 +283,8 @@ class CoupledSolve:
         wp.copy(self.force, change.faces)
         self._launch(self.forces.blend, self.count, x=change, flow=self.force)
         self._launch(self.residuals.inflow, slots, change=self.force, sign=-1.0, result=effect.cells)
+
+
+def _identity(value: Any) -> Any:
+    """Return what tells an argument of a kernel from another one: a number itself, or the identity of an array."""
+    return value if isinstance(value, (int, float)) else id(value)

@@ -1,6 +1,6 @@
 """Verification of rigid spheres in a mortar against closed forms and published solutions.
 
-All flows fill their room, so that neither a free surface nor a standard test plays a part. Walls of the rooms stick.
+The mortar fills its room in all cases, so there is no free surface. It sticks to the walls of the room.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CLOSED = ((WALL, WALL),) * 3
 
 @dataclass(frozen=True)
 class _Settings:
-    """Settings of a flow that fills its room, as far as the flow on the grid reads them."""
+    """Settings that the grid flow reads from a scene, for a flow that fills its room."""
 
     concrete: Concrete
     time_step: float
@@ -67,7 +67,7 @@ def mortar_state(
     speed: float = 1e-3,
     regularisation: float = 1e4,
 ) -> GridState:
-    """Return the state of a mortar that fills a room centred on the origin, at rest."""
+    """Return the state of a mortar at rest that fills a room centred on the origin."""
     room = Room(tuple(cells), (width,) * 3, tuple(-0.5 * n * width for n in cells), sides)
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, 2, lambda x: nearest(x)[0] > 0)
@@ -89,22 +89,23 @@ def mortar_flow(
     cells: Sequence[int], width: float, aggregates: Aggregates, device: str, precision: str, *,
     tolerances: Tolerances | None = None, **room: Any,
 ) -> SuspensionFlow:  # fmt: skip
-    """Return a flow of the mortar of :func:`mortar_state`, with aggregates in it."""
+    """Return a flow of mortar with aggregates; `room` holds further arguments of :func:`mortar_state`."""
     state = mortar_state(cells, width, device, precision, **room)
     return SuspensionFlow(state, aggregates, tolerances=tolerances or Tolerances())
 
 
 def take(flow: SuspensionFlow, steps: int) -> np.ndarray:
-    """Take steps and return the velocities of the aggregates [m/s], shape (n, 3)."""
+    """Take time steps, and return the velocities of the aggregates [m/s], shape (n, 3)."""
     flow.take(steps)
     return flow.aggregates.bodies.velocity.numpy().astype(float)
 
 
 def settling(across: int, shift: float, ratio: float, device: str, precision: str) -> float:
-    """Return the speed at which a sphere settles on the axis of a closed cylinder, over that in an infinite one.
+    """Return the settling speed of a sphere on the axis of a closed cylinder, divided by the exact one.
 
     `across` is the number of cells across the sphere, `shift` its offset from the corner of a cell, in cells, and
-    `ratio` the radius of the sphere over that of the cylinder. Haberman & Sayre (1958) solved the infinite cylinder.
+    `ratio` the radius of the sphere divided by that of the cylinder. The exact speed is that in an infinitely long
+    cylinder (Haberman & Sayre 1958).
     """
     width, outer = 2 * RADIUS / across, RADIUS / ratio
     wide, high = 2 * int(np.ceil(outer / width)) + 4, int(np.ceil(6 * outer / width))
@@ -117,9 +118,10 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
 
 
 def _shear_room(across: int, wide: int) -> dict[str, Any]:
-    """Return the room of a shear flow: a cube between two walls that move against each other along the last axis.
+    """Return the arguments of :func:`mortar_state` for a shear flow with a shear rate of 1/s.
 
-    The shear rate is 1/s, and `wide` is the number of cells along each edge.
+    The room is a cube with `wide` cells along each edge, between two walls that move in opposite directions along the
+    last axis. `across` is the number of cells across the sphere.
     """
     width = 2 * RADIUS / across
     half = 0.5 * wide * width
@@ -135,17 +137,18 @@ def _shear_room(across: int, wide: int) -> dict[str, Any]:
 
 
 def _wall_rate(flow: GridFlow) -> float:
-    """Return the mean shear rate beside both walls of a shear flow [1/s], from the faces next to them."""
+    """Return the mean shear rate at both walls of a shear flow [1/s], from the cell faces next to the walls."""
     along = flow.state.faces("velocity")[2][1:-1, 1:-1, 1:-1]
     steps = np.diff(along, axis=2).mean((0, 1)) / flow.state.layout.spacing
     return float(0.5 * (steps[0] + steps[-1]))
 
 
 def sheared(across: int, wide: int, shift: Sequence[float], device: str, precision: str) -> tuple[float, float]:
-    """Return the spin of a free sphere in a shear flow, over half the shear rate, and the slope of the viscosity.
+    """Return the spin of a free sphere in a shear flow, divided by half the shear rate, and the viscosity's slope.
 
-    The sphere is `shift` cells away from the middle of a cube of `wide` cells. The slope is the relative increase of
-    the stress at the walls, compared with the same flow without the sphere, over the volume fraction of the sphere.
+    The slope is the relative increase of the stress at the walls that the sphere causes, divided by the volume fraction
+    of the sphere. `across` is the number of cells across the sphere, `wide` the number of cells along each edge of the
+    cubic room, and `shift` the offset of the sphere from the centre of the room, in cells.
     """
     room = _shear_room(across, wide)
     sphere = Aggregates(np.array([shift]) * room["width"], np.array([RADIUS]), DENSITY)
@@ -161,10 +164,10 @@ def sheared(across: int, wide: int, shift: Sequence[float], device: str, precisi
 
 
 def approaching(across: int, gap: float, shift: Sequence[float], device: str, precision: str) -> float:
-    """Return the speed of two equal spheres pushed towards each other, over that in an infinite fluid (Brenner 1961).
+    """Return the speed of two equal spheres that are pushed together, divided by the exact one (Brenner 1961).
 
-    `gap` is their gap in cells, and `shift` the offset of their centre from the corner of a cell, in cells. The room is
-    ten radii wide.
+    The exact speed is that in an infinite fluid; the room is ten radii wide. `across` is the number of cells across a
+    sphere, `gap` the gap in cells, and `shift` the offset of the midpoint from the corner of a cell, in cells.
     """
     width = 2 * RADIUS / across
     half = RADIUS + 0.5 * gap * width
@@ -180,7 +183,7 @@ def approaching(across: int, gap: float, shift: Sequence[float], device: str, pr
 
 
 def approach_resistance(gap: float) -> float:
-    """Return the resistance of two equal spheres to their approach, over the Stokes drag of one (Brenner 1961).
+    """Return the resistance of two equal spheres to approach, divided by Stokes drag of a sphere (Brenner 1961).
 
     `gap` is their gap divided by their radius.
     """
@@ -196,12 +199,13 @@ def approach_resistance(gap: float) -> float:
 
 
 def falling_in_bingham(number: float, regularisation: float, device: str, precision: str) -> float:
-    """Return the speed of a sphere in a Bingham mortar after it has been let go, over its Stokes speed.
+    """Return the settling speed of a sphere in a Bingham mortar, divided by its Stokes speed without yield stress.
 
-    `number` is the yield stress times 2 pi R^2, over the weight of the sphere in mortar (Beris et al. 1985).
+    `number` is 2 pi R^2 times the yield stress, divided by the weight minus the buoyancy of the sphere, where R is its
+    radius (Beris et al. 1985).
     """
     weight, stokes = 500 * GRAVITY * 4 / 3 * np.pi * RADIUS**3, 2 / 9 * 500 * GRAVITY * RADIUS**2 / VISCOSITY
-    # The sphere starts with a part of its Stokes speed, because a mortar at rest yields slowly near the criterion.
+    # The sphere starts with 30 % of its Stokes speed, because near the yield criterion mortar at rest yields slowly.
     sphere = Aggregates(np.zeros((1, 3)), np.array([RADIUS]), DENSITY + 500, np.array([[0.0, 0.0, -0.3 * stokes]]))
     flow = mortar_flow(
         (16,) * 3, RADIUS / 2, sphere, device, precision,
@@ -211,12 +215,12 @@ def falling_in_bingham(number: float, regularisation: float, device: str, precis
 
 
 SHEAR_STEPS, BINGHAM_STEPS = 4, 30
-# Largest measured errors with 4 cells across a sphere: see the tables in `theory/suspension.md`.
+# Largest accepted errors with 4 cells across a sphere; the table in `theory/suspension.md` lists the actual errors.
 SETTLING, SPIN, SLOPE, APPROACH = 0.085, 0.03, 0.07, 0.13
 
 
 def settling_case(device: str, precision: str) -> list[Row]:
-    """Compare spheres that settle in a cylinder with the solution of Haberman & Sayre."""
+    """Compare the settling speed of a sphere in a cylinder with the solution of Haberman & Sayre (1958)."""
     return [
         Row(f"4 cells, {shift:g} cells off", settling(4, shift, 0.3, device, precision), 1.0, SETTLING)
         for shift in (0.0, 0.25, 0.5)
@@ -224,7 +228,7 @@ def settling_case(device: str, precision: str) -> list[Row]:
 
 
 def shear_case(device: str, precision: str) -> list[Row]:
-    """Compare spin and viscosity of a mortar with a single sphere with the values of Einstein (1906)."""
+    """Compare the spin of a sphere in a shear flow, and the viscosity of the mixture, with those of Einstein (1906)."""
     found = []
     for shift in ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.25, 0.1, 0.3)):
         spin, slope = sheared(4, 16, shift, device, precision)
@@ -234,7 +238,7 @@ def shear_case(device: str, precision: str) -> list[Row]:
 
 
 def approach_case(device: str, precision: str) -> list[Row]:
-    """Compare the approach of two spheres, aligned with the grid and not, with the solution of Brenner."""
+    """Compare the approach of two spheres, aligned and not aligned with the grid, with that of Brenner (1961)."""
     return [
         Row(
             f"gap of {gap:g} cells, {shift[0]:g} cells off",
@@ -248,9 +252,10 @@ def approach_case(device: str, precision: str) -> list[Row]:
 
 
 def bingham_case(device: str, precision: str) -> list[Row]:
-    """Find whether a sphere falls just below the yield criterion of Beris et al., and stays just above it.
+    """Check that a sphere falls below the yield criterion of Beris et al. (1985), and stays above the criterion.
 
-    A falling sphere is as fast with a ten times stiffer regularisation, a resting one ten times as slow.
+    The criterion is a value of yield stress over weight. With a regularisation that is ten times stiffer, a falling
+    sphere keeps its speed, while the speed of a staying sphere drops to a tenth.
     """
     ratios = [
         falling_in_bingham(number, 1e5, device, precision) / falling_in_bingham(number, 1e4, device, precision)

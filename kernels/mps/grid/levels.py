@@ -1,12 +1,13 @@
 """Linear systems of a flow on a grid, with the coarser matrices of their multigrid preconditioner.
 
-A system has a row for each cell, or for each face. The rows of 2 x 2 x 2 cells (2 x 2 in a plane), or of the faces with
-the same axis in such cells, form one row of the next coarser level. With P the matrix that gives each row the value of
-its coarser row, the coarser matrix is P^T A P (unsmoothed aggregation). Its rows have no more entries than those of the
-finest level, because the coupling of neighbours stays a coupling of neighbours.
+A system has a row for each cell (pressure), or for each face (velocity). The rows of 2 x 2 x 2 cells (2 x 2 in a
+plane) form one row of the next coarser level. The same holds for the rows of the faces with the same axis in these
+cells. With the matrix A of a level, and the matrix P that gives each row the value of its coarser row, the matrix of
+the next coarser level is P^T A P (unsmoothed aggregation). Rows couple neighbours only, on coarser levels as well, so
+rows of coarser matrices have no more entries than those of the finest one.
 
-All levels share the same arrays. The rows of the finest level come first, and each coarser level follows. Each row of a
-coarser matrix is gathered by one task in a fixed order, so the matrix has the same bits for any number of threads.
+All levels share the same arrays, which contain the finest level first and the coarsest last. One task computes each row
+of a coarser matrix and adds up its entries in a fixed order, so the matrix has the same bits for any number of threads.
 """
 
 import functools
@@ -19,54 +20,54 @@ from ..structs import row_place
 from .cells import item
 
 DAMPING = wp.constant(1.8)
-"""Bound of the eigenvalues of a smoothing step. Below 2, every smoothing step reduces the error whatever the matrix."""
+"""Largest eigenvalue of the matrix times the smoothing factors. Smoothing reduces any error if it is below 2."""
 SINGULAR = wp.constant(1.0e-4)
-"""Ratio of a coarse row's diagonal to the diagonals of its finer rows below which the coarse row is left out.
+"""Ratio of a coarse row's diagonal to the sum of its finer rows' diagonals below which the row is left out.
 
-Only pressures in a closed room reach this: the matrix does not change if all of them change by the same amount.
+Only the pressure in a closed room reaches this ratio. There the matrix is singular, because a constant pressure exerts
+no net force.
 """
 
 
 @functools.cache
 def system_structs(scalar) -> SimpleNamespace:
-    """Build the structs `Matrix`, the matrices of all levels, and `Solve`, the working arrays of a solve.
+    """Build the structs `Matrix`, which holds the matrices of all levels, and `Solve`, the working arrays of a solve.
 
     Below, n is the number of rows of all levels, and m the number of rows of the finest level.
     """
 
     @wp.struct
     class Matrix:
-        near_capacity: wp.int32  # Maximum number of entries in a row, the diagonal not counted.
+        near_capacity: wp.int32  # Maximum number of entries in a row without the diagonal.
         rows: wp.int32  # Number of rows of all levels, n.
         levels: wp.int32  # Number of levels, at least 1.
         children: wp.int32  # Maximum number of rows that form a row of the next coarser level.
         free: wp.array(dtype=wp.int32)  # 1 for rows without an unknown, else 0, shape (n,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
-        near_count: wp.array(dtype=wp.int32)  # Number of entries in each row, shape (n,).
-        near: wp.array(dtype=wp.int32)  # Column of each entry, shape (n * near_capacity,).
-        coefficient: wp.array(dtype=scalar)  # Negative value of each entry, shape (n * near_capacity,).
+        near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row, shape (n,).
+        near: wp.array(dtype=wp.int32)  # Column of each off-diagonal entry, shape (n * near_capacity,).
+        coefficient: wp.array(dtype=scalar)  # Value of each off-diagonal entry times -1, shape (n * near_capacity,).
         smoothing: wp.array(dtype=scalar)  # Change of an unknown per residual in a smoothing step, shape (n,).
         parent: wp.array(dtype=wp.int32)  # Row of the next coarser level that contains a row, or -1, shape (n,).
         child: wp.array(dtype=wp.int32)  # Rows that form a row of a coarser level, or -1, shape ((n - m) * children,).
         first: wp.array(dtype=wp.int32)  # First row of each level, and n, shape (levels + 1,).
         before: wp.array(dtype=wp.int32)  # Number of rows without an unknown before each row, shape (n,); GPU only.
         used: wp.array(dtype=wp.int32)  # Rows with an unknown, in increasing order, shape (n,).
-        begin: wp.array(dtype=wp.int32)  # Index in `used` of each level's first row, and the end, shape (levels + 1,).
-        cycle: wp.array(
-            dtype=wp.int32
-        )  # Operations of the preconditioner, see `multigrid.py`, shape (4 * operations,).
+        begin: wp.array(dtype=wp.int32)  # Index in `used` at which each level begins, and the end, shape (levels + 1,).
+        # Operations of the multigrid cycle, four numbers each, see `multigrid.py`, shape (4 * operations,).
+        cycle: wp.array(dtype=wp.int32)
 
     @wp.struct
     class Solve:
-        residual: wp.array(dtype=scalar)  # Residual of the equations of each level, shape (n,).
-        even: wp.array(dtype=scalar)  # Solutions of each level for this residual, shape (n,).
-        odd: wp.array(dtype=scalar)  # Second array of such solutions, used alternately, shape (n,).
+        residual: wp.array(dtype=scalar)  # Residuals of the equations of all levels, shape (n,).
+        even: wp.array(dtype=scalar)  # Solutions of all levels for these residuals, shape (n,).
+        odd: wp.array(dtype=scalar)  # Second array of solutions; smoothing steps write both in turn, shape (n,).
         # Search direction, shape (m,); on a GPU the old and the new direction, shape (2 m,).
         direction: wp.array(dtype=scalar)
         product: wp.array(dtype=scalar)  # Product of the matrix and the search direction, shape (m,).
-        partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk, for three different sums.
+        partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk for three inner products.
         stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
-        outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).
+        outcome: wp.array(dtype=wp.float64)  # Number of iterations, first and last residual norm, shape (OUTCOME,).
         history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
 
     return SimpleNamespace(Matrix=Matrix, Solve=Solve)
@@ -74,19 +75,19 @@ def system_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def level_kernels(scalar, serial: bool) -> SimpleNamespace:
-    """Build the kernels that complete a system, after the matrix of its finest level is stored.
+    """Build the kernels that compute the coarser matrices and the row lists of a system from its finest matrix.
 
-    - `coarsen` forms the rows of one coarser level from those of the level before it, with one task per row.
+    - `coarsen` computes the matrix of one level from that of the next finer level, with one task per coarse row.
     - `damp` computes the factors of the smoothing steps, with one task per row of all levels.
-    - `list_rows` lists the rows with an unknown. On a CPU it runs as one task. On a GPU it runs with one task per row,
-      after a prefix sum of `free` has been stored in `before`.
+    - `list_rows` lists the rows with an unknown. On a CPU the kernel runs as one task. On a GPU it runs with one task
+      per row, after a prefix sum of `free` has been stored in `before`.
     """
     Matrix = system_structs(scalar).Matrix
     entry = row_place(serial)
 
     @wp.func
     def add_entry(matrix: Matrix, row: wp.int32, count: wp.int32, column: wp.int32, c: scalar) -> wp.int32:
-        """Add a coefficient to a row with `count` entries, and return the new number of entries."""
+        """Add a coefficient to a row that has `count` entries, and return the new number of entries."""
         for n in range(count):
             place = entry(row, n, matrix.rows, matrix.near_capacity)
             if matrix.near[place] == column:
@@ -129,9 +130,10 @@ def level_kernels(scalar, serial: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def damp(flags: wp.array(dtype=wp.int32), matrix: Matrix, worker: wp.int32, workers: wp.int32):
-        # With D the diagonal and R the sum of the magnitudes of all entries of a row, the eigenvalues of R^-1 A are at
-        # most 1 (l1-Jacobi smoother, Baker, Falgout, Kolev & Yang 2011). Those of S A, where S = min(1/D, DAMPING / R),
-        # are therefore at most DAMPING. With a single level, a smoothing step only divides by the diagonal.
+        # Let D be the diagonal of the matrix A, and R the sums of the magnitudes of the entries of its rows. The
+        # eigenvalues of R^-1 A are at most 1 (l1-Jacobi smoother, Baker, Falgout, Kolev & Yang 2011). The smoothing
+        # factors are S = min(1 / D, DAMPING / R), so the eigenvalues of S A are at most DAMPING. With a single level,
+        # the smoothing step is the whole preconditioner, and S = 1 / D.
         if flags[HALTED] != 0:
             return
         i = item(wp.tid(), worker, workers)

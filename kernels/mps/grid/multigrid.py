@@ -1,15 +1,16 @@
 """Conjugate gradients with a multigrid preconditioner for the linear systems of a flow on a grid.
 
-The preconditioner is a multigrid cycle over the levels of `levels.py`, as a list of operations on rows of a level:
+The preconditioner is a multigrid cycle over the levels that `levels.py` describes. The cycle is a list of operations,
+each on all rows of a level:
 
 - SMOOTH changes the solution of each row by its residual times `smoothing` (a damped Jacobi step).
-- RESTRICT moves to the next coarser level: its right-hand sides are the sums of the finer rows' residuals.
+- RESTRICT sets the right-hand side of each row of the next coarser level to the sum of its finer rows' residuals.
 - PROLONG adds the solution of the next coarser level, multiplied by OVERCORRECTION, to the finer rows.
 
-Smoothing before and after the coarser level is the same, so the preconditioner is symmetric. A whole solve is one
-kernel. On a CPU every thread processes some chunks of rows, and all threads meet at barriers; on a GPU blocks stay
-resident and do the same. A level with few rows is left to the first thread or block, which then needs no barriers. Sums
-are formed in the same order for any number of threads or blocks, so results are reproducible.
+The preconditioner is symmetric, because smoothing before and after a visit of the coarser level is the same. One kernel
+performs a whole solve. Each CPU thread, or each GPU block, processes some chunks of rows and waits for the others at
+barriers. The first thread or block alone processes levels with few rows, so that these levels need no barriers. Sums
+are computed in the same order for any number of threads or blocks, so results are reproducible.
 """
 
 import functools
@@ -28,16 +29,18 @@ from ..conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..resident_solver import RESIDENT, WIDE, sum_functions
 from .levels import system_structs
 
-# Operations of a cycle. Each entry of `Matrix.cycle` consists of four numbers: the operation, its level, and the array
-# that holds the solution of this level and that of the next coarser level (0 for `even`, 1 for `odd`).
+# Operations of a cycle. Each entry of `Matrix.cycle` consists of four numbers: the operation, its level, and the arrays
+# that hold the solutions of this level and of the next coarser level (0 for the array `even`, 1 for `odd`).
 SMOOTH = wp.constant(0)
 RESTRICT = wp.constant(1)
 PROLONG = wp.constant(2)
 OVERCORRECTION = 1.4
-"""Factor of coarse corrections. A value constant over several cells has too much energy, so its correction is too small
-(Braess 1995)."""
+"""Factor by which coarse corrections are multiplied.
+
+Corrections that are constant over several cells are too small, because their jumps between these groups of cells cost
+too much energy (Braess 1995)."""
 FEW = {"cpu": 256, "gpu": 256}
-"""Number of rows up to which the first thread or block alone processes a coarser level."""
+"""Maximum number of rows of a coarser level that the first thread or block processes alone."""
 
 
 FAMILY_SUM = """
@@ -51,7 +54,7 @@ FAMILY_SUM = """
 
 @functools.cache
 def family_sum_function(scalar):
-    """Build the function that adds up the values of `members` neighbouring threads of a GPU; a CPU has one thread."""
+    """Build the function that adds up the values of `members` neighbouring GPU threads; on a CPU there is only one."""
 
     @wp.func_native(FAMILY_SUM)
     def family_sum(part: scalar, members: wp.int32) -> scalar: ...
@@ -61,11 +64,11 @@ def family_sum_function(scalar):
 
 @functools.cache
 def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
-    """Build the functions that apply an operation of the cycle to some rows.
+    """Build the functions that apply one operation of the multigrid cycle to a range of rows.
 
-    `operate` does the operation number `turn` of the cycle for the positions from `begin` up to `end` in the list of
-    rows with unknowns. `by` threads share them; `thread` is the number of the calling one. The loops are inside the
-    functions, because on a CPU each call copies the structs passed to it.
+    `operate` applies operation number `turn` of the cycle to the rows at the positions from `begin` to `end` - 1 in the
+    list of rows with unknowns. `by` threads share these rows, and `thread` is the index of the calling thread. The
+    loops over rows are inside the functions, because on a CPU each function call copies the structs passed to it.
     """
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -84,7 +87,7 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
         near: wp.array(dtype=wp.int32), coefficient: wp.array(dtype=scalar), value: wp.array(dtype=scalar),
         first: wp.int32, count: wp.int32, rows: wp.int32,
     ) -> scalar:  # fmt: skip
-        """Return the product of a row's `count` coefficients and the vector `value`; the first one is at `first`."""
+        """Return the product of a row and the vector `value`; the row's `count` coefficients begin at index `first`."""
         if wp.static(serial):
             return by_row(near, coefficient, value, first, count)
         else:
@@ -109,9 +112,10 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
         begin: wp.int32, thread: wp.int32, end: wp.int32, by: wp.int32, matrix: Matrix, system: Solve,
         finer: wp.array(dtype=scalar), coarser: wp.array(dtype=scalar),
     ):  # fmt: skip
-        """Compute the right-hand sides of coarser rows, and the first smoothing step from a solution of zero.
+        """Compute the right-hand sides of coarser rows, and apply the first smoothing step to a solution of zero.
 
-        On a GPU each thread computes the residual of one finer row, and the threads of a coarser row add them up.
+        On a GPU, each thread computes the residual of one finer row. The threads that belong to the same coarser row
+        then add up their residuals.
         """
         abreast = wp.where(lanes() > 1, matrix.children, 1)
         for n in range(thread, ((end - begin) * abreast + lanes() - 1) / lanes() * lanes(), by):
@@ -173,12 +177,12 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
 
     @wp.func
     def target(matrix: Matrix, turn: wp.int32) -> wp.int32:
-        """Return the level whose rows the operation number `turn` of the cycle processes."""
+        """Return the level of the rows that operation number `turn` of the cycle changes."""
         return matrix.cycle[4 * turn + 1] + wp.where(matrix.cycle[4 * turn] == RESTRICT, 1, 0)
 
     @wp.func
     def is_few(matrix: Matrix, turn: wp.int32) -> wp.bool:
-        """Return whether the first thread or block alone does the operation number `turn` of the cycle."""
+        """Return whether operation number `turn` of the cycle is left to the first thread or block."""
         level = target(matrix, turn)
         few = wp.static(FEW["cpu"] if serial else FEW["gpu"])
         return level > 0 and matrix.begin[level + 1] - matrix.begin[level] <= few
@@ -188,9 +192,9 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
 
 @functools.cache
 def serial_functions(scalar) -> SimpleNamespace:
-    """Build the functions that a CPU thread applies to its rows in a solve.
+    """Build the functions by which a CPU thread processes its rows in a solve.
 
-    `precondition` applies the preconditioner. The other functions process a range of positions in the list of rows.
+    `precondition` applies the preconditioner. Each of the other functions processes a range of the list of rows.
     """
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -202,7 +206,7 @@ def serial_functions(scalar) -> SimpleNamespace:
         parts: wp.int32, lower: wp.int32, upper: wp.int32, workers: wp.int32, gate: wp.array(dtype=wp.int32),
         matrix: Matrix, system: Solve,
     ):  # fmt: skip
-        """Compute the preconditioned residual; its first smoothing step must be stored, and all threads have met."""
+        """Compute the preconditioned residual, after `start` has run in all threads and they have met at a barrier."""
         turns = matrix.cycle.shape[0] / 4
         few = wp.bool(False)
         for turn in range(turns):
@@ -224,9 +228,10 @@ def serial_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def start(first: wp.int32, end: wp.int32, alpha: scalar, matrix: Matrix, system: Solve, x: wp.array(dtype=scalar)):
-        """Change solution and residual by a step along the search direction, and begin the preconditioner.
+        """Move the solution by `alpha` along the search direction, update the residual, and begin the preconditioner.
 
-        With `alpha` = 0 the step is left out. The function returns the squared norm of the residual.
+        The preconditioner begins with a smoothing step from zero. The function returns the squared norm of the residual
+        of these rows.
         """
         rr = wp.float64(0.0)
         odd = matrix.cycle.shape[0] > 0
@@ -247,7 +252,7 @@ def serial_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def multiply(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve) -> wp.float64:
-        """Multiply the matrix with the search direction, and return the inner product of the direction with that."""
+        """Multiply the matrix by the search direction, and return the inner product of direction and product."""
         pq = wp.float64(0.0)
         for k in range(first, end):
             i = matrix.used[k]
@@ -296,10 +301,10 @@ def serial_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def serial_multigrid(scalar):
-    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches it once.
+    """Build the CPU kernel that solves a linear system and adds the solution to `x`.
 
-    The rows with unknowns are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and
-    `workers` threads take part.
+    Each of `workers` threads launches the kernel once. The rows with unknowns are divided into `parts` chunks, and a
+    thread processes the chunks from `lower` to `upper` - 1.
     """
     structs, f = system_structs(scalar), serial_functions(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -386,9 +391,10 @@ def serial_multigrid(scalar):
 
 @functools.cache
 def resident_functions(scalar, width: int) -> SimpleNamespace:
-    """Build the functions that a GPU thread applies in a solve; a block has `width` threads.
+    """Build the functions by which a GPU thread processes its rows in a solve; a block has `width` threads.
 
-    `precondition` applies the preconditioner. The other functions process one position `k` in the list of rows.
+    `precondition` applies the preconditioner. Each of the other functions processes the row at position `k` of the list
+    of rows.
     """
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -399,9 +405,9 @@ def resident_functions(scalar, width: int) -> SimpleNamespace:
     def precondition(
         thread: wp.int32, parties: wp.int32, gate: wp.array(dtype=wp.int32), matrix: Matrix, system: Solve
     ):
-        """Compute the preconditioned residual; its first smoothing step must be stored, and all blocks have met.
+        """Compute the preconditioned residual, after `start` has run in all blocks and they have met at a barrier.
 
-        All blocks meet at the end.
+        All blocks meet at another barrier at the end.
         """
         turns = matrix.cycle.shape[0] / 4
         for turn in range(turns):
@@ -425,10 +431,10 @@ def resident_functions(scalar, width: int) -> SimpleNamespace:
         k: wp.int32, rows: wp.int32, alpha: scalar, first: wp.int32, matrix: Matrix, system: Solve,
         x: wp.array(dtype=scalar),
     ) -> wp.float64:  # fmt: skip
-        """Change solution and residual by a step along the search direction, and begin the preconditioner.
+        """Move the solution by `alpha` along the search direction, update the residual, and begin the preconditioner.
 
-        `first` is the index at which the search direction begins. With `alpha` = 0 the step is left out. The function
-        returns the row's contribution to the squared norm of the residual.
+        The preconditioner begins with a smoothing step from zero. `first` is the index in `Solve.direction` at which
+        the search direction begins. The function returns the row's contribution to the squared norm of the residual.
         """
         if k >= rows:
             return wp.float64(0.0)
@@ -456,10 +462,10 @@ def resident_functions(scalar, width: int) -> SimpleNamespace:
     def multiply(
         k: wp.int32, rows: wp.int32, beta: scalar, old: wp.int32, new: wp.int32, matrix: Matrix, system: Solve
     ) -> wp.float64:  # fmt: skip
-        """Compute the new search direction of a row, and this row of the matrix times the search directions.
+        """Compute the new search direction in a row, and the product of this row of the matrix and the new direction.
 
-        The previous search directions begin at index `old`, the new ones at `new`. The function computes the new
-        directions of the neighbours itself, so no barrier is needed before the product.
+        In `Solve.direction`, the previous direction begins at index `old`, and the new one at `new`. The function
+        computes the new direction in the neighbouring rows itself, so no barrier is needed before the product.
         """
         if k >= rows:
             return wp.float64(0.0)
@@ -480,8 +486,9 @@ def resident_functions(scalar, width: int) -> SimpleNamespace:
 def resident_multigrid(scalar, width: int = BLOCK):
     """Build the GPU kernel that solves a linear system and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. Rows with
-    unknowns are divided into chunks of `width` rows, of which each block processes several.
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. The rows
+    with unknowns are divided into chunks of `width` rows. Block k processes the chunks k, k + `parties`,
+    k + 2 `parties` and so on.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     structs, f = system_structs(scalar), resident_functions(scalar, width)

@@ -135,6 +135,12 @@ class Stage:
                 block_dim=self.block,
             )  # fmt: skip
 
+    def set(self, name: str, value: object) -> None:
+        """Change an argument of the recorded launch."""
+        self.record()
+        if self._command is not None:
+            self._command.set_param_by_name(name, value)
+
     def __call__(self, stream: wp.Stream | None = None) -> None:
         if tasks_of(self.dim):
             self.record()

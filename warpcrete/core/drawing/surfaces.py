@@ -1,8 +1,9 @@
-"""Surfaces of concrete as triangles, extracted from a level at the nodes of a grid.
+"""Triangulated surfaces of concrete, extracted from a level-set function at the nodes of a grid.
 
-The level is positive in concrete and negative outside it. The surface is a surface net (Gibson, MICCAI 1998): every
-edge of the grid on which the level changes its sign gives one face, whose corners lie in the grid's cells around the
-edge. Each corner is the mean of the points at which the level is zero on the edges of its cell.
+The level-set function, called level here, is positive in concrete and negative outside it. The surface is a surface net
+(Gibson, MICCAI 1998). Every grid edge along which the level changes its sign yields one face. The corners of the face
+lie in the cells around the edge. Each corner is the mean of the points on the edges of its cell at which the level is
+zero.
 """
 
 from __future__ import annotations
@@ -14,22 +15,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 PLANE_WEIGHT = 1e-6
-"""Weight of a point on the plane of a cut or on a side of the grid in the mean of the points of a cell, relative to
-points on the free surface."""
+"""Weight of points on a cutting plane or on a side of the grid, relative to points on the free surface.
+
+The weights apply to the mean over the points of a cell, which is a vertex of the surface."""
 FACETS = 64
 """Number of facets around the axis of a surface of revolution."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """Level of concrete at the nodes of a rectilinear grid, in cells: positive in concrete, negative outside it."""
+    """Level-set function of concrete at the nodes of a rectilinear grid: positive in concrete, negative outside it."""
 
     places: tuple[np.ndarray, ...]
     """Coordinates of the nodes along each of the d axes [m]."""
     values: np.ndarray
-    """Level at each node, shape (n_1, ..., n_d)."""
+    """Level at each node, in widths of a cell, shape (n_1, ..., n_d)."""
     fields: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
-    """Quantities at each node, by name, each with the shape of `values`."""
+    """Physical quantities at each node, by name, each with the shape of `values`."""
 
     def mirrored(self, axis: int) -> Level:
         """Return the level on both sides of the plane of symmetry that lies at coordinate 0 of an axis."""
@@ -43,7 +45,7 @@ class Level:
         return Level(tuple(places), both(self.values), fields)
 
     def cropped(self) -> Level:
-        """Return the smallest block of nodes that contains all concrete, with one layer of nodes around it."""
+        """Return the level in the smallest block of nodes that contains all concrete and one layer of nodes more."""
         ranges: list[slice] = []
         for axis in range(self.values.ndim):
             others = tuple(k for k in range(self.values.ndim) if k != axis)
@@ -56,7 +58,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Surface:
-    """Surface of concrete as triangles, whose corners are in anticlockwise order as seen from outside."""
+    """Triangulated surface of concrete; the corners of triangles are in anticlockwise order as seen from outside."""
 
     vertices: np.ndarray
     """Positions of the vertices [m], shape (v, 3)."""
@@ -65,7 +67,7 @@ class Surface:
     normals: np.ndarray
     """Unit vectors that point out of the concrete at the vertices, shape (v, 3)."""
     fields: Mapping[str, np.ndarray]
-    """Quantities at the vertices in SI units, by name, each of shape (v,)."""
+    """Physical quantities at the vertices in SI units, by name, each of shape (v,)."""
 
     @property
     def volume(self) -> float:
@@ -74,7 +76,7 @@ class Surface:
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
 
     def moved(self, to_scene: Callable[[np.ndarray], np.ndarray]) -> Surface:
-        """Return the surface in other axes; `to_scene` maps points of shape (n, 3) without changing distances."""
+        """Return the surface in other coordinates; `to_scene` rotates and shifts points of shape (n, 3)."""
         ends = to_scene(self.vertices + self.normals)
         vertices = to_scene(self.vertices)
         return replace(self, vertices=vertices, normals=ends - vertices)
@@ -90,20 +92,20 @@ class Cut:
     """Distance of the plane from the origin, along the normal [m]."""
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """Return how far points of shape (..., d) lie behind the plane [m]; negative in front of it."""
+        """Return the distance of points behind the plane [m], negative in front of it; points have shape (..., d)."""
         return points @ self.normal - self.offset
 
 
 def surface_of(level: Level, cut: Cut | None = None) -> Surface:
-    """Return the closed surface of the concrete in a room in space, or of its part behind a plane."""
+    """Return the closed surface of concrete in three dimensions, or of its part behind a cutting plane."""
     net = _Net(level.cropped(), cut)
     return _surface(net.points, triangles(net.sides), net.fields)
 
 
 def revolved(level: Level, half: bool = False) -> Surface:
-    """Return the closed surface that a section in the plane of radius and height sweeps about the axis.
+    """Return the closed surface of revolution of a section, whose level has the axes radius and height.
 
-    With `half`, the section sweeps the half of the space with y > 0 only, and closes the surface in the plane y = 0.
+    With `half`, return only the half with y > 0, closed by the section in the plane y = 0.
     """
     net = _Net(level.mirrored(0).cropped(), filled=True)
     sides = net.sides[np.all(net.points[net.sides, 0] > -1e-12, axis=1)]
@@ -123,7 +125,7 @@ def revolved(level: Level, half: bool = False) -> Surface:
 
 
 def _section(net: _Net) -> Surface:
-    """Return the filled section of a net in the plane y = 0, seen from the side where y < 0."""
+    """Return the area inside a plane net as a flat surface in the plane y = 0, whose normals point towards y < 0."""
     faces = triangles(net.quads)
     vertices = np.insert(net.points, 1, 0.0, axis=1)
     return Surface(vertices, faces, np.tile([0.0, -1.0, 0.0], (len(vertices), 1)), net.fields)
@@ -139,12 +141,12 @@ def _joined(first: Surface, second: Surface) -> Surface:
 
 
 def triangles(quads: np.ndarray) -> np.ndarray:
-    """Return quadrilaterals, given by their vertices of shape (n, 4), as two triangles each, shape (2 n, 3)."""
+    """Split quadrilaterals, given by their vertices with shape (n, 4), into triangles with shape (2 n, 3)."""
     return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
 
 
 def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.ndarray]) -> Surface:
-    """Return a surface whose normals are the means of those of the faces, weighted by area, without empty faces."""
+    """Return a surface without faces of zero area, with normals averaged over adjacent faces, weighted by area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     size = np.linalg.norm(across, axis=1)
@@ -157,20 +159,20 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.nd
 
 
 class _Net:
-    """Surface net of a level in two or three dimensions: vertices, and the sides of the surface between them."""
+    """Surface net of a level in two or three dimensions: vertices, and the sides of the net, which connect them."""
 
     points: np.ndarray
     """Positions of the vertices [m], shape (v, d)."""
     fields: dict[str, np.ndarray]
-    """Quantities at the vertices, means over the nodes in concrete beside them, each of shape (v,)."""
+    """Physical quantities at the vertices, averaged over adjacent nodes in concrete, each of shape (v,)."""
     sides: np.ndarray
-    """Vertices of each side: quadrilaterals (n, 4) in space, line segments (n, 2) in a plane.
+    """Indices of the vertices of each side.
 
-    Seen from outside, the corners of a quadrilateral are in anticlockwise order. Outside lies on the right of a
-    segment.
+    In three dimensions, a side is a quadrilateral, shape (n, 4), whose corners are in anticlockwise order as seen from
+    outside. In two dimensions, a side is a line segment, shape (n, 2), with the outside on its right.
     """
     quads: np.ndarray
-    """Vertices of quadrilaterals that fill the section of the concrete in a plane, shape (n, 4)."""
+    """Indices of the vertices of quadrilaterals that fill a two-dimensional section of the concrete, shape (n, 4)."""
 
     def __init__(self, level: Level, cut: Cut | None = None, filled: bool = False) -> None:
         self._axes = level.values.ndim
@@ -178,7 +180,7 @@ class _Net:
         values = _padded(level.values)
         frame = np.ones(values.shape, bool)
         frame[(slice(1, -1),) * self._axes] = False
-        # A node beyond the grid gets the opposite level of its neighbour, so that the surface lies midway between them.
+        # A node outside the grid gets the negative level of its neighbour, so that the surface is midway between them.
         values[frame] = -np.abs(values[frame])
         self._values, self._inside = values, values > 0
         self._depths = None
@@ -192,8 +194,8 @@ class _Net:
         corners = cells.shape[1]
         number = self._numbered(cells)
         flat = number[cells.ravel()]
-        # Where a side of the grid or the plane of the cut meets the surface, the surface alone places the vertex, and
-        # the vertex then moves onto the plane, so that the edge is sharp.
+        # In a cell where the free surface meets a side of the grid or a cutting plane, the points on the free surface
+        # alone determine the vertex. The vertex is then moved onto the side or plane, so that the edge is sharp.
         weight = np.where(free, 1.0, PLANE_WEIGHT)
         count = np.bincount(flat, np.repeat(weight, corners), self._count)
 
@@ -214,18 +216,22 @@ class _Net:
             self._fill(number)
 
     def _numbered(self, cells: np.ndarray) -> np.ndarray:
-        """Return the number of the vertex in each cell of the grid, where there is one."""
+        """Return the index of the vertex in each cell of the grid; values of cells without a vertex are not valid."""
         used = np.zeros(int(np.prod(self._cells)), bool)
         used[cells.ravel()] = True
         self._count = int(np.count_nonzero(used))
         return np.cumsum(used) - 1
 
     def _crossings(self, axis: int) -> tuple[np.ndarray, ...]:
-        """Return the edges of one direction at which the level changes its sign, or which the cut crosses in concrete.
+        """Return the edges along one axis on which the level changes its sign, or which cross the cut in concrete.
 
-        The results are the cells around each edge (m, 2 or 4) in the order of the side's vertices, the point where the
-        level or the depth is zero (m, d), the index of the edge's node in concrete (m,), whether the edge crosses the
-        surface inside the grid (m,), and whether it crosses the cut instead (m,).
+        The results, for m edges in d dimensions, are:
+
+        - the cells around each edge in the order of the side's vertices, shape (m, 2 or 4),
+        - the point at which the level, or the depth behind the cut, is zero, shape (m, d),
+        - the index of the node of the edge that lies in concrete, shape (m,),
+        - whether the edge crosses the free surface inside the grid, shape (m,),
+        - whether the edge crosses the cut, shape (m,).
         """
         low = [slice(None)] * self._axes
         high = list(low)
@@ -250,7 +256,7 @@ class _Net:
         return cells, points, inner, free, by_cut
 
     def _around(self, axis: int) -> np.ndarray:
-        """Return the shifts from a node to the cells around the edge that leaves it along an axis."""
+        """Return the index shifts from a node to the cells around the edge that begins at the node along an axis."""
         found = np.zeros((2 ** (self._axes - 1), self._axes), int)
         if self._axes == 2:
             found[0, 1 - axis] = -1
@@ -263,7 +269,7 @@ class _Net:
         return np.asarray(np.ravel_multi_index(tuple(index.T), self._cells))
 
     def _fill(self, number: np.ndarray) -> None:
-        """Add a quadrilateral for every node in concrete, and a vertex in the middle of every full cell."""
+        """Add a vertex in every cell inside the concrete, and a quadrilateral around every node inside it."""
         at = np.argwhere(self._inside)
         corners = np.array([(-1, -1), (0, -1), (0, 0), (-1, 0)])
         cells = np.stack([self._cell(at + shift) for shift in corners], 1)
@@ -281,21 +287,21 @@ class _Net:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Return values with one more node at each end of each axis, which repeats its neighbour."""
+    """Return values with one more node at both ends of each axis, which has the value of its neighbour."""
     return np.pad(values.astype(float), 1, mode="edge") if values.size else np.zeros([2] * values.ndim)
 
 
 def _padded_places(place: np.ndarray) -> np.ndarray:
-    """Return the coordinates of nodes with one more at each end, at the distance of the last two nodes."""
+    """Return the coordinates of nodes with one more node at both ends, which continues the spacing there."""
     if len(place) < 2:
         return np.concatenate([place - 1, place, place + 1]) if len(place) else np.arange(2.0)
     return np.concatenate([[2 * place[0] - place[1]], place, [2 * place[-1] - place[-2]]])
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
-    """Return values at the nodes of a grid, each averaged with its neighbours with the weights 1, 2, 1 along each axis.
+    """Smooth values at the nodes of a grid by averaging neighbours with the weights 1, 2, 1 along each axis.
 
-    Values beyond the grid count as zero.
+    Values outside the grid count as zero.
     """
     for axis in range(values.ndim):
         inner = np.moveaxis(np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(values.ndim)]), axis, 0)

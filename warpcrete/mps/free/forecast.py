@@ -26,11 +26,16 @@ COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
 
 
-def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
+def forecast(
+    scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation
+) -> Forecast:
+    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
+
+    `make` is the class of the simulation.
+    """
     step = "step error and a cell's length per step; this is the mean step"
     return flow_forecast(
-        lambda: FreeSimulation(scene, device=str(device), precision=precision, threads=threads),
+        lambda: make(scene, device=str(device), precision=precision, threads=threads),
         course_of,
         lambda simulation: {
             "dimensions": scene.form,

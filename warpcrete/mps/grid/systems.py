@@ -20,22 +20,25 @@ from ..common.allocation import allocate
 CHUNKS = 32
 """Number of chunks into which a CPU divides the rows of a linear system.
 
-Each chunk forms one partial sum. Sums therefore have the same bits for any number of threads up to CHUNKS, the maximum.
+Each chunk yields one partial sum, so sums have the same bits for any number of threads. CHUNKS is also the maximum
+number of threads.
 """
-HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
+HISTORY = 256  # Number of iterations of a solve whose residual norms are stored.
 SMALLEST = {"cpu": 2000, "gpu": 150_000}
 """Number of cells below which a grid has a single level, so that the preconditioner is the diagonal of the matrix.
 
-On such grids the coarser levels take more time than they save. Cells of the frame around the grid count, too.
+On smaller grids, coarser levels take more time than they save. The number includes the frame of cells around the grid.
 """
 COARSEST = 32
-"""Number of cells below which a level is not coarsened further."""
+"""Maximum number of cells of a level that is not coarsened further."""
 COARSEST_STEPS = 6
-"""Number of smoothing steps that solve the equations of the coarsest level."""
+"""Number of smoothing steps by which the equations of the coarsest level are solved approximately."""
 VISITS = {"cpu": 2, "gpu": 1}
-"""Number of times that a level uses the next coarser one. Two visits save iterations, but on a GPU each visit waits."""
+"""Number of visits of the next coarser level in a cycle (1 is a V-cycle, 2 a W-cycle).
+
+A second visit saves iterations, but on a GPU the barriers of a visit take more time than it saves."""
 STEPS = {"cpu": 1, "gpu": 2}
-"""Number of smoothing steps before and after the next coarser level, on all levels but the finest, which has one."""
+"""Number of smoothing steps before and after a visit of the next coarser level. The finest level always has one."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,11 @@ class System:
 
 
 def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: int, near: int) -> System:
-    """Return a system on a grid.
+    """Return a linear system for a grid, with the levels of its preconditioner.
 
-    `shape` is the number of cells along each axis, with the frame around the grid and the last axis first. There are
-    `copies` rows for each cell, one for each axis or only one. A row has at most `near` entries beside the diagonal.
+    `shape` is the number of cells along each axis, with the frame around the grid, and with the last axis first. There
+    are `copies` rows for each cell: one per axis for velocities, or a single one for pressures. A row has at most
+    `near` off-diagonal entries.
     """
     kind = "gpu" if parallel(device) else "cpu"
     shapes = level_shapes(shape) if math.prod(shape) >= SMALLEST[kind] else [shape]
@@ -89,7 +93,7 @@ def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
 
 
 def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Return the numbers of cells along each axis of all levels, each half of those of the level before it."""
+    """Return the numbers of cells along each axis for all levels; each level halves those of the level before it."""
     shapes = [tuple(shape)]
     while math.prod(shapes[-1]) > COARSEST and max(shapes[-1]) > 2:
         shapes.append(tuple((n + 1) // 2 for n in shapes[-1]))
@@ -99,7 +103,7 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the row of the next coarser level that contains each row, and the rows that each coarser row contains.
 
-    Missing rows are -1. The second array has one line for each coarser row, flattened.
+    Missing rows are -1. In the second array, the finer rows of each coarser row are adjacent.
     """
     axes = len(shapes[0])
     parent = np.full(first[-1], -1)
@@ -119,9 +123,9 @@ def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tu
 def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int]]:
     """Return the operations of a multigrid cycle, as `kernels/mps/grid/multigrid.py` describes them.
 
-    A level uses the next coarser one `visits` times, with `steps` smoothing steps before and after that. The first
-    smoothing step of a level is part of the operation before it. The solution of the finest level begins in the array
-    `odd` and ends in the array `even`.
+    Each level visits the next coarser one `visits` times, with `steps` smoothing steps before and after the visits. The
+    first smoothing step of a level is part of the preceding operation. The solution of the finest level is in the array
+    `odd` before the cycle, and in the array `even` after it.
     """
     found: list[tuple[int, int, int, int]] = []
 

@@ -178,7 +178,8 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
             ratio = rest + (1.0 - rest) * whole / min(others)
             if ratio < MAX_TIME_RATIO:
                 yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
-    if alone < 1.05 * whole:  # Contacts limit the step, and neither bonds nor the largest allowed step.
+    # Contacts limit the step. The step without dashpots is known only without bonds.
+    if alone < 1.05 * whole and not any(name.startswith("contacts and ") for name in forecast.limits):
         ratio = rest + (1.0 - rest) * alone / forecast.limits.get("contacts without dashpots", alone)
         if ratio < MAX_TIME_RATIO:
             yield Saving("no dashpots, or less damping", ratio, "error not measured")
