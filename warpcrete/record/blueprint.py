@@ -107,7 +107,7 @@ def _scenes(display: Display, network: bool) -> list[Any]:
 def _view(display: Display, name: str, contents: list[str], overrides: dict[str, Any] | None = None) -> Any:
     import rerun.blueprint as rrb
 
-    eye, target = display.view(1.2)
+    eye, target = display.view(1.45)
     return rrb.Spatial3DView(
         name=name,
         origin="scene",

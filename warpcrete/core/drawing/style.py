@@ -26,7 +26,7 @@ SERIES: tuple[RGB, ...] = (
     RUN, SECOND, THIRD, (150, 80, 150), (200, 160, 30), (80, 170, 190), (150, 90, 60), (190, 110, 140),
 )  # fmt: skip
 """Colours of several series of one quantity, in order."""
-NAMES = {RUN: "orange", SECOND: "blue", THIRD: "green", THEORY: "grey", MEASURED: "black"}
+NAMES: dict[RGB, str] = {RUN: "orange", SECOND: "blue", THIRD: "green", THEORY: "grey", MEASURED: "black"}
 """Names of the colours, for titles of plots that have no room for a legend."""
 
 

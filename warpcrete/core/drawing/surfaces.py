@@ -8,7 +8,7 @@ edge. Each corner is the mean of the points at which the level is zero on the ed
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,7 +44,7 @@ class Level:
 
     def cropped(self) -> Level:
         """Return the smallest block of nodes that contains all concrete, with one layer of nodes around it."""
-        ranges = []
+        ranges: list[slice] = []
         for axis in range(self.values.ndim):
             others = tuple(k for k in range(self.values.ndim) if k != axis)
             found = np.flatnonzero((self.values > 0).any(others))
@@ -246,10 +246,10 @@ class _Net:
         points[:, axis] += part * (along[end[:, axis]] - along[at[:, axis]])
         cells = np.stack([self._cell(at + shift) for shift in self._around(axis)], 1)
         cells = np.where(leaves[:, None], cells, cells[:, ::-1])
-        inner = np.ravel_multi_index(tuple(np.where(leaves[:, None], at, end).T), self._values.shape)
+        inner = np.asarray(np.ravel_multi_index(tuple(np.where(leaves[:, None], at, end).T), self._values.shape))
         return cells, points, inner, free, by_cut
 
-    def _around(self, axis: int) -> Sequence[np.ndarray]:
+    def _around(self, axis: int) -> np.ndarray:
         """Return the shifts from a node to the cells around the edge that leaves it along an axis."""
         found = np.zeros((2 ** (self._axes - 1), self._axes), int)
         if self._axes == 2:
@@ -260,7 +260,7 @@ class _Net:
         return found
 
     def _cell(self, index: np.ndarray) -> np.ndarray:
-        return np.ravel_multi_index(tuple(index.T), self._cells)
+        return np.asarray(np.ravel_multi_index(tuple(index.T), self._cells))
 
     def _fill(self, number: np.ndarray) -> None:
         """Add a quadrilateral for every node in concrete, and a vertex in the middle of every full cell."""

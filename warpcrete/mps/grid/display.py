@@ -126,7 +126,7 @@ class GridDisplay(Display):
         """Return the index of the cell that contains each particle, shape (n,)."""
         room = self._layout.room
         index = np.floor((self.read("particles.position").astype(float) - room.origin) / room.width).astype(int)
-        return np.ravel_multi_index(tuple(index.T), room.cells, mode="clip")
+        return np.asarray(np.ravel_multi_index(tuple(index.T), room.cells, mode="clip"))
 
     def _cell_fields(self) -> dict[str, np.ndarray]:
         """Return shear rate [1/s], speed [m/s] and pressure [Pa] in each cell, means over it and its neighbours."""
