@@ -5,9 +5,12 @@ fill the given share of the volume when the shells are packed. The reducer narro
 counts as blocked if part of the concrete stands still during 0.7 diameters of piston travel while the pressure rises.
 
     python notebooks/blocking_map.py --device cpu --seeds 2 --ratios 2 3 --shares 0.3 0.5      small, on a CPU
-    python notebooks/blocking_map.py --device cuda --seeds 50                                  whole map, on a GPU
+    python notebooks/blocking_map.py --device cuda --seeds 20                                  whole map, on a GPU
+    timeout -s INT 240 python notebooks/blocking_map.py --device cuda --seeds 20 --out FOLDER  in slices
+    timeout -s INT 240 python notebooks/blocking_map.py --resume FOLDER                              as often as needed
 
-The runs are a study in the folder `--out`. The same command with `--resume FOLDER` continues it.
+The runs are a study in the folder `--out`, which Ctrl-C interrupts (`timeout -s INT` sends the same signal) and
+`--resume FOLDER` continues. An interrupted command prints the map so far.
 """
 
 from __future__ import annotations
@@ -32,6 +35,13 @@ PACKED = 0.60
 """Share of the volume that the spheres with their shells fill in the pipe."""
 SPEED = 0.3
 """Speed of the piston [m/s]."""
+SAMPLE_TRAVEL = 0.08
+"""Travel of the piston between two samples [diameters of the inlet].
+
+The checks for blockage are :data:`BLOCKED_TRAVEL` / 8 apart, so there is one sample for each check.
+"""
+BLOCKED_TRAVEL = 0.7
+"""Travel of the piston during which part of a blocked concrete stands still [diameters of the inlet]."""
 RATIOS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0)
 SHARES = (0.30, 0.40, 0.50, 0.55, 0.59)
 MORTAR = dict(contact="mortar", contact_effective_modulus=2e6, contact_friction=0.5, contact_shell_modulus=5e5,
@@ -56,7 +66,8 @@ def parameters(ratio: float, share: float, seed: int) -> dict[str, Any]:
         unit="horizontal", diameter=inlet, outlet_diameter=outlet, taper=outlet, straight=inlet, travel=2.5 * inlet,
         ramp=0.25 * inlet, flow=SPEED * math.pi * inlet**2 / 4, sizes="uniform", size_min=0.9 * size,
         size_max=1.1 * size, solid_fraction=PACKED, plug_ball=STONE / 2, bonds=False, gravity=0.0, settle=0.1,
-        contact_shell_fraction=shell(share), stop_when_blocked=True, blocked_travel=0.7 * inlet, seed=seed, **MORTAR,
+        contact_shell_fraction=shell(share), stop_when_blocked=True, blocked_travel=BLOCKED_TRAVEL * inlet,
+        sample_interval=SAMPLE_TRAVEL * inlet / SPEED, slices=0.0, seed=seed, **MORTAR,
     )  # fmt: skip
 
 
@@ -107,7 +118,7 @@ def main() -> None:
             "part-dem", module, cases(given.ratios, given.shares, given.seeds), device=given.device,
             processes=given.processes, out=given.out or next_folder("blocking-map"), figure=False,
         )  # fmt: skip
-    print(table(study))
+    print(table(study) if study.results else "no run has finished yet")
     for name, why in study.failures.items():
         print(f"failed: {name}: {why}")
     print(f"folder: {study.folder}")

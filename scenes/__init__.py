@@ -1,22 +1,29 @@
-"""Scenes, one file for each: the function `scene(**parameters)` builds a scene, and `check(run)` judges its runs.
+"""Scenes that can be simulated: each is a function of its parameters, such as `scenes.pipe(diameter="125 mm")`.
 
-Every file in this folder is a scene, which `modules` finds by the file's name with hyphens; the scene functions are
-also attributes of this package, and `dir` lists only them. If both a flow and discrete elements can simulate a test,
-there are two scenes, NAME and NAME-dem. The second one has a file of its own, NAME_dem.py, or it is in the same file as
-`scene_dem`, `check_dem` and `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and `mps`,
-and never what runs or records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test for both
-methods in one file.
+`help(scenes.pipe)` lists the parameters of a scene with their units and defaults, and `Simulation(scene).run()` runs
+it::
+
+    import warpcrete
+    run = warpcrete.Simulation(warpcrete.scenes.slump(yield_stress=80)).run()
 """
+
+# Every file in this folder is a scene, which `modules` finds by the file's name with hyphens: the function `scene`
+# builds it, and `check(run)` judges its runs. If both a flow and discrete elements can simulate a test, there are two
+# scenes, NAME and NAME-dem. The second one has a file of its own, NAME_dem.py, or it is in the same file as
+# `scene_dem`, `check_dem` and `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and
+# `mps`, and never what runs or records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test
+# for both methods in one file.
 
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 import sys
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import known_names, refuse
 
 if TYPE_CHECKING:
     from .channel import scene as channel
@@ -86,4 +93,17 @@ def __dir__() -> list[str]:
     return sorted(name.replace("-", "_") for name in modules())
 
 
+def __getattr__(name: str) -> Any:
+    if name.startswith("_"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    raise AttributeError(f"there is no scene {name!r}; {known_names(name, __dir__())}")
+
+
+def _listing() -> str:
+    """Return the names of all scene functions with their titles, one line each."""
+    titles = {name: (inspect.getdoc(module) or "").partition("\n")[0] for name, module in modules().items()}
+    return "\n".join(f"    {name.replace('-', '_'):12s} {title}" for name, title in titles.items())
+
+
 globals().update({name.replace("-", "_"): module.scene for name, module in modules().items()})
+__doc__ = f"{__doc__}\nThe scenes are::\n\n{_listing()}\n"

@@ -16,6 +16,7 @@ from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import L_BOX
+from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 
 GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
 """Free distance between neighbouring bars [m], by the number of bars (EN 12350-10)."""
@@ -35,7 +36,7 @@ In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoxParameters(FreeConcrete):
+class BoxParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the box; defaults follow EN 12350-10."""
 
     column_width: Annotated[float, "Inner width of the column, along the box [m]", Above()] = 0.1
@@ -96,7 +97,8 @@ def scene(parameters: BoxParameters) -> FreeScene:
     high = top + 3 * given.spacing
     front = ((gate, opening), (gate + thick, opening), (gate + thick, 2 * high), (gate, 2 * high))
     shut = ((gate, -thick), (gate + thick, -thick), (gate + thick, opening), (gate, opening))
-    return FreeScene(
+    return vessel_scene(
+        given,
         name="lbox",
         test=L_BOX,
         concrete=given.make_concrete(given.surfaces == "slips"),

@@ -105,8 +105,9 @@ def _stations(given: PartElements, course: Course) -> Stations:
     count = max(1, round(given.slices * (end - begin) / (2 * float(course.bores.at(begin)))))
     edges = np.linspace(begin, end, count + 1)
     return Stations(
-        axis=course.axis, bores=course.bores, edges=tuple(edges.tolist()), origin=begin, middle=course.middle
-    )
+        axis=course.axis, bores=course.bores, edges=tuple(edges.tolist()), origin=begin, middle=course.middle,
+        each_row=given.slices > 0,
+    )  # fmt: skip
 
 
 def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]:
@@ -120,7 +121,7 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
             f"the largest aggregates have {sizes.largest / narrow:.2g} times the diameter of the narrowest bore; "
             f"above {WIDEST_STONE:g} concrete cannot be pumped (ACI 304.2R)"
         )
-    if not _stations(given, course).can_fit_losses:
+    if given.slices > 0 and not _stations(given, course).can_fit_losses:
         yield "straight pipes are too short for their losses: two slices must be a radius away from their ends"
     if course.line is not None:
         yield from course.line.remarks()

@@ -1,12 +1,14 @@
 """Fixtures: the same test bodies run on the CPU and, where there is one, on a GPU."""
 
 import datetime
+import gc
 import json
 import os
 import sys
 
 import numpy as np
 import pytest
+from shortcuts import SHORTCUTS
 from source_hash import RECORD, source_hash
 
 from warpcrete.core.device.device import divide_work_like_gpu, find_device, quiet_init
@@ -17,6 +19,11 @@ from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.scene.bodies import placed_bodies
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Without compiled Python files, every process that a test starts would compile the whole package again (0.5 s), and
+# every worker all tests (6 s).
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # Side by side, each worker of the tests keeps to cores of its own, and with it the threads and processes it begins, and
 # to one of the GPUs that CUDA_VISIBLE_DEVICES names.
@@ -114,6 +121,23 @@ def verification(module):
     return test_case
 
 
+@pytest.fixture(scope="session")
+def whole_pictures():
+    """Pictures are drawn as users see them."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_folder(tmp_path_factory):
+    """Give the workers of a run one folder for what their tests share."""
+    folder = tmp_path_factory.getbasetemp()
+    SHORTCUTS.begin((folder.parent if WORKER else folder) / "packings")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    SHORTCUTS.choose(item.fixturenames)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config):
     """Give each worker of `-n` a contiguous part of the tests, and let idle workers take over the rest of another's.
@@ -143,6 +167,12 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if item not in set(spared)]
 
 
+def pytest_collection_finish():
+    """Spare the garbage collector what has been imported by now, which stays until the end."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_terminal_summary(terminalreporter, config):
     """A run of the whole suite on a GPU leaves a record of what it came to."""
     chosen = config.option.keyword or config.option.markexpr != "not slow"
@@ -165,4 +195,4 @@ def pytest_terminal_summary(terminalreporter, config):
         "warp": wp.__version__,
         "hash": source_hash(),
     }
-    RECORD.write_text(json.dumps(record, indent=2) + "\n")
+    RECORD.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")

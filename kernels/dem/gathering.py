@@ -9,7 +9,8 @@ from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
 from .bond_parallel import bond_functions
 from .contact_law import contact_functions
-from .stable_step import estimate_options, recording_functions
+from .contacts import contact_options
+from .stable_step import recording_functions
 from .stiffness import estimate_struct, pair_stiffness_function, stiffness_functions
 from .structs import array_structs
 from .warps import group_functions
@@ -47,7 +48,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
+    @wp.kernel(module="unique", enable_backward=False, module_options=contact_options(half))
     def gather_stiffness(
         # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),

@@ -9,6 +9,10 @@ through the nearer contact point, perpendicular to the nearer normal. A toleranc
 The far surface of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
 share corners are hidden in the same way. If the overlap is small, no true contact is hidden.
 
+A list of candidates lasts for hundreds of steps, so most of its triangles are too far away to touch. Each sphere
+therefore has a second, shorter list of near candidates, which the kernel chooses anew when the sphere has moved through
+a margin. Near candidates keep their order, so they give the same contacts as all candidates.
+
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
 longer.
@@ -25,7 +29,8 @@ from ..common.types import SPAN, types, vector_functions
 from ..common.walls import wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
 from .mesh_faces import surface_functions
-from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
+from .warps import any_active
 from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
@@ -33,6 +38,9 @@ MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
 # radii].
 BEHIND = 2.0e-2
+ROUNDING = 0.99
+"""Share of the margin through which a sphere may move before its near candidates are chosen anew; the rest covers
+rounding errors."""
 # Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
 # contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
@@ -202,12 +210,55 @@ def contact_function(scalar, law):
 
 
 @functools.cache
+def near_function(scalar):
+    """Return the function `choose_near`, which brings the near candidates of a sphere up to date."""
+    t = types(scalar)
+    SceneRow, Candidates = scene_struct(scalar), array_structs(scalar).Candidates
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
+    closest_on_face = surface_functions(scalar).closest_on_face
+
+    @wp.func
+    def choose_near(
+        i: wp.int32, begin: wp.int32, end: wp.int32, x: t.vec3, radius: scalar, margin: scalar, scene: SceneRow,
+        candidates: Candidates, corners: wp.array(dtype=t.vec3), faces: wp.array2d(dtype=wp.int32),
+        face_wall: wp.array(dtype=wp.int32), wall_position: wp.array(dtype=t.vec3),
+        wall_orientation: wp.array(dtype=t.quat), wall_moved: wp.array(dtype=wp.float64),
+    ) -> wp.int32:  # fmt: skip
+        """Return the end index in `candidates.near` of the near candidates of sphere i, which begin at `begin`.
+
+        Near candidates are those of the sphere's candidates, `begin` to `end` - 1, within the distance `margin` [m].
+        They are chosen anew if the sphere and the meshes may have come closer by the margin since the last choice.
+        """
+        moved = wp.float64(0.0)
+        for w in range(scene.walls + scene.analytic, scene.walls + scene.wall_count):
+            moved += wall_moved[w]
+        chosen = candidates.chosen[i]
+        is_valid = wp.length(x - xyz(chosen)) + radius + scalar(moved) <= chosen[3]
+        # Threads of a warp wait for each other, so all of them choose when one must.
+        if any_active(not is_valid):
+            near = begin
+            for k in range(begin, end):
+                w = face_wall[scene.faces + candidates.face[k]]
+                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+                nearest, _feature = closest_on_face(local, scene.faces + candidates.face[k], corners, faces)
+                if wp.length(local - nearest) < radius + margin:
+                    candidates.near[near] = candidates.face[k]
+                    near += 1
+            candidates.near_count[i] = near - begin
+            candidates.chosen[i] = pack(x, radius + scalar(moved) + scalar(wp.static(ROUNDING)) * margin)
+        return begin + candidates.near_count[i]
+
+    return choose_near
+
+
+@functools.cache
 def mesh_parts(scalar, law) -> SimpleNamespace:
     """Return the types and functions that a mesh kernel needs, for meshes, merging, walls and the contact law."""
     structs, functions = array_structs(scalar), law.functions(scalar)
     return SimpleNamespace(
         **vars(surface_functions(scalar)),
         **vars(merging_functions(scalar, law.rolls)),
+        choose_near=near_function(scalar),
         Wall=wall_struct(scalar),
         Scenes=structs.Scenes,
         Spheres=structs.Spheres,
@@ -236,12 +287,13 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # The next arguments are the range of spheres that this launch processes, and the index of the CPU thread.
-        first: wp.int32, last: wp.int32, part: wp.int32,
+        # The next arguments are the range of spheres that this launch processes, the index of the CPU thread, and the
+        # largest gap between a sphere and a near candidate, as a fraction of the neighbour lists' skin.
+        first: wp.int32, last: wp.int32, part: wp.int32, near_margin: scalar,
         # The next arguments are arrays of the state that this kernel only reads.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
-        wall_spin: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3), wall_moved: wp.array(dtype=wp.float64),
         # Outputs, which this kernel also reads.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
@@ -258,24 +310,17 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
             end = scenes.row[scene].candidates + candidates.start[i + scene + 1]
             if begin == end:
                 continue
-            dt = scalar(scenes.clock[scene, DT_PREVIOUS])
-            scale = scenes.clock[scene, FORCE_SCALE]
-            first_wall = scenes.row[scene].walls
-            analytic = scenes.row[scene].analytic
+            first_wall, analytic = scenes.row[scene].walls, scenes.row[scene].analytic
             x = parts.xyz(spheres.position[i])
             radius = spheres.position[i][3]
-            velocity = spheres.velocity[i]
-            spin = parts.xyz(spheres.spin[i])
-            row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
-            total_force = t.vec3()
-            total_moment = t.vec3()
-            total_lost = wp.float64(0.0)
+            end = parts.choose_near(
+                i, begin, end, x, radius, near_margin * scenes.row[scene].skin, scenes.row[scene], candidates, corners,
+                faces, face_wall, wall_position, wall_orientation, wall_moved,
+            )  # fmt: skip
             found = wp.int32(0)
-            normals = parts.Vectors()
-            gaps = parts.Values()
-            owners = Owners()
+            normals, gaps, owners = parts.Vectors(), parts.Values(), Owners()
             for k in range(begin, end):
-                face = scenes.row[scene].faces + candidates.face[k]
+                face = scenes.row[scene].faces + candidates.near[k]
                 w = face_wall[face]
                 local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
                 nearest, feature = parts.closest_on_face(local, face, corners, faces)
@@ -293,15 +338,21 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                         if found > MESH_SLOTS:
                             found = MESH_SLOTS
                             flags[scene, OVERFLOW] = 1
-            histories = parts.Vectors()
-            turnings = parts.Vectors()
+            # The first slot is unused only if all slots are.
+            if found == 0 and slot_wall[i, analytic] < 0:
+                continue
+            dt, scale = scalar(scenes.clock[scene, DT_PREVIOUS]), scenes.clock[scene, FORCE_SCALE]
+            velocity = spheres.velocity[i]
+            spin = parts.xyz(spheres.spin[i])
+            row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
+            total_force, total_moment, total_lost = t.vec3(), t.vec3(), wp.float64(0.0)
+            histories, turnings = parts.Vectors(), parts.Vectors()
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
                 # A contact inherits the history of the old contact with the same wall whose normal is most nearly
                 # parallel.
-                history = t.vec3()
-                rolling = t.vec3()
+                history, rolling = t.vec3(), t.vec3()
                 best = scalar(wp.static(MERGE_COSINE))
                 for o in range(MESH_SLOTS):
                     if slot_wall[i, analytic + o] == w - first_wall:

@@ -165,7 +165,9 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
                         if wp.static(fill):
                             candidates.face[place + found] = face - scenes.row[s].faces
                         found += 1
-            if not wp.static(fill):
+            if wp.static(fill):
+                candidates.chosen[i] = t.vec4()  # The near candidates belong to the previous list.
+            else:
                 count[i + s] = found
 
         return find_candidates

@@ -207,7 +207,8 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     - LATE, if the neighbour lists may miss a contact in the next step.
     - `near_list_exceeded`, if the near links (listed pairs of spheres that may touch soon) may miss a contact.
     - FAILED, if a sphere moves by more than its radius in one step. It could then pass through another sphere or a
-      wall. During growth in packing this is no failure, because spheres start small and overlap anyway.
+      wall. If mesh walls move, the sphere and the fastest of them may together move by that distance. During growth in
+      packing this is no failure, because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -224,7 +225,12 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
         place: t.vec3, radius: scalar, way: t.vec3,
     ):  # fmt: skip
         if wp.static(not growth):
-            if wp.length_sq(way) > radius * radius:
+            allowed = radius
+            if wp.static(meshes):
+                if scenes.row[s].held == 0:
+                    by_wall = scalar(scenes.clock[s, DT]) * scenes.row[s].mesh_speed
+                    allowed = wp.max(radius - by_wall, scalar(0.0))
+            if wp.length_sq(way) > allowed * allowed:
                 wp.atomic_cas(flags, s, FAILED, 0, 1 + spheres.body[i])
         drift = drift_of(scenes, s)
         if exceeds_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):

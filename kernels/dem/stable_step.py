@@ -24,10 +24,11 @@ import warp as wp
 
 from ..common.control import ARRIVED, ESTIMATED, FAILED, HALTED, STALE, STEPS
 from ..common.rows import row_functions
-from ..common.types import cpu_flags, types, vector_functions
+from ..common.types import types, vector_functions
 from ..common.walls import DRIVEN
 from .clock import arrived_function
 from .contact_law import contact_functions
+from .contacts import contact_options
 from .stiffness import estimate_struct, stiffness_functions
 from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import RELAXATION, SUBCYCLED_STEP_FRACTION
@@ -41,16 +42,6 @@ The gap between two spheres that approach each other may shrink by twice that di
 """
 LONGEST = 1.0e30
 """Time step [s] that stands for "no limit"."""
-
-
-def estimate_options(half: bool) -> dict:
-    """Return the compiler options of the kernels that estimate the stable step.
-
-    The options equal those of :func:`contacts.contact_options`. The kernel that reduces the sums does not use
-    `fast_math`, because `fast_math` flushes products of small bodies'
-    moments of inertia to zero.
-    """
-    return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
 
 
 @functools.cache
@@ -237,7 +228,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(True))
+    # No `fast_math` on a GPU either, because it flushes products of small bodies' moments of inertia to zero.
+    @wp.kernel(module="unique", enable_backward=False, module_options=contact_options(True))
     def reduce_step(
         # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),

@@ -50,6 +50,7 @@ def scene_struct(scalar):
         gravity: t.vec3  # acceleration of gravity [m/s2]
         local_damping: scalar  # coefficient of local damping; 0: off
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
+        mesh_speed: scalar  # largest speed of the mesh walls whose motion is prescribed [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
         # distance that spheres may move before a rebuild; meshes may move by the rest of the mesh skin [m]
@@ -177,6 +178,12 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
+        # near candidates of each sphere, which may touch it soon; they begin at the same index as in `face`
+        near: wp.array(dtype=wp.int32)
+        near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
+        # centre of each sphere when its near candidates were chosen [m], and the largest sum of radius, displacement
+        # of the sphere and displacement of meshes up to which they are complete [m]; 0 before the first choice
+        chosen: wp.array(dtype=t.vec4)
 
     @wp.struct
     class Walls:

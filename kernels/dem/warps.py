@@ -20,6 +20,23 @@ LANES_LEAST = """
 """
 
 
+ANY_ACTIVE = """
+#if defined(__CUDA_ARCH__)
+    return __any_sync(__activemask(), holds);
+#else
+    return holds;
+#endif
+"""
+
+
+@wp.func_native(ANY_ACTIVE)
+def any_active(holds: wp.bool) -> wp.bool:
+    """Return True if a condition holds for any thread of the warp that runs this call at the same time.
+
+    The compiler decides which threads run together, so the answer may only affect speed, never results.
+    """
+
+
 @functools.cache
 def warp_functions(scalar, width: int) -> SimpleNamespace:
     """Return functions that all threads of a warp of `width` threads must call together.

@@ -82,58 +82,22 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def used_rows_kernel(scalar, dimensions: int):
-    """Build the CPU kernel that lists the rows with unknowns of a sparse system, in one task."""
-    Matrix = array_structs(scalar, dimensions).Matrix
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def list_used_rows(rows: wp.int32, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        if flags[HALTED] != 0:
-            return
-        count = wp.int32(0)
-        for i in range(rows):
-            if matrix.free[i] == 0:
-                matrix.used[count] = i
-                count += 1
-        matrix.used_count[0] = count
-
-    return list_used_rows
-
-
-@functools.cache
-def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool = False) -> SimpleNamespace:
+def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build the functions that a CPU thread applies to a range of rows, or of rigid grains, in a solve.
 
     `begin` computes the first search direction of each row. `update` changes solution and residual by a step along the
     search direction. `share` computes the preconditioned residual of rigid grains. Each function returns its
     contributions to two inner products: the residual with the preconditioned residual, and the residual with itself.
-    In a `sparse` system a range contains positions in the list of rows with unknowns; otherwise it contains the rows
-    themselves. `row` returns the row at a position, and `total` the number of positions, of all `count` rows.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
 
     @wp.func
-    def row(k: wp.int32, matrix: Matrix) -> wp.int32:
-        if wp.static(sparse):
-            return matrix.used[k]
-        else:
-            return k
-
-    @wp.func
-    def total(count: wp.int32, matrix: Matrix) -> wp.int32:
-        if wp.static(sparse):
-            return matrix.used_count[0]
-        else:
-            return count
-
-    @wp.func
     def begin(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        for k in range(first, end):
-            i = row(k, matrix)
+        for i in range(first, end):
             z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
             system.direction[i] = z
             rz += f.inner(system.residual[i], z)
@@ -146,8 +110,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool
     ):  # fmt: skip
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        for k in range(first, end):
-            i = row(k, matrix)
+        for i in range(first, end):
             x[i] = x[i] + alpha * system.direction[i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
@@ -170,18 +133,17 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool
                 rr += square
         return rz, rr
 
-    return SimpleNamespace(row=row, total=total, begin=begin, update=update, share=share)
+    return SimpleNamespace(begin=begin, update=update, share=share)
 
 
 @functools.cache
-def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sparse: bool = False):
+def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     """Build the CPU kernel that does a whole solve and adds the solution to `x`; each host thread launches it once.
 
     The rows are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and `workers`
-    threads take part. In a `sparse` system most rows may be without an unknown; these rows are left out, and the rows
-    in `Matrix.used` are divided into chunks.
+    threads take part.
     """
-    f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid, sparse)
+    f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
     FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -221,7 +183,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sp
         # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
         # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
         # products are rz = r.z, rr = r.r and pq = p.q.
-        total = rows.total(flow.count, matrix)
+        total = flow.count
         grain_rows = wp.int32(0)
         bodies = wp.int32(0)
         if wp.static(rigid):
@@ -247,8 +209,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sp
         while rr > goal and count < maximum:
             for part in range(lower, upper):
                 own_pq = wp.float64(0.0)
-                for k in range(total * part / parts, total * (part + 1) / parts):
-                    i = rows.row(k, matrix)
+                for i in range(total * part / parts, total * (part + 1) / parts):
                     own = system.direction[i]
                     sum = matrix.diagonal[i] * own - product(
                         matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity,
@@ -285,8 +246,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, sp
                 rr += system.partial[parts + k]
             beta = scalar(rz_after / rz)
             rz = rz_after
-            for k in range(total * lower / parts, total * upper / parts):
-                i = rows.row(k, matrix)
+            for i in range(total * lower / parts, total * upper / parts):
                 system.direction[i] = system.product[i] + beta * system.direction[i]
             if lower == 0 and count < system.history.shape[0]:
                 system.history[count] = wp.sqrt(rr)

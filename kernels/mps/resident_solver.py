@@ -72,13 +72,12 @@ def sum_functions(width: int) -> SimpleNamespace:
 
 
 @functools.cache
-def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool = False) -> SimpleNamespace:
+def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
     Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin`, `update`
     and `share` return the contributions of their row to the inner products of r with z and of r with itself; the row of
-    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p. In a `sparse`
-    system, rows without an unknown are skipped.
+    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -86,19 +85,10 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bo
     product = directed_product(scalar, value)
 
     @wp.func
-    def has_unknown(i: wp.int32, count: wp.int32, matrix: Matrix) -> wp.bool:
-        if i >= count:
-            return False
-        if wp.static(sparse):
-            return matrix.free[i] == 0
-        else:
-            return True
-
-    @wp.func
     def begin(i: wp.int32, count: wp.int32, matrix: Matrix, system: Solve):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        mine = has_unknown(i, count, matrix)
+        mine = i < count
         if wp.static(rigid):
             mine = mine and i >= matrix.grain_rows
         if mine:
@@ -118,7 +108,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bo
         new directions of the neighbours itself from their previous ones. No barrier is therefore needed before the
         product.
         """
-        if not has_unknown(i, count, matrix):
+        if i >= count:
             return wp.float64(0.0)
         own = system.preconditioned[i] + beta * system.direction[old + i]
         system.direction[count - old + i] = own
@@ -137,7 +127,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bo
     ):  # fmt: skip
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        if has_unknown(i, count, matrix):
+        if i < count:
             x[i] = x[i] + alpha * system.direction[count - old + i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
@@ -161,16 +151,13 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bo
 
 
 @functools.cache
-def resident_solver(
-    scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK, sparse: bool = False
-):
+def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
     """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. In a
-    `sparse` system most rows may be without an unknown, and these rows are skipped.
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
-    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid, sparse)
+    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
 

@@ -159,9 +159,6 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
         free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
-        # Numbers of the rows with unknowns, in increasing order, shape (n,). CPU flows on a grid only; else empty.
-        used: wp.array(dtype=wp.int32)
-        used_count: wp.array(dtype=wp.int32)  # Number of entries of `used`, shape (1,).
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
         grain_rows: wp.int32  # Number of matrix rows of particles in rigid grains; they precede the mortar's rows.
         grains: Grains

@@ -53,7 +53,11 @@ def command(*words: object, disk: Path | None = None) -> tuple[subprocess.Comple
 def contents(folder: Path) -> tuple[list[str], str, bytes]:
     """Names of the files of a run, the hash of its end, and its series."""
     names = sorted(path.name for path in folder.iterdir())
-    return names, json.loads((folder / "result.json").read_text())["state_hash"], (folder / "series.csv").read_bytes()
+    return (
+        names,
+        json.loads((folder / "result.json").read_text(encoding="utf-8"))["state_hash"],
+        (folder / "series.csv").read_bytes(),
+    )
 
 
 def check_recordings(folder: Path) -> None:

@@ -72,8 +72,8 @@ class Attack:
         self.mark = uuid.uuid4().hex
         self.temporary = place / "tmp"
         self.temporary.mkdir()
-        (place / "targets.yaml").write_text(TARGETS)
-        (place / "line.yaml").write_text(LINE)
+        (place / "targets.yaml").write_text(TARGETS, encoding="utf-8")
+        (place / "line.yaml").write_text(LINE, encoding="utf-8")
         self.whole: dict[str, dict[str, str]] = {}
         self.took: dict[str, float] = {}
 
@@ -82,7 +82,8 @@ class Attack:
             "PYTHONPATH": str(Path(__file__).parents[2]), "TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark,
         }  # fmt: skip
         return subprocess.Popen(
-            [sys.executable, "-c", CODE, *words], env=environment, cwd=self.place, start_new_session=True, text=True,
+            [sys.executable, "-c", CODE, *words], env=environment, cwd=self.place, start_new_session=True,
+            encoding="utf-8",
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip
 
@@ -172,7 +173,7 @@ def environment_of(process: psutil.Process) -> str:
 def hashes(folder: Path) -> dict[str, str]:
     """Hash of the end of every run below a folder, by its place."""
     return {
-        str(path.parent.relative_to(folder)): json.loads(path.read_text()).get("state_hash", "")
+        str(path.parent.relative_to(folder)): json.loads(path.read_text(encoding="utf-8")).get("state_hash", "")
         for path in folder.rglob("result.json")
     }
 
@@ -183,7 +184,7 @@ def names(folder: Path) -> list[str]:
 
 def times(folder: Path) -> dict[str, float]:
     """Simulated time of every result below a folder [s]: what stood at a checkpoint stays."""
-    results = {str(path.parent): json.loads(path.read_text()) for path in folder.rglob("result.json")}
+    results = {str(path.parent): json.loads(path.read_text(encoding="utf-8")) for path in folder.rglob("result.json")}
     return {place: result["simulated_time"]["value"] for place, result in results.items()}
 
 

@@ -317,12 +317,12 @@ def edited(*keys: str | int, value: Any) -> Callable[[Path, Path], None]:
     """Replace a value in a JSON file."""
 
     def make(path: Path, made: Path) -> None:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
         inner = record
         for key in keys[:-1]:
             inner = inner[key]
         inner[keys[-1]] = value
-        path.write_text(json.dumps(record))
+        path.write_text(json.dumps(record), encoding="utf-8")
 
     return make
 

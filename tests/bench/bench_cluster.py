@@ -25,7 +25,7 @@ def study(folder: Path, cases: int, arguments, *more: str) -> float:
     if arguments.travel:
         command += ["--travel", str(arguments.travel)]
     begun = time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8")
     took = time.perf_counter() - begun
     if done.returncode not in (0, 3):  # 3: all have ended, a check of one has failed
         raise SystemExit(f"{' '.join(command[3:])}: {done.stderr[-2000:]}")
@@ -35,7 +35,7 @@ def study(folder: Path, cases: int, arguments, *more: str) -> float:
 def hashes(folder: Path) -> list[str]:
     """Of the cases' last states, in their order."""
     found = sorted(folder.glob("**/result.json"))
-    return [json.loads(path.read_text())["state_hash"] for path in found]
+    return [json.loads(path.read_text(encoding="utf-8"))["state_hash"] for path in found]
 
 
 def main() -> None:

@@ -72,7 +72,7 @@ def main() -> None:
     )
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-        (arguments.out / "units.json").write_text(json.dumps(rows, default=float))
+        (arguments.out / "units.json").write_text(json.dumps(rows, default=float), encoding="utf-8")
         figure(rows).savefig(arguments.out / "units.png", dpi=110)
 
 

@@ -31,7 +31,7 @@ def timed(code: str, **environment: str) -> tuple[float, str]:
     """Wall time of a fresh Python process [s], and what it printed."""
     begun = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=PLAIN | environment
+        [sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True, env=PLAIN | environment
     )
     return time.perf_counter() - begun, done.stdout
 

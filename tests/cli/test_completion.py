@@ -82,5 +82,5 @@ def test_every_completed_unit_is_accepted(line):
 def test_a_shell_gets_completions():
     words = {"COMP_WORDS": "warpcrete study pipe --unit v", "COMP_CWORD": "4", "_WARPCRETE_COMPLETE": "bash_complete"}
     code = "from warpcrete.cli.main import main; main()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | words)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=os.environ | words)
     assert done.stdout == "plain,vertical\n" and done.stderr == ""

@@ -19,7 +19,7 @@ COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, whole_pictures):
     """A finished run of a channel with two phases."""
     out = tmp_path_factory.mktemp("flow") / "run"
     done = command("run", "channel", "--aggregates", "--spacing", 5e-3, "--duration", 0.05, "--frames", 100,
@@ -33,10 +33,10 @@ def test_run_folder_is_complete(folder):
     assert {p.name for p in folder.iterdir()} == {
         "scene.json", "result.json", "series.csv", "flow.png", "run.rrd", "scene.usdc",
     }  # fmt: skip
-    result = json.loads((folder / "result.json").read_text())
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert result["finished"] and result["particles"] == 1200 and result["aggregates"]["grains"] > 50
     assert result["pressure"]["unit"] == "Pa" and abs(result["pressure_error"]) < 0.03
-    rows = list(csv.reader((folder / "series.csv").open()))
+    rows = list(csv.reader((folder / "series.csv").open(encoding="utf-8")))
     assert rows[0][:3] == ["time [s]", "travel [m]", "pressure [Pa]"] and "aggregate_inner [1]" in rows[0]
     assert len(rows) == 12
     assert (folder / "flow.png").read_bytes()[:4] == b"\x89PNG"
@@ -63,7 +63,9 @@ def test_a_run_is_repeated_from_its_folder(folder, tmp_path):
     done = command("run", folder / "scene.json", "--no-rerun", "--no-usd", "--colour", "pressure", "--out",
                    tmp_path / "again", "--quiet")  # fmt: skip
     assert done.returncode == 0, done.stderr
-    one, two = (json.loads((f / "result.json").read_text())["state_hash"] for f in (folder, tmp_path / "again"))
+    one, two = (
+        json.loads((f / "result.json").read_text(encoding="utf-8"))["state_hash"] for f in (folder, tmp_path / "again")
+    )
     assert one == two
 
 
@@ -75,17 +77,19 @@ def test_an_interrupted_flow_goes_on(tmp_path):
                "cpu", "--threads", "1", "--quiet"]  # fmt: skip
     run = subprocess.Popen([*COMMAND, *options, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     series = out / "series.csv"
-    assert wait_until(lambda: series.is_file() and len(series.read_text().splitlines()) > 12, 240), "no rows came"
+    assert wait_until(lambda: series.is_file() and len(series.read_text(encoding="utf-8").splitlines()) > 12, 240), (
+        "no rows came"
+    )
     assert run.poll() is None, "it was faster"
     run.send_signal(signal.SIGINT)
     words = run.communicate(timeout=120)[0].decode()
     assert run.returncode == 130 and "continue with" in words
-    assert not json.loads((out / "result.json").read_text())["finished"]
+    assert not json.loads((out / "result.json").read_text(encoding="utf-8"))["finished"]
     done = command("run", "--resume", out, "--quiet")
     assert done.returncode == 0, done.stderr
     assert command(*options, "--out", whole).returncode == 0
-    assert series.read_text() == (whole / "series.csv").read_text()
-    one, two = (json.loads((f / "result.json").read_text())["state_hash"] for f in (out, whole))
+    assert series.read_text(encoding="utf-8") == (whole / "series.csv").read_text(encoding="utf-8")
+    one, two = (json.loads((f / "result.json").read_text(encoding="utf-8"))["state_hash"] for f in (out, whole))
     assert one == two
 
 
@@ -96,7 +100,7 @@ def test_a_study_of_flows(tmp_path):
     assert done.returncode == 3, done.stderr
     assert done.stdout.splitlines()[-1].startswith("FAILED: checks of 1 of 2 cases: 001-spacing=0.02 (slip velocity)")
     assert "slip velocity [cm/s]" in done.stdout and "2 of 2 cases done" in done.stdout
-    rows = list(csv.DictReader((out / "study.csv").open()))
+    rows = list(csv.DictReader((out / "study.csv").open(encoding="utf-8")))
     assert [float(row["spacing [m]"]) for row in rows] == [20e-3, 10e-3]
     assert abs(float(rows[1]["slip_velocity_error [1]"])) < abs(float(rows[0]["slip_velocity_error [1]"]))
     assert (out / "study.png").is_file() and len(list(out.glob("00*/flow.png"))) == 2
@@ -108,7 +112,7 @@ def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
                    out, "--quiet")  # fmt: skip
     assert done.returncode == 1 and "1 of 2 cases done, 1 failed" in done.stdout
     assert "failed: 001-maximum_iterations=3" in done.stdout and "did not converge in 3 iterations" in done.stdout
-    assert json.loads((out / "002-maximum_iterations=2000" / "result.json").read_text())["finished"]
+    assert json.loads((out / "002-maximum_iterations=2000" / "result.json").read_text(encoding="utf-8"))["finished"]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +142,7 @@ def test_a_solve_that_fails_ends_the_run_with_its_history(tmp_path):
     assert "the viscosity solve did not converge in 3 iterations" in done.stderr and "; residual " in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list((tmp_path / "run").glob("*partial*"))
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["finished"] is False
+    assert json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))["finished"] is False
 
 
 def test_help_of_scenes_has_no_markup_and_no_errors_of_python():

@@ -5,14 +5,15 @@ import re
 import pytest
 from click.testing import CliRunner
 
+from warpcrete.cli import theory
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.parameters import Declared, declared_fields
 from warpcrete.scenes import modules
 
 
-def options(*words: str) -> set[str]:
+def options(*words: str, command: str = "run") -> set[str]:
     """Return the options that a help page lists."""
-    done = CliRunner().invoke(cli, ["run", *words])
+    done = CliRunner().invoke(cli, [command, *words])
     assert done.exit_code == 0, done.output
     return set(re.findall(r"^  (--[\w-]+)", done.output, re.M))
 
@@ -28,7 +29,18 @@ def test_help_shows_common_options_and_help_all_the_others(name):
     assert short < full and len(short) <= 30
     assert page.splitlines()[-1] == f"{len(full - short)} further options: cli run {name} --help-all"
     assert "further options" not in CliRunner().invoke(cli, ["run", name, "--help-all"]).output
-    assert {"--out", "--device", "--resume", "--help-all"} <= short and {"--frames", "--usd"} <= full - short
+    assert {"--out", "--device", "--resume", "--help", "--help-all"} <= short and {"--frames", "--usd"} <= full - short
+
+
+def test_help_of_theory_has_two_steps():
+    short, full = options("--help", command="theory"), options("--help-all", command="theory")
+    flags = {"--" + name.replace("_", "-"): field for name, field in theory.fields().items()}
+    own = {"--flow", "--pressure", "--fit", "--rest", "--help", "--help-all"}
+    assert short == own | {flag for flag, field in flags.items() if field.common}
+    assert full == short | set(flags) | {"--thixotropy", "--segregation", "--aggregate"}
+    page = CliRunner().invoke(cli, ["theory", "--help"]).output
+    assert page.splitlines()[-1] == f"{len(full - short)} further options: cli theory --help-all"
+    assert "\nPipe:\n" in page and page.index("--flow") < page.index("--concrete")
 
 
 def test_a_laws_options_are_common():

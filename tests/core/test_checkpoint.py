@@ -172,7 +172,7 @@ def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):
     np.savez(saved, somebody="else")
     with pytest.raises(RunFolderError, match="is not a checkpoint of warpcrete"):
         Simulation(mixed_scene(), device="cpu").resume(saved)
-    saved.write_text("no archive")
+    saved.write_text("no archive", encoding="utf-8")
     with pytest.raises(RunFolderError, match="damaged or not a checkpoint"):
         Simulation(mixed_scene(), device="cpu").resume(saved)
 
@@ -209,7 +209,7 @@ def test_series_recording_and_usd_of_a_resumed_run_are_those_of_an_uncut_one(tmp
     first = Simulation(scene, device="cpu", recorders=cut, checkpoint_path=checkpoint, checkpoint_every=0.0)
     assert not first.run().finished
     # What a killed process might leave behind after its last checkpoint.
-    with (folder / "series.csv").open("a") as file:
+    with (folder / "series.csv").open("a", encoding="utf-8") as file:
         file.write("1,2,3\n4,5")
     (folder / "run-0050.rrd").write_bytes(b"half a p")
     for number in range(3):
@@ -263,14 +263,14 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
     reached, rows = [], 0
     for kill in range(kills):
         # Whatever the moment: every file of the folder is whole, or a part that is thrown away.
-        json.loads((folder / "scene.json").read_text())
+        json.loads((folder / "scene.json").read_text(encoding="utf-8"))
         assert (folder / "checkpoint.npz").is_file()
         with np.load(folder / "checkpoint.npz") as file:
             settling = b'"settled"' in file["text"].tobytes()
             clock = 0.0 if settling else float(file["state/scenes/clock"][0, 0])
         reached.append(clock)
         series = folder / "series.csv"
-        lines = series.read_text().split("\n") if series.is_file() else [""]
+        lines = series.read_text(encoding="utf-8").split("\n") if series.is_file() else [""]
         assert all(line.count(",") == lines[0].count(",") for line in lines[:-1])
         assert len(lines) - 1 >= rows  # what stood at a checkpoint stays
         rows = round(clock / 0.01)
@@ -284,7 +284,7 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
     if (folder / "checkpoint.npz").exists():
         done = command("run", "--resume", folder, "--quiet")
         assert done.returncode == 0, done.stderr
-    results = [json.loads((f / "result.json").read_text()) for f in (whole, folder)]
+    results = [json.loads((f / "result.json").read_text(encoding="utf-8")) for f in (whole, folder)]
     assert results[1]["finished"] and results[0]["state_hash"] == results[1]["state_hash"]
     assert (folder / "series.csv").read_bytes() == (whole / "series.csv").read_bytes()
     # A kill between state and recordings costs frames up to that state, nothing else.
@@ -317,7 +317,9 @@ def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
     assert done.returncode == 2 and "the run is already finished" in done.stderr
     (folder / "result.json").unlink()  # as of one that was killed before its first checkpoint
     done = command("run", "--resume", folder, "--quiet")
-    assert done.returncode == 0 and json.loads((folder / "result.json").read_text())["finished"], done.stderr
+    assert done.returncode == 0 and json.loads((folder / "result.json").read_text(encoding="utf-8"))["finished"], (
+        done.stderr
+    )
     (folder / "checkpoint.npz").write_bytes(b"PK\x03\x04")
     done = command("run", "--resume", folder)
     assert done.returncode == 2 and "damaged" in done.stderr and "Traceback" not in done.stderr

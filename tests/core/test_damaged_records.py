@@ -18,7 +18,7 @@ from warpcrete.studies.study import load_study
 def test_an_entry_of_another_kind_is_named(tmp_path, name):
     path = tmp_path / "scene.json"
     for record in ({name: 1.5}, {"command": {name: 1.5}}, {"cases": [{name: 1.5}]}):
-        path.write_text(json.dumps(record))
+        path.write_text(json.dumps(record), encoding="utf-8")
         with pytest.raises(RunFolderError, match=f"is damaged: its entry '({name}|command|cases)' is "):
             read_record(path)
 
@@ -32,19 +32,21 @@ def test_an_entry_of_another_kind_is_named(tmp_path, name):
     ],
 )
 def test_entries_that_the_program_always_fills_in_are_never_null(tmp_path, file, record):
-    (tmp_path / file).write_text(json.dumps(record))
+    (tmp_path / file).write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"is damaged: its entry '(threads|device)' is None"):
         read_record(tmp_path / file)
-    (tmp_path / "study.json").write_text(json.dumps(record))
+    (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
     assert read_record(tmp_path / "study.json") == record
 
 
 def test_cases_and_commands_are_mappings(tmp_path):
     for record, entry in (({"cases": [3]}, "cases"), ({"command": None}, "command")):
-        (tmp_path / "study.json").write_text(json.dumps(record))
+        (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
         with pytest.raises(RunFolderError, match=f"its entry '{entry}' is"):
             read_record(tmp_path / "study.json")
-    (tmp_path / "study.json").write_text('{"scene": "slump", "cases": [{"name": "1"}], "command": {"threads": 2}}')
+    (tmp_path / "study.json").write_text(
+        '{"scene": "slump", "cases": [{"name": "1"}], "command": {"threads": 2}}', encoding="utf-8"
+    )
     assert read_record(tmp_path / "study.json")["command"] == {"threads": 2}
 
 
@@ -53,7 +55,9 @@ def test_cases_and_commands_are_mappings(tmp_path):
                                              (["reproduce", "--resume"], "reproduction.json")])  # fmt: skip
 def test_every_command_checks_its_record(tmp_path, words, file):
     for name, value in (("scene", []), ("device", -1), ("files", "x"), ("paper", {})):
-        (tmp_path / file).write_text(json.dumps({"scene": "slump", "parameters": {}, "device": "cpu"} | {name: value}))
+        (tmp_path / file).write_text(
+            json.dumps({"scene": "slump", "parameters": {}, "device": "cpu"} | {name: value}), encoding="utf-8"
+        )
         done = CliRunner().invoke(cli, [*words, str(tmp_path / file if words == ["run"] else tmp_path)])
         assert isinstance(done.exception, RunFolderError), (name, done.exception)
 
@@ -62,7 +66,7 @@ def test_every_command_checks_its_record(tmp_path, words, file):
 def test_cases_of_a_record_lie_inside_its_folder(tmp_path, name):
     case = {"name": name, "varied": {}, "parameters": {}}
     record = {"scene": "slump", "command": {}, "device": "cpu", "precision": "float32", "cases": [case]}
-    (tmp_path / "study.json").write_text(json.dumps(record))
+    (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(RunFolderError, match="cannot be the name of a folder"):
         load_study(tmp_path)
 

@@ -52,7 +52,7 @@ def test_a_failed_check_is_the_last_word_and_an_exit_code_of_its_own(tmp_path):
     assert done.stdout.splitlines()[-1].startswith("FAILED: 1 of ")
     assert "(enough aggregates); do not trust this run" in done.stdout.splitlines()[-1]
     assert "0.4" in done.stderr  # of the diameter, noted before the run
-    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
     assert result["finished"] and not result["checks"]["enough aggregates"]["passed"]
     assert result["checks"]["finished"]["passed"]
 
@@ -74,24 +74,28 @@ main()
 """
 
 
+def recorded_tiny_run(out, *more):
+    """Words of the command for a short run that writes much."""
+    return ["run", "pipe", *tiny_options(travel=0.05), "--frames", "2000", "--sample-interval", "5e-4",
+            "--device", "cpu", "--out", str(out), "--quiet", "--checkpoint-every", "0", *more]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """Compile all that a full disk would not have room for."""
+    done = invoke(*recorded_tiny_run(tmp_path_factory.mktemp("compiled") / "run"))
+    assert done.exit_code == 0, done.output
+
+
 @pytest.mark.posix
 @pytest.mark.thorough
 @pytest.mark.parametrize(("limit", "file"), [(3_000, "series.csv"), (60_000, "run.rrd"), (60_000, "scene.usdc")])
-def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
+def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file, compiled):
     """Files that may not grow stand for a disk that is full; what is on disk by then stays."""
     recorders = {"series.csv": ["--no-rerun", "--no-usd"], "run.rrd": ["--no-usd"], "scene.usdc": ["--no-rerun"]}[file]
-    options = tiny_options(travel=0.05) if file == "series.csv" else tiny_options()
-
-    def limited(to: int, out: str) -> subprocess.CompletedProcess:
-        return subprocess.run(
-            [sys.executable, "-c", LIMITED, str(to), "run", "pipe", *options, "--frames", "2000", *recorders,
-             "--sample-interval", "5e-4", "--device", "cpu", "--out", str(tmp_path / out), "--quiet",
-             "--checkpoint-every", "0"],
-            capture_output=True, text=True, timeout=200,
-        )  # fmt: skip
-
-    assert limited(10**9, "before").returncode == 0  # kernels that are still to be compiled would not fit, either
-    done = limited(limit, "run")
+    words = recorded_tiny_run(tmp_path / "run", *recorders)
+    done = subprocess.run([sys.executable, "-c", LIMITED, str(limit), *words], capture_output=True, encoding="utf-8",
+                          timeout=200)  # fmt: skip
     lines = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
     assert done.returncode == 2 and len(lines) == 1, done.stderr
     assert file in lines[0] and "cannot be written" in lines[0] and "no checkpoint was saved" in lines[0]
@@ -101,7 +105,7 @@ def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
 
 @pytest.mark.posix
 def test_a_folder_that_cannot_be_made_is_refused_before_anything_is_packed(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
     packed = []
     monkeypatch.setattr("warpcrete.dem.simulation.pack", lambda *given, **settings: packed.append(given))
     for out in (tmp_path / "file" / "run", "/proc/run"):
@@ -305,7 +309,7 @@ def test_a_run_that_could_not_be_written_is_not_finished(tmp_path):
     simulation = Simulation(scenes.pipe(**TINY), device="cpu", recorders=recorders, checkpoint_path=path)
     with pytest.raises(RunFolderError, match="no room"):
         simulation.run()
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["finished"] is False
+    assert json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))["finished"] is False
     assert path.is_file()
 
 
@@ -322,9 +326,9 @@ def test_a_repeated_run_has_as_many_threads(tmp_path):
                   "--out", tmp_path / "a")  # fmt: skip
     again = invoke("run", tmp_path / "a" / "scene.json", *bare, "--out", tmp_path / "b")
     assert once.exit_code == again.exit_code == 0, again.output
-    records = [json.loads((tmp_path / name / "scene.json").read_text()) for name in "ab"]
+    records = [json.loads((tmp_path / name / "scene.json").read_text(encoding="utf-8")) for name in "ab"]
     assert all(record["command"]["threads"] == 1 and record["precision"] == "float64" for record in records)
-    results = [json.loads((tmp_path / name / "result.json").read_text()) for name in "ab"]
+    results = [json.loads((tmp_path / name / "result.json").read_text(encoding="utf-8")) for name in "ab"]
     assert results[0]["state_hash"] == results[1]["state_hash"]
     assert results[0]["provenance"]["precision"] == "float64"
 

@@ -17,6 +17,7 @@ from pumping import TINY, alive, wait_until
 
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
+from warpcrete.cli.run import PipelineRecorder
 from warpcrete.core.device.interrupts import StopAtSample, defer_interrupts
 from warpcrete.core.errors import DiskFullError, SceneError
 from warpcrete.core.run import checkpoint, folders
@@ -63,7 +64,7 @@ def whole(tmp_path_factory):
 
 def same(folder, whole) -> bool:
     """Whether a folder is as complete as that of an undisturbed run, with the same bits."""
-    results = [json.loads((each / "result.json").read_text()) for each in (folder, whole)]
+    results = [json.loads((each / "result.json").read_text(encoding="utf-8")) for each in (folder, whole)]
     names = [sorted(path.name for path in each.iterdir()) for each in (folder, whole)]
     series = [(each / "series.csv").read_bytes() for each in (folder, whole)]
     return (
@@ -89,7 +90,7 @@ def test_a_folder_has_one_owner_whose_name_the_next_one_reads(tmp_path, monkeypa
 
 
 def test_the_lock_of_a_killed_process_holds_nobody_up(tmp_path, monkeypatch):
-    process = subprocess.Popen([sys.executable, "-c", HOLDING, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", HOLDING, str(tmp_path)], stdout=subprocess.PIPE, encoding="utf-8")
     try:
         assert process.stdout.readline() == "held\n"
         monkeypatch.setattr(folders, "KILL_GRACE", 0.0)
@@ -147,10 +148,10 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
         flow(folder, going_on=True).begin(folder / "checkpoint.npz")
     (folder / "result.json").unlink()
     late()
-    (folder / "scene.json").write_text('{"scene": "old"}')
+    (folder / "scene.json").write_text('{"scene": "old"}', encoding="utf-8")
     begun = flow(folder, going_on=True)
     begun.begin(folder / "checkpoint.npz")
-    assert json.loads((folder / "scene.json").read_text())["scene"] == "channel"
+    assert json.loads((folder / "scene.json").read_text(encoding="utf-8"))["scene"] == "channel"
     begun.save(folder / "checkpoint.npz")
     begun.abandon()
     (folder / "checkpoint.npz").replace(whole.parent / "other.npz")
@@ -168,7 +169,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
     record = json.loads(recorded)
     again = flow(folder, going_on=True)
     again.recorders[0].again = True
-    (folder / "scene.json").write_text(json.dumps(record | {"files": {"bore.stl": "0"}}))
+    (folder / "scene.json").write_text(json.dumps(record | {"files": {"bore.stl": "0"}}), encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"another run \(its files differs\)"):
         again.begin(folder / "checkpoint.npz")
 
@@ -215,7 +216,7 @@ def test_a_device_that_there_is_not_leaves_no_folder(tmp_path, words):
         "2350, yield_stress: 80}, quantity: spread, value: 0.5, uncertainty: 5%}\n",
     }
     file = tmp_path / "in.yaml"
-    file.write_text(texts.get(words[0], ""))
+    file.write_text(texts.get(words[0], ""), encoding="utf-8")
     out = tmp_path / "a" / "b"
     call = [word.format(file) for word in words]
     done = CliRunner().invoke(cli, [*call, "--device", "nope", "--out", str(out), "--quiet"])
@@ -293,7 +294,7 @@ def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
         tried.append(path.name)
         if path.name == "result.json":
             raise cannot_write(path, OSError(errno.EDQUOT, "quota"))
-        path.write_text(json.dumps(data))
+        path.write_text(json.dumps(data), encoding="utf-8")
 
     class Film(Recorder):
         expendable = True
@@ -352,7 +353,10 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkey
             first = flow(folder, RerunRecorder(folder / "run.rrd"))
             first.run()
     first.recorders[0].close(first)  # the lock of a process that has ended is free
-    assert len(list(folder.glob("run-*.rrd"))) > 2 and json.loads((folder / "result.json").read_text())["finished"]
+    assert (
+        len(list(folder.glob("run-*.rrd"))) > 2
+        and json.loads((folder / "result.json").read_text(encoding="utf-8"))["finished"]
+    )
     assert not is_finished(folder)
     shutil.copyfile(next(folder.glob("run-0002.rrd")), tmp_path / "part")
     for number in range(2):
@@ -374,9 +378,9 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkey
 def test_locks_of_killed_runs_go_when_the_folder_around_them_goes_on(tmp_path):
     inner = tmp_path / "study" / "runs" / "001"
     inner.mkdir(parents=True)
-    (tmp_path / "study" / "study.json").write_text("{}")
-    (inner / LOCK).write_text("process 1 on a machine that is off")
-    (inner / ".warpcrete-partial-result.json").write_text("{")
+    (tmp_path / "study" / "study.json").write_text("{}", encoding="utf-8")
+    (inner / LOCK).write_text("process 1 on a machine that is off", encoding="utf-8")
+    (inner / ".warpcrete-partial-result.json").write_text("{", encoding="utf-8")
     with locked_folder(tmp_path / "study", "study.json"):
         assert (tmp_path / "study" / LOCK).exists()
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["study.json"] and inner.is_dir()
@@ -390,7 +394,7 @@ def test_a_child_ends_with_the_process_that_started_it(tmp_path):
         "print('begun', flush=True); "
         "time.sleep(60)"
     )
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, encoding="utf-8")
     assert process.stdout.readline() == "begun\n"
     children = psutil.Process(process.pid).children()
     assert len(children) == 1
@@ -480,13 +484,49 @@ def test_checks_finish_before_the_table_that_writes_them(tmp_path):
     folder = tmp_path / "run"
     simulation = flow(folder, CheckRecorder(lambda run: {"any": (True, "found")}))
     simulation.run()
-    assert json.loads((folder / "result.json").read_text())["checks"]["any"]["found"] == "found"
+    assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["checks"]["any"]["found"] == "found"
 
 
-def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
-    """Work with Python's library of Windows, which has no `fcntl` and fewer flags of files."""
+def test_a_pipeline_that_cannot_be_computed_costs_only_itself(tmp_path, monkeypatch):
+    def fails(*arguments):
+        raise KeyError("concrete_length")
+
+    monkeypatch.setattr("warpcrete.cli.run.pipeline_estimate", fails)
+    simulation = flow(tmp_path / "run", PipelineRecorder(10.0, None, {}))
+    with pytest.warns(
+        UserWarning,
+        match=r"the run is complete, but the pipeline's pressure is not known: KeyError\('concrete_length'\)$",
+    ):
+        run = simulation.run()
+    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
+    assert run.finished and result["finished"] and "pipeline_estimate" not in result
+    assert not (tmp_path / "run" / "checkpoint.npz").exists()
+
+
+class WindowsLocks:
+    """Python's module `msvcrt`, as far as locks need it, built on the locks of POSIX."""
+
+    LK_NBLCK = 2
+
+    def locking(self, file, mode, count):
+        import fcntl
+
+        assert (mode, count) == (self.LK_NBLCK, 1)
+        assert os.lseek(file, 0, os.SEEK_CUR) > 10_000, "no other process could read a locked byte of the owner's name"
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """Work with Python's library of Windows, which has `msvcrt` instead of `fcntl` and fewer flags of files."""
     monkeypatch.setattr(folders, "fcntl", None)
-    monkeypatch.delattr(os, "O_CLOEXEC")
+    monkeypatch.setattr(folders, "msvcrt", WindowsLocks(), raising=False)
+    monkeypatch.setattr(folders, "KILL_GRACE", 0.2)
+    monkeypatch.delattr(os, "O_CLOEXEC", raising=False)
+
+
+@pytest.mark.posix
+def test_a_folder_is_released_on_windows(windows, tmp_path, monkeypatch):
     lock, unlink = FolderLock(tmp_path), Path.unlink
 
     def unlink_closed(path, missing_ok=False):
@@ -498,3 +538,31 @@ def test_a_folder_is_locked_and_released_without_posix(tmp_path, monkeypatch):
     assert (tmp_path / LOCK).is_file()
     lock.release()
     assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.posix
+def test_a_folder_has_one_writer_on_windows(windows, tmp_path):
+    """A second writer learns the owner's name; a file that a killed process leaves behind blocks nobody."""
+    lock = FolderLock(tmp_path)
+    with pytest.raises(RunFolderError, match=rf"is in use by process {os.getpid()} on .*; wait until it ends"):
+        FolderLock(tmp_path)
+    os.close(lock._file)  # The system does so when a process ends.
+    lock._file = -1
+    assert (tmp_path / LOCK).is_file()
+    FolderLock(tmp_path).release()
+    assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.posix
+def test_a_lock_file_that_is_being_removed_is_tried_again_on_windows(windows, tmp_path, monkeypatch):
+    refusals, opened = iter([True, True, False]), os.open
+
+    def open_later(path, *rest):
+        if Path(path).name == LOCK and next(refusals, True):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return opened(path, *rest)
+
+    monkeypatch.setattr(os, "open", open_later)
+    FolderLock(tmp_path).release()
+    with pytest.raises(RunFolderError, match="cannot be written"):
+        FolderLock(tmp_path)

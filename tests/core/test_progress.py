@@ -86,5 +86,5 @@ def test_terminals_and_notebooks_get_a_bar(where, monkeypatch, capsys):
 
 def test_the_command_writes_no_bar_into_a_pipe(tmp_path):
     done = command_process("run", "channel", "--duration", "0.02", "--spacing", "0.01", "--length", "0.1", "--device",
-                           "cpu", "--out", tmp_path / "run")  # fmt: skip
+                           "cpu", "--no-usd", "--no-rerun", "--out", tmp_path / "run")  # fmt: skip
     assert "\r" not in done.stderr and all(re.match(r"(\w+: \d+ %, |note: )", x) for x in done.stderr.splitlines())

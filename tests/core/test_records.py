@@ -46,7 +46,7 @@ def refused(*words):
 def test_every_field_of_every_scene_is_watched(name, tmp_path):
     scene = scenes.modules()[name].scene()
     assert changed_fields(scene) == [] and arguments_of(scene) == scene.parameters
-    record = json.loads(saved(scene, tmp_path).read_text())
+    record = json.loads(saved(scene, tmp_path).read_text(encoding="utf-8"))
     assert "modified" not in record and record["scene"] == name
     again, module = repeatable_scene(tmp_path / "scene.json", scenes.modules())
     assert fingerprint(module.scene(**again["parameters"])) == fingerprint(scene)
@@ -56,7 +56,7 @@ def test_every_field_of_every_scene_is_watched(name, tmp_path):
         every = [f.name for f in dataclasses.fields(scene) if f.name != "parameters"]
         assert changed_fields(other) == (every if field.name == "parameters" else [field.name]), field.name
         assert arguments_of(other) == {}
-    by_hand = json.loads(saved(dataclasses.replace(scene, parameters={}), tmp_path).read_text())
+    by_hand = json.loads(saved(dataclasses.replace(scene, parameters={}), tmp_path).read_text(encoding="utf-8"))
     assert list(by_hand["modified"]) == every and by_hand["parameters"] == {} and by_hand["files"] == {}
 
 
@@ -87,11 +87,11 @@ def test_changed_and_hand_built_scenes_are_recorded_loaded_and_not_repeated(tmp_
         run = Simulation(scene, device="cpu", recorders=[TableRecorder(tmp_path / name)]).run()
         back = warpcrete.load(tmp_path / name)
         assert back["pressure"] == run["pressure"] and back.scene.name == scene.name, name
-    record = json.loads((tmp_path / "changed" / "scene.json").read_text())
+    record = json.loads((tmp_path / "changed" / "scene.json").read_text(encoding="utf-8"))
     assert record["modified"] == {"velocity": 0.1, "tolerance": 1e-3} and record["scene"] == "channel"
     assert warpcrete.load(tmp_path / "changed").scene.modified == record["modified"]
     assert isinstance(warpcrete.load(tmp_path / "made").scene, type(made))
-    record = json.loads((tmp_path / "by-hand" / "scene.json").read_text())
+    record = json.loads((tmp_path / "by-hand" / "scene.json").read_text(encoding="utf-8"))
     assert record["modified"]["velocity"] == made.velocity and record["modified"]["concrete"]["name"] == "no1"
     for words in (["run", tmp_path / "changed" / "scene.json", "--out", tmp_path / "out"],
                   ["run", "--resume", tmp_path / "changed"]):  # fmt: skip
@@ -125,7 +125,7 @@ def test_a_mesh_that_changed_or_went_is_not_taken_for_the_one_of_the_run(tmp_pat
     mesh = open_tube(tmp_path / "tube.stl", hole=False)
     scene = scenes.pipe(wall=str(mesh), diameter=0.08, length=0.1, ramp=0.01, travel=0.02)
     record = saved(scene, tmp_path / "run")
-    assert list(json.loads(record.read_text())["files"]) == [str(mesh)]
+    assert list(json.loads(record.read_text(encoding="utf-8"))["files"]) == [str(mesh)]
     repeatable_scene(record, scenes.modules())
     before = mesh.read_bytes()
     mesh.write_bytes(before + b" ")
@@ -140,10 +140,13 @@ def test_a_mesh_that_changed_or_went_is_not_taken_for_the_one_of_the_run(tmp_pat
 
 def test_a_line_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path):
     line = tmp_path / "line.yaml"
-    line.write_text("diameter: 0.1\nparts:\n  - straight: 0.3\n  - bend: {to: up, radius: 0.25}\n  - straight: 0.3\n")
+    line.write_text(
+        "diameter: 0.1\nparts:\n  - straight: 0.3\n  - bend: {to: up, radius: 0.25}\n  - straight: 0.3\n",
+        encoding="utf-8",
+    )
     record = saved(scenes.part(line=str(line)), tmp_path / "run")
-    assert list(json.loads(record.read_text())["files"]) == [str(line)]
-    line.write_text(line.read_text().replace("0.25", "0.3"))
+    assert list(json.loads(record.read_text(encoding="utf-8"))["files"]) == [str(line)]
+    line.write_text(line.read_text(encoding="utf-8").replace("0.25", "0.3"), encoding="utf-8")
     assert "line.yaml', which has changed" in refused("run", record, "--out", tmp_path / "out")
 
 
@@ -153,10 +156,10 @@ def test_a_line_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path):
 ])  # fmt: skip
 def test_a_concrete_is_recorded_by_value_so_its_file_may_change_and_go(name, section, scene, tmp_path):
     file = tmp_path / "mine.yaml"
-    file.write_text(f"base: {'zhan' if name == 'elements' else 'no1'}\n{name}:\n  {section}\n")
+    file.write_text(f"base: {'zhan' if name == 'elements' else 'no1'}\n{name}:\n  {section}\n", encoding="utf-8")
     made = scenes.modules()[scene].scene(concrete=str(file))
     record = saved(made, tmp_path / "run")
-    for change in (lambda: file.write_text("base: no2\n"), file.unlink):
+    for change in (lambda: file.write_text("base: no2\n", encoding="utf-8"), file.unlink):
         change()
         again, module = repeatable_scene(record, scenes.modules())
         assert fingerprint(module.scene(**again["parameters"])) == fingerprint(made)

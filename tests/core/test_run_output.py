@@ -32,7 +32,7 @@ def contents(folder: Path) -> dict[str, object]:
     """Return scene.json and result.json without times, and the bytes of the tables."""
     found = {path.name: path.read_bytes() for path in folder.glob("*.csv")}
     for name in ("scene.json", "result.json"):
-        found[name] = json.loads((folder / name).read_text())
+        found[name] = json.loads((folder / name).read_text(encoding="utf-8"))
     del found["result.json"]["speed"]
     return found
 
@@ -64,7 +64,9 @@ def test_python_writes_what_the_command_writes(tmp_path, name):
         assert files(tmp_path / folder) == files(tmp_path / "command")
         found = contents(tmp_path / folder)
         assert found == wanted, folder
-    assert json.loads((tmp_path / "saved" / "result.json").read_text()) == json.loads(json.dumps(later.result))
+    assert json.loads((tmp_path / "saved" / "result.json").read_text(encoding="utf-8")) == json.loads(
+        json.dumps(later.result)
+    )
 
 
 def test_a_saved_recording_has_all_curves_and_the_last_frame(tmp_path):
@@ -86,7 +88,7 @@ def test_recordings_and_colours_are_chosen(tmp_path):
     out = RunFolder(tmp_path / "run", recordings="usd", colour="pressure")
     Simulation(scenes.channel(**FLOW), **SETTINGS, out=out, frame_interval=1 / 49).run()
     assert "scene.usdc" in files(out.path) and "run.rrd" not in files(out.path)
-    command = json.loads((out.path / "scene.json").read_text())["command"]
+    command = json.loads((out.path / "scene.json").read_text(encoding="utf-8"))["command"]
     assert command["colour"] == "pressure" and command["frames"] == 49.0 and not command["rerun"]
     with pytest.raises(SceneError, match=r"^recordings = 'film': must be one of rerun, usd, paraview"):
         RunFolder(tmp_path / "other", recordings=["film"])
@@ -113,7 +115,7 @@ def test_folders_are_never_overwritten(tmp_path, monkeypatch):
         with pytest.raises(RunFolderError, match=r"run': exists already; choose a new folder"):
             each.save(tmp_path / "run")
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    (tmp_path / "mine" / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"mine': exists already"):
         Simulation(scene, **SETTINGS, out=tmp_path / "mine")
     hold = FolderLock(tmp_path / "run")

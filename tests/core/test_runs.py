@@ -19,6 +19,7 @@ from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, sc
 from warpcrete.core.run.quantities import Amount, Quantities
 from warpcrete.core.run.run import viewer
 from warpcrete.core.run.tables import Table
+from warpcrete.core.run.viewer import Viewer
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 
@@ -50,14 +51,14 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     cut = tmp_path / "cut"
     shutil.copytree(ran.folder, cut)
     (cut / "result.json").unlink()
-    text = (cut / "series.csv").read_text()
+    text = (cut / "series.csv").read_text(encoding="utf-8")
     rows = text.splitlines()
-    (cut / "series.csv").write_text("\n".join(rows[:3]) + "\n" + rows[3][:5])
+    (cut / "series.csv").write_text("\n".join(rows[:3]) + "\n" + rows[3][:5], encoding="utf-8")
     back = warpcrete.load(cut)
     assert not back.finished and back.result == {} and "not finished" in repr(back)
     assert len(back.series["time"]) == 2
     assert back.series["pressure"] == pytest.approx(ran.series["pressure"][:2], rel=1e-8, nan_ok=True)
-    (cut / "series.csv").write_text("")
+    (cut / "series.csv").write_text("", encoding="utf-8")
     assert warpcrete.load(cut).series == {}
     for text in (b"time [s],pressure [Pa]\n1,two\n", b"time [s],pressure [Pa]\n1\n2\n", b"time [s]\n\xff\n"):
         (cut / "series.csv").write_bytes(text)
@@ -85,13 +86,13 @@ def test_a_run_whose_scene_cannot_be_made_again_comes_back(ran, tmp_path):
     """As one whose mesh file has gone."""
     moved = tmp_path / "moved"
     shutil.copytree(ran.folder, moved)
-    record = json.loads((moved / "scene.json").read_text())
+    record = json.loads((moved / "scene.json").read_text(encoding="utf-8"))
     record["parameters"]["spacing"] = 5.0
-    (moved / "scene.json").write_text(json.dumps(record))
+    (moved / "scene.json").write_text(json.dumps(record), encoding="utf-8")
     back = warpcrete.load(moved)
     assert back["pressure"] == ran["pressure"] and back.scene.name == "channel" and "channel" in repr(back)
     record["scene"] = ["channel"]
-    (moved / "scene.json").write_text(json.dumps(record))
+    (moved / "scene.json").write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(RunFolderError, match="is damaged: its entry 'scene' is"):
         warpcrete.load(moved)
 
@@ -104,7 +105,7 @@ def test_a_series_is_a_table(ran, monkeypatch):
         and table.attrs["units"] == ran.units
     )
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[notebook\]', or use the arrays in run\.series"):
+    with pytest.raises(WarpcreteError, match=r"pip install pandas, or use the arrays in run\.series"):
         ran.table()
 
 
@@ -128,7 +129,7 @@ def test_a_series_is_a_dataset(ran, tmp_path, monkeypatch):
 
 def test_a_dataset_needs_xarray(ran, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[xarray\]', or use the arrays in run\.series"):
+    with pytest.raises(WarpcreteError, match=r"pip install xarray, or use the arrays in run\.series"):
         ran.to_xarray()
 
 
@@ -165,6 +166,23 @@ def test_a_run_draws_its_columns(ran):
     assert above.get_xlabel() == ""
     with pytest.raises(SceneError, match=r"^column = 'force': must be one of time, "):
         ran.plot("force")
+
+
+@pytest.mark.parametrize("level", [None, "debug"])
+def test_a_viewer_has_the_log_that_the_user_wants(tmp_path, monkeypatch, capfd, level):
+    """Without RUST_LOG neither the viewer nor Rerun's library prints anything; the variable itself stays as it was."""
+    if level:
+        monkeypatch.setenv("RUST_LOG", level)
+    else:
+        monkeypatch.delenv("RUST_LOG", raising=False)
+    told = tmp_path / "told"
+    code = f"import os, sys; open({str(told)!r}, 'w').write(os.environ['RUST_LOG']); sys.stderr.write('a line')"
+    assert Viewer([sys.executable, "-c", code], "nowhere").start().wait(60) == 0
+    assert told.read_text(encoding="utf-8") == (level or "off") and capfd.readouterr().err == (
+        "a line" if level else ""
+    )
+    RerunRecorder(tmp_path / "run.rrd")
+    assert os.environ.get("RUST_LOG") == level
 
 
 def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
@@ -207,7 +225,7 @@ def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path, option):
     code = "from warpcrete.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-uc", code, "view", str(tmp_path), *option], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, env=environment,
+        encoding="utf-8", env=environment,
     )  # fmt: skip
     try:
         address = process.stdout.readline().strip()

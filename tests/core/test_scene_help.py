@@ -8,7 +8,7 @@ import pytest
 from IPython.core.completer import provisionalcompleter
 from IPython.core.interactiveshell import InteractiveShell
 
-from warpcrete import scenes
+from warpcrete import SceneError, scenes
 from warpcrete.core.inputs.parameters import declared_fields
 
 ALL_SCENES = tuple(name.replace("-", "_") for name in scenes.modules())
@@ -17,6 +17,23 @@ ALL_SCENES = tuple(name.replace("-", "_") for name in scenes.modules())
 def test_a_listing_of_scenes_holds_scenes_alone():
     assert dir(scenes) == sorted(ALL_SCENES)
     assert all(repr(getattr(scenes, name)).startswith("<scene function ") for name in dir(scenes))
+
+
+def test_help_of_the_package_lists_the_scenes():
+    text = pydoc.render_doc(scenes, renderer=pydoc.plaintext)
+    for name, module in scenes.modules().items():
+        assert re.search(rf"^ *{name.replace('-', '_')} +{re.escape(module.__doc__.splitlines()[0])}$", text, re.M)
+
+
+def test_messages_lead_to_the_scene_that_was_meant():
+    with pytest.raises(AttributeError, match=r"^there is no scene 'pipes'; did you mean 'pipe'\?$"):
+        _ = scenes.pipes
+    assert not hasattr(scenes, "__wrapped__")
+    for word in ("method", "contact"):
+        with pytest.raises(SceneError, match=rf"^parameter = '{word}': .* scene slump; use warpcrete.scenes.slump_dem"):
+            scenes.slump(**{word: "dem"})
+    with pytest.raises(SceneError, match=r"such as unit=\.\.\.; help\(warpcrete\.scenes\.pipe\) lists them$"):
+        scenes.pipe("vertical")
 
 
 @pytest.mark.parametrize("name", ALL_SCENES)

@@ -222,11 +222,12 @@ def drops(part):
 
 
 def hydrated(part):
-    return scenes.pipe(hydration=0.2, hydration_modulus=1e7, velocity=0.9 - 0.3 * part, **SMALL | dict(travel=0.015))
+    short = SMALL | dict(length=0.06, travel=0.015)
+    return scenes.pipe(hydration=0.2, hydration_modulus=1e7, velocity=0.9 - 0.3 * part, **short)
 
 
 def rested(part):
-    stopping = SMALL | dict(settle=0.05, ramp=5e-3, travel=0.04, strokes=2, pause=0.06)
+    stopping = SMALL | dict(length=0.06, settle=0.05, ramp=5e-3, travel=0.04, strokes=2, pause=0.06)
     return scenes.pipe(rest=600.0, velocity=0.9 - 0.3 * part, **stopping)
 
 
@@ -317,7 +318,7 @@ def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
             hydration_modulus=1e7,
             hydration_rounds=8,
             energy_balance=energies,
-            **SMALL | dict(travel=0.01),
+            **SMALL | dict(length=0.08, travel=0.01),
         )
         for energies in (False, True)
     ]
@@ -346,7 +347,7 @@ def test_an_interruption_of_one_scene_ends_those_abreast(device):
 def breaking(part):
     """Stiff bonds that break in their rounds, as parts are drawn apart, and may heal."""
     weak = dict(hydration=0.5, hydration_modulus=1e7, hydration_strength=2e3, hydration_rounds=8, healing=True)
-    return scenes.pipe(seed=part, velocity=2.0, energy_balance=True, **weak, **SMALL | dict(travel=0.03, ramp=1e-3))
+    return scenes.pipe(seed=part, velocity=2.0, energy_balance=True, **weak, **SMALL | dict(length=0.07, ramp=1e-3))
 
 
 @pytest.mark.thorough
@@ -388,10 +389,11 @@ def test_scenes_of_a_batch_have_their_lists_built_together(monkeypatch):
             counts.append(np.count_nonzero(self.batch.host_flags()[:, int(STALE)]))
             call(self)
 
-        ones = simulate("cpu", [scenes.pipe(seed=seed, **SMALL) for seed in range(4)])
+        some = [scenes.pipe(seed=seed, **SMALL | dict(length=0.05)) for seed in range(4)]
+        ones = simulate("cpu", some)
         for one in ones:
             one.run()
-        together = simulate("cpu", [scenes.pipe(seed=seed, **SMALL) for seed in range(4)])
+        together = simulate("cpu", some)
         monkeypatch.setattr(NeighborLists, "__call__", counting)
         run_batch(together)
     built = together[0].stepper.lists.builds

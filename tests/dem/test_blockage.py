@@ -2,11 +2,12 @@
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from orifices import orifice
-from pumping import SMALL
+from pumping import SMALL, small_run
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.run.run_loop import Recorder
@@ -62,7 +63,7 @@ def test_looking_for_it_changes_nothing(device):
     with_it = scenes.pipe(**SMALL)
     assert with_it.blockage is not None
     without = dataclasses.replace(with_it, blockage=None)
-    one, other = (Simulation(scene, device=device).run() for scene in (with_it, without))
+    one, other = small_run(device), Simulation(without, device=device).run()
     assert one.result["state_hash"] == other.result["state_hash"] and "blocked" not in other.result
 
 
@@ -99,6 +100,25 @@ def test_the_part_that_goes_least():
     thrown = after.copy()
     thrown[-3:] -= 0.5  # a few stones of a part that goes on do not stand for it
     assert blockage.least_advance(before, thrown, volume, 3.0) == pytest.approx(0.02)
+
+
+def test_a_part_stands_from_the_last_check_before_it_was_found_to_stand(monkeypatch):
+    """Stop the last part of a column at a travel of 30 mm, with checks every 10 mm; 80 mm later it has blocked."""
+    scene = scenes.pipe(**SHORT)
+    model = SimpleNamespace(scene=dataclasses.replace(scene, blockage=Blockage(travel=0.08)), stress_scale=1e5)
+    watch = blockage.BlockageWatch(model, SimpleNamespace(body_count=100))  # type: ignore[arg-type]
+    start, volume = np.linspace(0.05, 0.2, 100), np.ones(100)
+    monkeypatch.setattr(watch, "_describe", lambda row, s, volume: {"travel": watch._stand_travel, "now": row["travel"],
+                                                                     "pressure_before": watch._pressure})  # fmt: skip
+    for number in range(15):
+        travel = 0.01 * number
+        places = start + np.where(start > 0.15, min(travel, 0.03), travel)
+        monkeypatch.setattr(watch, "_aggregates", lambda places=places: (places, volume))
+        watch({"travel": travel + 1e-9 * number, "pressure": 1e3 * number})
+        if watch.found:
+            break
+    assert watch.found["travel"] == pytest.approx(0.03, abs=1e-6)
+    assert watch.found["now"] == pytest.approx(0.11, abs=1e-6) and watch.found["pressure_before"] == 4e3
 
 
 def test_where_the_load_ends():

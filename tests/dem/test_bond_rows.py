@@ -1,6 +1,8 @@
 """Loads of bonds have rows of their own: where these stand, alone, in batches, and in lists of either kind."""
 
+import copy
 import dataclasses
+import functools
 from contextlib import nullcontext
 
 import numpy as np
@@ -13,6 +15,7 @@ from test_contacts import two_spheres
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import CapacityError
+from warpcrete.core.run.run_loop import run_coroutine
 from warpcrete.dem.engine import batch_arrays as joint
 from warpcrete.dem.engine import bonding
 from warpcrete.dem.engine.bonding import bond_rows
@@ -20,17 +23,34 @@ from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.stepper import Stepper, steppers_of
+from warpcrete.dem.packing import pack
 from warpcrete.dem.scene.bodies import placed_bodies
 
 WAYS = pytest.mark.parametrize("way", [nullcontext, divide_work_like_gpu], ids=["its lists", "full lists"])
 
 
+@functools.cache
+def packing():
+    """Bodies of a small pipe, packed, and the report of it; contacts of bonds and their lists do not change them."""
+    simulation = Simulation(scenes.pipe(plug="plate", **SMALL), device="cpu", threads=1)
+    scene = simulation.scene
+    return pack(scene.fill, contact=scene.contact, seed=scene.seed, device="cpu", precision="float32", threads=1)
+
+
+def prepared(scene, device) -> Simulation:
+    """A simulation at t = 0 that begins with this packing."""
+    simulation = Simulation(scene, device=device, threads=1)
+    table, report = packing()
+    simulation.place((copy.deepcopy(table), report), 0.0)
+    simulation.join(Stepper(simulation.model, simulation.state, scene.time_step, threads=1))
+    run_coroutine(simulation.preparing(), simulation.stepper.advance)
+    return simulation
+
+
 @pytest.fixture(scope="module")
 def packed():
     """Bodies of a small pipe, packed and settled; strengths of bonds do not change them."""
-    simulation = Simulation(scenes.pipe(plug="plate", **SMALL), device="cpu", threads=1)
-    simulation.prepare()
-    return simulation.state.table()
+    return prepared(scenes.pipe(plug="plate", **SMALL), "cpu").state.table()
 
 
 def rows_of(state):
@@ -64,9 +84,7 @@ def check_rows(state):
 )
 def test_bonds_keep_their_rows(device, way, stiff):
     with nullcontext() if device.startswith("cuda") else way():
-        scene = scenes.pipe(plug="plate", **stiff, **SMALL)
-        simulation = Simulation(scene, device=device, threads=1)
-        simulation.prepare()
+        simulation = prepared(scenes.pipe(plug="plate", **stiff, **SMALL), device)
         state = simulation.state
         check_rows(state)
         rows, _ = rows_of(state)

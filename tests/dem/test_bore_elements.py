@@ -95,7 +95,7 @@ def test_a_mesh_is_known_by_its_area_and_by_what_is_free(tmp_path, shape):
 def test_a_thick_wall_is_the_bore_in_it(tmp_path):
     """What a wall of 5 mm has outside is no place for aggregates."""
     path = thick(tmp_path, [0.04, 0.03])
-    scene: Any = scenes.part_dem(**SMALL | {"wall": path, "wall_scale": 1e-3})
+    scene: Any = scenes.part_dem(**SMALL | {"wall": path, "wall_scale": 1e-3, "size_min": 16e-3})
     thin: Any = scenes.part_dem(**SMALL | made(tmp_path, "cone"))
     assert scene.stations.bores.radii == pytest.approx(thin.stations.bores.radii, rel=1e-3)
     bodies, _ = pack(scene.fill, contact=scene.contact, seed=0, device="cpu")
@@ -110,7 +110,8 @@ def test_the_wall_of_a_line_has_no_gap_and_a_mesh_stands_upright_in_it(tmp_path,
     turn = "left" if begin == "level" else "level"
     (tmp_path / "site.yaml").write_text(
         f"diameter: 80 mm\nbegin: {begin}\nparts:\n  - straight: 0.2\n  - bend: {{to: {turn}, radius: 0.15}}\n"
-        "  - straight: 0.1\n  - bore: {file: bore.stl, scale: 0.001, length: 0.2}\n  - straight: 0.2\n"
+        "  - straight: 0.1\n  - bore: {file: bore.stl, scale: 0.001, length: 0.2}\n  - straight: 0.2\n",
+        encoding="utf-8",
     )
     given = {name: SMALL[name] for name in ("size_min", "size_max", "travel", "flow", "plug_ball")}
     scene: Any = scenes.part_dem(line=str(tmp_path / "site.yaml"), plug_layers=3, **given)
@@ -159,23 +160,24 @@ def test_a_line_by_elements_runs_its_bore_and_knows_it_by_what_the_file_holds(tm
     tube(tmp_path / "bore.stl", [0.04, 0.03], length=0.2)
     (tmp_path / "site.yaml").write_text(
         "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.3\n"
-        "  - bore: {file: bore.stl, scale: 0.001, length: 0.2, outlet: 60 mm}\n"
+        "  - bore: {file: bore.stl, scale: 0.001, length: 0.2, outlet: 60 mm}\n",
+        encoding="utf-8",
     )
     command = ["line", str(tmp_path / "site.yaml"), "--method", "dem", "--device", "cpu", "--quiet"]
     first = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "one")], catch_exceptions=False)
-    record = json.loads((tmp_path / "one" / "line-dem.json").read_text())
+    record = json.loads((tmp_path / "one" / "line-dem.json").read_text(encoding="utf-8"))
     assert first.exit_code == 0 and not record["failed_checks"], first.output
     # Straights of both widths, each pressed, too.
     assert record["parts"][1]["ratios"][0] > 1 and len(record["wall_time"]) == 5
     command += ["--known", str(tmp_path / "one")]
     again = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "two")])
-    second = json.loads((tmp_path / "two" / "line-dem.json").read_text())
+    second = json.loads((tmp_path / "two" / "line-dem.json").read_text(encoding="utf-8"))
     assert second["wall_time"] == {} and second["pressure"]["value"] == pytest.approx(record["pressure"]["value"]), (
         again
     )
     tube(tmp_path / "bore.stl", [0.04, 0.0301], length=0.2)
     CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "three")])
-    third = json.loads((tmp_path / "three" / "line-dem.json").read_text())
+    third = json.loads((tmp_path / "three" / "line-dem.json").read_text(encoding="utf-8"))
     assert [name.split("-")[0] for name in third["wall_time"]] == ["bore"]
 
 

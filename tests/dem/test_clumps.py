@@ -1,13 +1,19 @@
 """Clump templates, size distributions and packings."""
 
+import dataclasses
 import functools
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 import trimesh
 from conftest import by_id
+from pumping import TINY
+from shortcuts import SharedPackings
 
+from warpcrete import scenes
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.measure.probes import body_sums
 from warpcrete.dem.packing import pack
@@ -55,6 +61,17 @@ def test_reference_templates_are_four_centred_clumps_in_principal_axes():
         assert np.abs(centroid).max() < 2e-4
         assert np.abs(inertia - np.diag(np.diag(inertia))).max() < 2e-4 * inertia.max()
         assert np.diag(inertia) / volume == pytest.approx(template.inertia, rel=1e-3)
+
+
+@pytest.mark.parametrize("factor", [1.2, 1.5, 2.5, 3.5, 4.5, 20.0])
+def test_rows_of_spheres_have_their_shape_factor_and_shallow_necks(factor):
+    """Compute the row's radius where two spheres meet, sqrt(r^2 - d^2 / 4), from the distance d of their centres."""
+    (template,) = clumps.templates(f"shape-{factor}")
+    assert template.shape_factor == pytest.approx(factor, rel=1e-9)
+    along, radius = np.sort(template.offsets[:, 0]), template.radii[0]
+    assert np.all(template.radii == radius) and template.offsets[:, 1:] == pytest.approx(0.0, abs=1e-9)
+    necks = np.sqrt(radius**2 - (np.diff(along) / 2) ** 2)
+    assert necks.min() >= math.sqrt(0.75) * radius * (1 - 1e-9)
 
 
 @functools.cache
@@ -144,6 +161,29 @@ def test_free_tumbling_keeps_energy_and_angular_momentum(start):
     assert np.abs(energies / exact - 1).max() < 3e-6  # measured 7e-7
     assert abs(energies[50:].mean() / energies[:50].mean() - 1) < 1e-9  # measured 7e-12
     assert np.array(spins)[:, 1].min() < -10  # it did flip: the middle axis is unstable
+
+
+def test_a_body_of_revolution_precesses_about_its_angular_momentum(start):
+    """Expect a rate of |L| / I, with the angular momentum L and the moment of inertia I about a transverse axis."""
+    offsets = 0.4 * np.array([[1.0, 0, 0], [-1.0, 0, 0]])
+    template = clumps.ClumpTemplate("rod", offsets, np.full(2, 0.3), np.array([0.05, 0.15, 0.15]))
+    scene = Scene(
+        name="precess", duration=1, gravity=(0, 0, 0), time_step=TimeStep(fixed=2e-4),
+        bodies=(Bodies(positions=[[0, 0, 0]], sizes=0.02, template=template, spins=[[30.0, 20.0, 0.0]]),),
+    )  # fmt: skip
+    stepper = start(scene)
+    momentum = template.inertia * [30.0, 20.0, 0.0]  # by mass times size squared
+    about, rate = momentum / np.linalg.norm(momentum), np.linalg.norm(momentum) / template.inertia[1]
+    x, beside = np.array([1.0, 0, 0]), np.cross(about, [1.0, 0, 0])
+    for _ in range(20):
+        stepper.take(100)
+        angle = rate * stepper.time
+        exact = (x @ about) * about + math.cos(angle) * (x - (x @ about) * about) + math.sin(angle) * beside
+        found = rotate(by_id(stepper.state, "orientation"), x[None])[0]
+        assert found == pytest.approx(exact, abs=1e-4)
+        energy = body_sums(stepper.model, stepper.state).kinetic_energy
+    mass = float(stepper.state.bodies.mass.numpy()[0])
+    assert angle > 8 and energy == pytest.approx(0.5 * mass * 0.02**2 * momentum @ [30.0, 20.0, 0.0], rel=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -255,3 +295,24 @@ def test_a_body_falls_freely_in_steps_of_many_sizes(start, template):
         stepper.take(size)
         middle = stepper.time - 0.5 * stepper.dt
         assert by_id(stepper.state, "velocity")[0] == pytest.approx([0, 0, -9.81 * middle], rel=1e-9)
+
+
+def test_shared_packings_have_the_bits_of_new_ones(device, tmp_path, monkeypatch):
+    """Those that tests hand on to one another, with their report; another seed, precision or law has its own."""
+    scene, shared = scenes.pipe(**TINY | dict(length=0.05)), SharedPackings(tmp_path)
+    settings = dict(contact=scene.contact, seed=0, device=find_device(device), precision="float32", progress=None,
+                    threads=1)  # fmt: skip
+    first, again = (shared(scene.fill, **settings) for _ in range(2))
+    assert shared.reused == 1 and again[1] == first[1] and again[0] is not first[0]
+    for field in dataclasses.fields(again[0]):
+        ours, theirs = getattr(again[0], field.name), getattr(first[0], field.name)
+        assert ours.tobytes() == theirs.tobytes() if isinstance(ours, np.ndarray) else ours == theirs, field.name
+    packed = []
+    monkeypatch.setattr("shortcuts.packing.pack", lambda fill, **given: packed.append(given) or first)
+    softer = dataclasses.replace(scene.contact, effective_modulus=0.9 * scene.contact.effective_modulus)
+    for other in (dict(seed=1), dict(precision="float64"), dict(contact=softer), dict(threads=2)):
+        shared(scene.fill, **settings | other)
+    shared(dataclasses.replace(scene.fill, density=2000.0), **settings)
+    with divide_work_like_gpu() if device == "cpu" else nullcontext():
+        shared(scene.fill, **settings)
+    assert len(packed) == (6 if device == "cpu" else 5) and shared.reused == 7 - len(packed)

@@ -141,7 +141,7 @@ def test_a_law_that_text_does_not_tell_whole_is_recorded_but_not_repeated(tmp_pa
         scene = scenes.pipe(contact=law)
         assert scene.contact == law and changed_fields(scene) == ["contact"]
         record = saved(scene, tmp_path)
-        assert json.loads(record.read_text())["modified"]["contact"]["push"] == 1.0
+        assert json.loads(record.read_text(encoding="utf-8"))["modified"]["contact"]["push"] == 1.0
         assert "its scene was changed (contact) after" in refused("run", record, "--out", tmp_path / "out")
         with pytest.raises(SceneError, match="cannot be rebuilt in another run or process"):
             run_trade("pipe", pipe_module, base={"contact": law}, out=tmp_path / "out", budget=1.0, device="cpu")
@@ -173,11 +173,12 @@ def test_a_study_varies_laws_and_their_parameters(tmp_path, monkeypatch):
 def test_a_law_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path, monkeypatch):
     file = tmp_path / "my_law.py"
     file.write_text("from test_laws import Toy\nfrom dataclasses import dataclass\n"
-                    "@dataclass(frozen=True, kw_only=True)\nclass Mine(Toy):\n    pass\n")  # fmt: skip
+                    "@dataclass(frozen=True, kw_only=True)\nclass Mine(Toy):\n    pass\n",
+                    encoding="utf-8")  # fmt: skip
     monkeypatch.syspath_prepend(tmp_path)
     record = saved(scenes.pipe(contact="my_law:Mine", contact_push=1.0), tmp_path / "run")
-    assert list(json.loads(record.read_text())["files"]) == [str(file)]
-    file.write_text(file.read_text() + "\n# another\n")
+    assert list(json.loads(record.read_text(encoding="utf-8"))["files"]) == [str(file)]
+    file.write_text(file.read_text(encoding="utf-8") + "\n# another\n", encoding="utf-8")
     assert "my_law.py', which has changed" in refused("run", record, "--out", tmp_path / "out")
     monkeypatch.delitem(sys.modules, "my_law")
     file.unlink()
@@ -189,12 +190,13 @@ def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):
     file = tmp_path / "evil_law.py"
     file.write_text("from test_laws import Toy\nfrom dataclasses import dataclass\nfrom pathlib import Path\n"
                     f"Path({str(tmp_path)!r}, 'ran').touch()\n"
-                    "@dataclass(frozen=True, kw_only=True)\nclass Evil(Toy):\n    pass\n")  # fmt: skip
+                    "@dataclass(frozen=True, kw_only=True)\nclass Evil(Toy):\n    pass\n",
+                    encoding="utf-8")  # fmt: skip
     monkeypatch.chdir(tmp_path)
     parameters = dict(contact="evil_law:Evil", contact_push=1.0)
     targets = tmp_path / "targets.yaml"
     targets.write_text("vary: {velocity: [0.1, 0.2]}\ntargets:\n- {scene: pipe, quantity: plateau_pressure, value: 1e4,"
-                       f" uncertainty: 1e3, parameters: {json.dumps(parameters)}}}\n")  # fmt: skip
+                       f" uncertainty: 1e3, parameters: {json.dumps(parameters)}}}\n", encoding="utf-8")  # fmt: skip
     (tmp_path / "run").mkdir()
     write_json(tmp_path / "run" / "scene.json", {"scene": "pipe", "parameters": parameters})
     case = {"name": "001", "varied": {}, "parameters": parameters}
@@ -233,7 +235,7 @@ def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
     monkeypatch.setattr(studies, "run_in_processes", lambda *rest: None)
     run(cli, ["study", "pipe", "--contact", "test_laws:Toy", "--contact-push", "1", "2", "--device", "cpu", "--out",
               str(tmp_path / "study")])  # fmt: skip
-    record = json.loads((tmp_path / "study" / "study.json").read_text())
+    record = json.loads((tmp_path / "study" / "study.json").read_text(encoding="utf-8"))
     assert [case["varied"] for case in record["cases"]] == [{"contact_push": 1.0}, {"contact_push": 2.0}]
 
 
@@ -241,7 +243,7 @@ def guide_law(folder):
     """Save the law that the guide shows as it says."""
     text = (Path(__file__).parents[2] / "notebooks" / "how-to" / "own-contact-law.md").read_text(encoding="utf-8")
     (block,) = [each for each in re.findall(r"```python\n(.*?)```", text, re.S) if "class Sticky" in each]
-    (folder / "sticky.py").write_text(block)
+    (folder / "sticky.py").write_text(block, encoding="utf-8")
 
 
 def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypatch):
@@ -268,7 +270,9 @@ def test_a_run_with_the_guides_law_is_repeated_to_the_bit(tmp_path):
         "run", "pipe", "--contact", "sticky:Sticky", *options, *words, "--out", "three", cwd=tmp_path
     )
     assert other.returncode in (0, 3), other.stderr
-    one, two, three = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("one", "two", "three"))
+    one, two, three = (
+        json.loads((tmp_path / name / "result.json").read_text(encoding="utf-8")) for name in ("one", "two", "three")
+    )
     assert one["state_hash"] == two["state_hash"] != three["state_hash"]
     assert one["momentum_balance_error"] < 0.01
     lost = command_process(

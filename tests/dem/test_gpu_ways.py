@@ -380,7 +380,7 @@ def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
         folder.mkdir()
         wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=folder, use_ptx=True)
         (text,) = folder.glob("*.ptx")
-        assert ".entry" in text.read_text()
+        assert ".entry" in text.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("shapes", ["spheres", "shape-1.5"])

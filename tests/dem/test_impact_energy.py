@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from conftest import by_id
-from test_walls import DENSITY, RADIUS, SMOOTH
+from test_walls import DENSITY, MASS, RADIUS, SMOOTH
 
-from warpcrete.dem.laws import HertzMindlin
+from warpcrete.dem.laws import HertzMindlin, LubricationLayer
 from warpcrete.dem.scene.clumps import elongated
 from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.geometry.rotation import rotate
@@ -80,3 +80,14 @@ def test_the_step_of_impacts_that_lose_energy_stays(start):
     assert dt == pytest.approx(0.2 * stable, rel=1e-6)
     assert step(0.0, safety=0.1)[0] == pytest.approx(0.1 * stable, rel=1e-12)
     assert step(0.0, fixed=0.5 * stable)[0] == 0.5 * stable
+
+
+def test_a_slip_layer_ahead_counts_with_the_turning_that_it_causes(start):
+    """Expect m / (7/2 c): the drag c on a sphere's surface slows the surface by c / m, and by 5/2 c / m as it turns."""
+    viscosity = 1e6  # so large that stiffness hardly counts
+    layer = LubricationLayer(contact=SMOOTH, viscosity=viscosity)
+    bodies = Bodies(positions=[[0, 0, 3 * RADIUS]], sizes=2 * RADIUS, density=DENSITY)
+    stepper = start(Scene(name="flight", duration=1.0, walls=(FLOOR["plane"],), contact=SMOOTH, bodies=(bodies,),
+                          contacts={("aggregate", "wall"): layer}, time_step=TimeStep(fixed=1e-6)))  # fmt: skip
+    drag = viscosity * np.pi * RADIUS**2
+    assert stepper.estimate() == pytest.approx(MASS / (3.5 * drag), rel=1e-3)

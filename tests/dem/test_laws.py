@@ -131,7 +131,7 @@ def test_restitution_is_what_was_asked_for_at_any_speed(start, law, restitution)
                 effective_modulus=1e7, effective_shear_modulus=3e6, friction=0.0, restitution=restitution
             )
         stepper = start(two_spheres(velocity=(-speed, 0, 0), contact=contact, dt=1e-6))
-        stepper.advance(0.02)
+        stepper.advance(0.02 if restitution == 0 else 0.012)  # the longest of these contacts takes 7 ms
         rebound = np.diff(by_id(stepper.state, "velocity")[:, 0])[0] / speed
         # e = 0 needs for ever: 3e-3 is left at 0.02 s.
         assert rebound == pytest.approx(restitution, abs=4e-3 if restitution == 0 else 8e-4)

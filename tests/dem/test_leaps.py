@@ -1,5 +1,7 @@
 """Bodies that go so fast that a step carries them past what they would touch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -35,6 +37,25 @@ def test_a_fixed_step_that_carries_a_body_past_the_wall_ends_the_run(start, temp
             continue
         with pytest.raises(InstabilityError, match=r"^t = 0 s, body 0: a speed of 100 m/s moves it .*: a time_step"):
             stepper.take(2)
+
+
+@pytest.mark.parametrize("template", [None, elongated(2.0)], ids=["sphere", "clump"])
+def test_a_sphere_and_a_moving_mesh_may_together_move_by_a_radius(start, template):
+    """Each moves by less than a radius in a step; a wall that is held at rest does not count."""
+    radius = RADIUS if template is None else 2 * RADIUS * template.scaled(1.0)[1].min()
+    box = replace(INSIDE[0], motion=Prescribed(velocity=(-50.0, 0.0, 0.0)))
+    for part, fails in ((0.62, False), (0.7, True)):  # of the sphere, with half of it from the wall: 0.93 and 1.05
+        dt = part * radius / 100.0
+        stepper = thrown(start, Contact(effective_modulus=1e3), (box,), dt, template=template)
+        if not fails:
+            stepper.take(1)
+            continue
+        what = r"body 0: a speed of 100 m/s and mesh walls that move at up to 50 m/s bring it .* by 1\.05 of its radius"
+        with pytest.raises(InstabilityError, match=what):
+            stepper.take(2)
+        held = thrown(start, Contact(effective_modulus=1e3), (box,), dt, template=template)
+        held.batch.set(0, held=1)
+        held.take(1)
 
 
 def test_a_clump_that_spins_so_fast_ends_the_run(start):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import warp as wp
-from pumping import SMALL
+from pumping import TINY
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import launching
@@ -31,7 +31,8 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
     monkeypatch.setattr(launching, "default_threads", lambda: 1)
     monkeypatch.setattr(launching, "load_module", loads)
     monkeypatch.setattr(wp.Module, "load", load_module)
-    scene = scenes.pipe(shapes=shapes, hydration=0.1, hydration_modulus=2e6, **SMALL | dict(travel=0.002, settle=0.01))
+    small = TINY | dict(shapes=shapes, plug="balls", plug_ball=0.012, travel=0.002, ramp=0.001)
+    scene = scenes.pipe(hydration=0.1, hydration_modulus=2e6, **small)
     Simulation(scene, device=device).run()
     assert len(together) > 25
     assert not [name for name, module, block in apart if (module, block) not in together], apart
@@ -46,7 +47,7 @@ def test_long_compilations_go_first():
 
 
 def test_who_waits_for_the_compiler_is_told(monkeypatch):
-    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
+    simulation = Simulation(scenes.pipe(**TINY), device="cpu")
     simulation.prepare()
     stages, told = step_stages(simulation.stepper.batch)[0], []
     with report_compiling(lambda phase, fraction: told.append((phase, fraction))):

@@ -20,6 +20,7 @@ from warpcrete.geometry.curves import curve_through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines.element_line import SeedResult, WallLaw
+from warpcrete.studies.lines.elements import Elements, scaled_parameters
 from warpcrete.studies.lines.losses import friction, line_of, with_layer_factor
 from warpcrete.studies.lines.run import run_line
 
@@ -108,8 +109,20 @@ def test_every_part_is_pushed_through_and_measured(device, course):
 
 
 @pytest.mark.thorough
+def test_a_part_without_slices_measures_no_losses_and_moves_the_same(device):
+    """The slices only measure, also in a run that looks for a blockage in a pipe whose width changes."""
+    given = SMALL | DEFAULT_PLOT_COLUMNS["reducer"] | {"straight": 0.18, "stop_when_blocked": True}
+    run, without = (Simulation(scenes.part_dem(**given, slices=slices), device=device).run() for slices in (3.0, 0.0))
+    assert without.result["state_hash"] == run.result["state_hash"]
+    assert without["blocked"] == run["blocked"] and without["slowest_advance"] == run["slowest_advance"]
+    assert "stations" in run.tables and "stations" not in without.tables and "middle_loss" not in without.result
+    with pytest.raises(SceneError, match="slices"):
+        scenes.part_dem(**given, slices=-1.0)
+
+
+@pytest.mark.thorough
 def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_path):
-    (tmp_path / "line.yaml").write_text(AROUND)
+    (tmp_path / "line.yaml").write_text(AROUND, encoding="utf-8")
     given = dict(SMALL, line=str(tmp_path / "line.yaml"), plug_layers=3)
     for name in ("diameter", "straight"):
         given.pop(name)
@@ -164,7 +177,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
     ],
 )  # fmt: skip
 def test_lines_that_cannot_be_pushed_through_are_refused(tmp_path, parts, told):
-    (tmp_path / "line.yaml").write_text(f"diameter: 0.1\nparts: {parts}\n")
+    (tmp_path / "line.yaml").write_text(f"diameter: 0.1\nparts: {parts}\n", encoding="utf-8")
     with pytest.raises(SceneError, match=told):
         scenes.part_dem(line=str(tmp_path / "line.yaml"))
 
@@ -194,11 +207,12 @@ def test_a_line_is_put_together_from_its_end():
 def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     (tmp_path / "line.yaml").write_text(
         "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.4\n"
-        "  - bend: {to: up, radius: 0.12}\n  - straight: 0.2\n"
+        "  - bend: {to: up, radius: 0.12}\n  - straight: 0.2\n",
+        encoding="utf-8",
     )
     command = ["line", str(tmp_path / "line.yaml"), "--method", "dem", "--device", "cpu", "--quiet"]
     first = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "one")], catch_exceptions=False)
-    record = json.loads((tmp_path / "one" / "line-dem.json").read_text())
+    record = json.loads((tmp_path / "one" / "line-dem.json").read_text(encoding="utf-8"))
     assert first.exit_code == 0 and not record["failed_checks"], first.output
     assert len(record["wall_time"]) == 3 and len(record["parts"]) == 3
     assert [part["blocked_seeds"] for part in record["parts"]] == [0, 0, 0] and "- not blocked" in first.output
@@ -209,14 +223,24 @@ def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     part = load(next((tmp_path / "one" / "parts").glob("straight-80-pressed*")))
     assert "axial_stress" in part.tables["stations"].columns
     again = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "two"), "--known", str(tmp_path / "one")])
-    second = json.loads((tmp_path / "two" / "line-dem.json").read_text())
+    second = json.loads((tmp_path / "two" / "line-dem.json").read_text(encoding="utf-8"))
     # Tables hold nine digits.
     assert second["pressure"]["value"] == pytest.approx(record["pressure"]["value"], rel=1e-7), again.output
     assert second["wall_time"] == {}
 
 
+@pytest.mark.parametrize(("bore", "factor"), [(0.2, 3.0), (0.08, 1.2), (0.05, 1.0)])
+def test_stones_are_enlarged_to_three_tenths_of_the_bore_but_never_shrunk(bore, factor):
+    """Scale stones of 12 to 20 mm. A stone of 20 mm keeps its size in a bore of 50 mm, of which 0.3 are 15 mm."""
+    own = {"unit": "horizontal", "diameter": 0.3, "size_min": 12e-3, "size_max": 20e-3}
+    found = scaled_parameters(own, bore, Elements())
+    assert found["size_max"] == pytest.approx(factor * 20e-3) and found["size_min"] == pytest.approx(factor * 12e-3)
+
+
 def test_line_by_elements_refuses(tmp_path):
-    (tmp_path / "line.yaml").write_text("diameter: 0.1\nflow: 0.002\nconcrete: zhan\nparts: [{straight: 1}]\n")
+    (tmp_path / "line.yaml").write_text(
+        "diameter: 0.1\nflow: 0.002\nconcrete: zhan\nparts: [{straight: 1}]\n", encoding="utf-8"
+    )
     for more, told in (
         (["--seeds", "0"], "seeds = 0"),
         (["--coarse", "0.5"], "coarse = 0.5"),
@@ -231,7 +255,7 @@ def test_line_by_elements_refuses(tmp_path):
 
 
 def test_a_hose_through_points_of_a_circle_is_that_circle():
-    angle = np.linspace(0, 1.2, 5)
+    angle = np.array([0.0, 0.2, 0.7, 0.8, 1.2])  # chords of any length
     points = 2.0 * np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=1)
     pieces = curve_through(points, np.array([1.0, 0.0, 0.0]))
     axis = Axis((0, 0, 0), (1, 0, 0), tuple(pieces))
@@ -258,6 +282,18 @@ def test_a_hose_counts_its_length_its_bends_and_its_layer():
     )
     found = run_line(line, concrete, 0.002, simulate=False)
     assert found.losses[1].weight == pytest.approx(-1.5 * 9.81 * concrete.density)
+
+
+def test_only_the_bends_of_a_hose_take_more_than_a_straight_pipe():
+    """Sum the extra losses of the arcs of a hose that runs straight ahead for some way and then bends."""
+    points = [[1, 0, 0], [2, 0, 0], [3, 0.4, 0], [3.6, 1.4, 0]]
+    line = line_of({"diameter": 0.1, "parts": [{"straight": 1}, {"hose": {"points": points}}]})
+    pieces, hose = line.axis.pieces[1:], line.parts[1]
+    assert isinstance(pieces[0], Line) and pieces[0].length == pytest.approx(0.5)
+    arcs = [piece for piece in pieces if isinstance(piece, Arc)]
+    assert hose.length == pytest.approx(sum(piece.length for piece in pieces)) and arcs
+    more = [np.interp(0.1 / arc.radius, (0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125)) * arc.length for arc in arcs]
+    assert (hose.relative_loss - 1) * hose.length == pytest.approx(sum(more), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pumping import SMALL
+from pumping import SMALL, small_run
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.dem.measure import segregation
@@ -114,7 +114,7 @@ def test_spheres_of_a_clump_share_its_volume(start):
 
 
 def test_a_run_tells_it(device):
-    plain = Simulation(scenes.pipe(**SMALL), device=device).run()
+    plain = small_run(device)
     run = Simulation(scenes.pipe(**SMALL, segregation=True), device=device).run()
     assert run.result["state_hash"] == plain.result["state_hash"] and "mixing" not in plain.series
     # Stones keep away from the wall, whose half of the radius has three quarters of the area.

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_bonds import bonded, strong
 from test_part_elements import SMALL
 
 from warpcrete import Simulation, scenes
@@ -102,6 +103,20 @@ def test_stress_of_two_bodies_that_touch(device):
     assert found == pytest.approx(np.array([expected, expected]) / 2, rel=1e-9)
     again = STRESS_RESOLUTION * 8 * unit * body_stresses(simulation.model, simulation.state, 8 * unit).numpy()
     assert again == pytest.approx(found, rel=1e-9)
+
+
+def test_stress_of_two_bodies_that_a_bond_holds_together(start):
+    """Expect a tensile stress in each body, minus half of the bond's pull times the branch vector."""
+    stepper = bonded(start, strong(), velocity=(0.1, 0, 0))
+    stepper.take(50)
+    stretch = np.ptp(stepper.state.spheres.position.numpy()[:, 0]) - (0.02 + 1e-7)
+    stepper.take(1)
+    pull = 2e5 / 0.02 * math.pi * 0.01**2 * stretch
+    branch = np.ptp(stepper.state.spheres.position.numpy()[:, 0])
+    unit = 1e5 * 0.02**3
+    found = STRESS_RESOLUTION * unit * body_stresses(stepper.model, stepper.state, unit).numpy()
+    assert stretch > 1e-6
+    assert found == pytest.approx(np.array([[-pull * branch / 2, 0, 0, 0, 0, 0]] * 2), rel=1e-6, abs=1e-15)
 
 
 def test_stress_along_an_oblique_pipe_has_all_shear_components():

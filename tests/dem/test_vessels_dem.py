@@ -26,8 +26,8 @@ from warpcrete.dem.pumping.vessels import shear_means
 from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Vessel
 from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
-from warpcrete.geometry.walls import MeshWall, PlaneWall
-from warpcrete.standards import SLUMP
+from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
+from warpcrete.standards import FUNNEL, SLUMP
 
 MU_ROLLING = 0.2
 LAW_MODULUS = Contact(effective_modulus=1e6, friction=0.8, normal_damping_ratio=0.3, shear_damping_ratio=0.3)
@@ -116,6 +116,29 @@ def test_the_moment_of_a_pair_grows_with_the_turn_up_to_its_limit_and_outlives_r
         found.append(stepper.state.pairs.rolling.numpy()[0].tobytes())
         assert np.linalg.norm(stepper.state.pairs.rolling.numpy()[0]) == pytest.approx(limit, rel=1e-5)
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("turning", ["wall", "sphere", "both"])
+def test_a_mesh_that_turns_under_a_sphere_rolls_like_the_sphere_on_it(start, turning):
+    """Expect k_s R^2 times the angle by which a sphere and the wall turn against each other about their contact."""
+    rate, overlap, steps = 0.5, 1e-4, 100
+    vertices, faces = rectangle((-1, -1, 0), (2, 0, 0), (0, 2, 0))
+    motion = Prescribed(spin=(0.0, rate if turning != "sphere" else 0.0, 0.0))
+    law = dataclasses.replace(LAW, rolling_damping_ratio=0.0)
+    scene = Scene(
+        name="turning", duration=1.0, gravity=NO_GRAVITY, contact=law, time_step=TimeStep(fixed=1e-5),
+        walls=(MeshWall(name="floor", vertices=vertices, faces=faces, motion=motion),),
+        bodies=(Bodies(positions=[[0, 0, RADIUS - overlap]], sizes=2 * RADIUS, density=1e15,
+                       spins=[[0.0, rate if turning != "wall" else 0.0, 0.0]]),),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.take(steps)
+    slots = stepper.state.slots
+    (place,) = np.flatnonzero(slots.wall.numpy()[0] >= 0)
+    shear_stiffness = 1e6 * math.pi * RADIUS / LAW_MODULUS.stiffness_ratio
+    angle = {"wall": rate, "sphere": -rate, "both": 0.0}[turning] * steps * stepper.dt
+    expected = shear_stiffness * RADIUS**2 * angle
+    assert slots.rolling.numpy()[0, place] == pytest.approx([0, expected, 0], rel=0.011, abs=1e-6)  # off by one step
 
 
 def test_shells_of_mortar_bend_up_to_a_moment_and_drag(start):
@@ -213,6 +236,16 @@ def test_light_is_seen_through_what_no_grain_darkens():
     dark = heaps.shadow(one, 0.02, 0.03, 5e-4)
     assert dark == pytest.approx(math.pi * 0.01**2 / (0.04 * 0.06), rel=1e-2)
     assert heaps.shadow(one[:0], 0.02, 0.03, 1e-3) == 0.0
+
+
+def test_light_is_seen_through_an_outlet_that_is_wider_than_deep():
+    """Cover half of an outlet of 40 by 60 mm: the half towards one of its short sides, with fine spheres."""
+    sizes = {"top_width": 0.3, "outlet_width": 0.04, "breadth": 0.06, "cone_height": 0.2, "outlet_height": 0.1}
+    vessel = Vessel(test=FUNNEL, opened=0.0, rest_speed=1e-3, dimensions=sizes)
+    x, y = np.meshgrid(np.arange(-0.019, 0.02, 0.002), np.arange(0.001, 0.03, 0.002))
+    spheres = np.stack([x.ravel(), y.ravel(), 0 * x.ravel() + 0.05, 0 * x.ravel() + 0.0015], 1)
+    row = measures.measured(vessel, spheres, 0 * spheres)
+    assert row["screen"] == pytest.approx(0.5, abs=1e-12) and row["inside"] == 1.0
 
 
 def test_rest_is_a_second_of_slowness_after_the_gate():

@@ -218,6 +218,21 @@ def test_prescribed_translation_and_rotation_follow_the_ramp(start):
     assert stepper.state.walls.travel.numpy() == pytest.approx([0.3 * (now - ramp / 2), angle], rel=1e-12)
 
 
+def test_a_pipe_that_moves_throws_a_sphere_at_twice_its_speed(start):
+    """Hit a sphere at rest with the wall of a pipe: without damping, the impact reverses their relative velocity."""
+    speed, gap = 0.2, 1e-3
+    pipe = PipeWall(name="pipe", axis=Axis((0, 0, 0), (0, 0, 1), (Line(0.3),)), radius=0.05,
+                    motion=Prescribed(velocity=(-speed, 0, 0)))  # fmt: skip
+    place = [0.05 - RADIUS - gap, 0.0, 0.15]
+    scene = Scene(
+        name="throw", duration=1, walls=(pipe,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-5),
+        bodies=(Bodies(positions=[place], sizes=2 * RADIUS, density=DENSITY),),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.advance(gap / speed + 1.2 * math.pi * math.sqrt(MASS / K_WALL))
+    assert by_id(stepper.state, "velocity")[0] == pytest.approx([-2 * speed, 0, 0], rel=1e-4, abs=1e-9)
+
+
 def test_moving_mesh_keeps_its_contacts(start):
     # A triangulated floor rises at 0.2 m/s and carries a sphere for many times its candidate skin.
     vertices, faces = grid_plane()

@@ -16,7 +16,7 @@ from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.measure.wear import PipePatches, WornWall, patches_of
-from warpcrete.dem.measure.wear_results import covered
+from warpcrete.dem.measure.wear_results import QUANTITIES, covered
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Wear
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
@@ -107,6 +107,24 @@ def test_patches_of_a_bend_add_up_to_a_torus():
     assert faces.max() == len(vertices) - 1 and len(patch) == len(vertices)
     centre = patches.of(vertices[patches.around : -patches.around])
     assert np.array_equal(centre, patch[patches.around : -patches.around])
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 255])
+def test_the_worst_patch_of_a_bend_is_told_by_its_angle_in_degrees(degrees):
+    """Wear one point of a quarter bend. Its angle is 0 on the outside of the bend, and 180 degrees on the inside."""
+    axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.5, np.pi / 2, (1, 0, 0)),))
+    patches = PipePatches(PipeWall(name="pipe", axis=axis, radius=0.075), None)
+    worn = WornWall("pipe", patches, np.zeros((len(patches.areas), 3)), 1e-12)
+    outside, side = np.array([-np.sqrt(0.5), 0, np.sqrt(0.5)]), axis.frame(0.5 * axis.length)[3][0]
+    angle = np.radians(degrees)
+    middle = np.array([0.5, 0, 0]) + 0.5 * outside
+    point = middle + 0.075 * (np.cos(angle) * outside + np.sin(angle) * side)
+    worn.done[patches.of(point[None])[0], 2] = 1.0
+    known = SimpleNamespace(wear=SimpleNamespace(main=worn), series={"time": np.array([1.0])},
+                            scene=SimpleNamespace(pipe=None, pressure=None))  # fmt: skip
+    found = {each.name: each.of(known) for each in QUANTITIES if each.name.startswith("wear_worst")}
+    assert found["wear_worst_angle"] == pytest.approx(degrees, abs=1e-9)  # 24 patches, one every 15 degrees
+    assert found["wear_worst_along"] == pytest.approx(0.25 * np.pi / 2, abs=0.5 * axis.length / patches.stations)
 
 
 def test_a_wall_that_speeds_up_is_worn_with_the_square_of_time(device):
@@ -201,7 +219,7 @@ def test_counting_wear_changes_nothing_else(device, case):
 
 
 @pytest.mark.thorough
-def test_the_command_draws_and_paints_it(tmp_path):
+def test_the_command_draws_and_paints_it(tmp_path, whole_pictures):
     from pxr import Usd, UsdGeom
 
     out = tmp_path / "run"

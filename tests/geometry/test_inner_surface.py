@@ -6,6 +6,7 @@ import trimesh
 from tubes import bent
 
 from warpcrete import SceneError, scenes
+from warpcrete.geometry import mesh_parts
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.inner_surface import InnerSurface
 from warpcrete.geometry.lines import line_of
@@ -121,7 +122,7 @@ def test_the_axis_of_a_bent_bore_is_found(tmp_path, bend, made):
     mesh = trimesh.load_mesh(bent(tmp_path / "bend.stl", bend, **made))
     found = follow(mesh.vertices, mesh.faces, np.zeros(3), [np.array(way, float) for way in WAYS], "wall", "bend")
     assert found.ahead.tolist() == [1, 0, 0] and found.radii[:-1] == pytest.approx(0.05, rel=2e-3)
-    pieces = pieces_through(found.points, found.ahead, 0.05)
+    pieces = pieces_through(found.points, found.ahead, 0.05, 0.05)
     axis = Axis((0, 0, 0), (1, 0, 0), pieces)
     assert len(pieces) < 20 and axis.length == pytest.approx(bend.length, abs=5e-4)
     (end,), (way,) = axis.at(axis.length)
@@ -131,6 +132,38 @@ def test_the_axis_of_a_bent_bore_is_found(tmp_path, bend, made):
     assert np.linalg.norm(middles - axis.nearest(middles), axis=1).max() < 0.01 * 0.05
 
 
+def coarse(path, rings):
+    """Write an elbow of 100 mm between straights of 300 mm, with few rings of triangles around its bend."""
+    axis = Axis((0, 0, 0), (1, 0, 0), (Line(0.3), Arc(0.3, 2 * EIGHTH, (0, 0, 1)), Line(0.3)))
+    stations = np.concatenate([[0.0], 0.3 + np.linspace(0.0, 0.6 * EIGHTH, rings), [axis.length]])
+    trimesh.Trimesh(*axis.swept(stations, 0.05, 48), process=False).export(path)
+    return path, axis
+
+
+@pytest.mark.parametrize("rings", [4, 6, 8, 12])
+def test_an_elbow_of_few_rings_has_a_smooth_axis(tmp_path, rings):
+    """The axis rounds the kinks of the mesh: it is within 0.064 radii of the polygon through the rings' centres."""
+    path, true = coarse(tmp_path / "elbow.stl", rings)
+    axis = scenes.part(wall=str(path), **FLOW).axis
+    arcs = [piece for piece in axis.pieces if isinstance(piece, Arc)]
+    assert min(arc.radius for arc in arcs) > 0.05
+    turned = np.cross(axis.at(0.0)[1][0], axis.at(axis.length)[1][0])
+    assert np.linalg.norm(turned) == pytest.approx(1.0, abs=1e-3)
+    sagitta = 0.3 * (1 - np.cos(2 * EIGHTH / (rings - 1) / 2))
+    points = axis.at(np.linspace(0.3, axis.length - 0.3, 200))[0]
+    offset = points - axis.at(0.3)[0][0]
+    assert np.linalg.norm(offset - true.nearest(offset), axis=1).max() < sagitta + 0.064 * 0.05
+
+
+def test_a_bend_that_is_too_sharp_for_a_flow_is_refused_in_one_line(tmp_path, monkeypatch):
+    path, _ = coarse(tmp_path / "elbow.stl", 6)
+    monkeypatch.setattr("warpcrete.geometry.mesh_axis.AXIS_TOLERANCES", (0.004,))
+    mesh_parts._measured.cache_clear()
+    with pytest.raises(SceneError, match=r"^wall = '.*': bends too sharply for a flow .* more rings of triangles"):
+        scenes.part(wall=str(path), **FLOW)
+    mesh_parts._measured.cache_clear()
+
+
 @pytest.mark.parametrize("sharp", [0.075, 0.1, 0.15])
 @pytest.mark.parametrize("stretch", [0.02, 0.2])
 def test_the_axis_of_a_tight_elbow_is_found_to_its_end(tmp_path, sharp, stretch):
@@ -138,7 +171,7 @@ def test_the_axis_of_a_tight_elbow_is_found_to_its_end(tmp_path, sharp, stretch)
     elbow = Axis((0, 0, 0), (1, 0, 0), (Line(stretch), Arc(sharp, 2 * EIGHTH, (0, 0, 1)), Line(stretch)))
     mesh = trimesh.load_mesh(bent(tmp_path / "elbow.stl", elbow, wall=4e-3))
     found = follow(mesh.vertices, mesh.faces, np.zeros(3), [np.array([1.0, 0, 0])], "wall", "elbow")
-    axis = Axis((0, 0, 0), (1, 0, 0), pieces_through(found.points, found.ahead, 0.05))
+    axis = Axis((0, 0, 0), (1, 0, 0), pieces_through(found.points, found.ahead, 0.05, 0.05))
     (end,), (way,) = axis.at(axis.length)
     (known,), (ahead,) = elbow.at(elbow.length)
     # A stretch shorter than a radius shows no direction of its own: the end is off by up to 3.5 mm and 3 degrees.

@@ -23,7 +23,7 @@ N = r"(-?[\d.]+)"
 def page(name: str) -> str:
     """Return the text of a page without line breaks."""
     path = ROOT / name if name == "README.md" else ROOT / "notebooks" / name
-    return re.sub(r"\s+", " ", path.read_text())
+    return re.sub(r"\s+", " ", path.read_text(encoding="utf-8"))
 
 
 def figures(name: str, pattern: str) -> list[str]:
@@ -128,8 +128,8 @@ def test_figures_of_closed_forms(what):
 
 def test_the_line_that_the_page_shows(tmp_path):
     """The file is taken from the page; its band was computed by flows, whose bends lie a little above theory."""
-    text = (ROOT / "notebooks" / "theory" / "lines.md").read_text()
-    (tmp_path / "site.yaml").write_text(text.partition("```yaml\n")[2].partition("```")[0])
+    text = (ROOT / "notebooks" / "theory" / "lines.md").read_text(encoding="utf-8")
+    (tmp_path / "site.yaml").write_text(text.partition("```yaml\n")[2].partition("```")[0], encoding="utf-8")
     simulated, theory, low, high = map(
         float, figures("theory/lines.md", rf"two CPU cores: {N} bar, {N} by theory; {N} to {N} with a slip layer")
     )

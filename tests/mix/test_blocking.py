@@ -143,15 +143,15 @@ def test_a_line_is_judged_at_its_narrowest_part():
 
 def test_the_commands_print_the_rules(tmp_path):
     path = tmp_path / "mix.yaml"
-    path.write_text(yaml_text({"mix": ORDINARY}))
+    path.write_text(yaml_text({"mix": ORDINARY}), encoding="utf-8")
     found = CliRunner().invoke(cli, ["mix", str(path), "--bore", "2 in"]).output
     assert "bore of 50.8 mm: 1 blocks, 6 fine" in found and "-> use a bore of 80 mm" in found
     assert "bore" in str(CliRunner().invoke(cli, ["mix", str(path), "--bore", "-2"]).exception)
     site = tmp_path / "site.yaml"
-    site.write_text(yaml_text(LINE | {"flow": "20 m3/h", "concrete": str(path)}))
+    site.write_text(yaml_text(LINE | {"flow": "20 m3/h", "concrete": str(path)}), encoding="utf-8")
     done = CliRunner().invoke(cli, ["line", str(site), "--theory", "--out", str(tmp_path / "line")])
     assert done.exit_code == 0 and "narrowest part 2" in done.output
-    record = json.loads((tmp_path / "line" / "blocking.json").read_text())
+    record = json.loads((tmp_path / "line" / "blocking.json").read_text(encoding="utf-8"))
     assert record["worst"] == "risky" and record["narrowest_part"] == 2 and len(record["rules"]) == 8
     assert (
         "all rules on the mix" in CliRunner().invoke(cli, ["line", str(site), "--theory", "--concrete", "no1"]).output

@@ -19,7 +19,7 @@ PIPE = scenes.pipe.module
 
 def written(folder, text, name="mine.yaml"):
     path = folder / name
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -139,7 +139,7 @@ def test_a_study_keeps_what_a_concrete_said(tmp_path):
     )
     folder = tmp_path / "study"
     study = run_study("pipe", PIPE, {"bonds": [True, False]}, base=coarse, out=folder, device="cpu", rerun=False)
-    cases = json.loads((folder / "study.json").read_text())["cases"]
+    cases = json.loads((folder / "study.json").read_text(encoding="utf-8"))["cases"]
     assert [case["parameters"]["friction"] for case in cases] == [0.2, 0.2]
     assert not study.failures
 

@@ -44,7 +44,7 @@ BULK = {"density": 2300, "concrete": {"yield_stress": 60, "viscosity": "40 Pa s"
 
 def written(folder, section, name="mix.yaml", **more):
     path = folder / name
-    path.write_text(yaml_text({"mix": section, **more}))
+    path.write_text(yaml_text({"mix": section, **more}), encoding="utf-8")
     return path
 
 
@@ -147,7 +147,7 @@ def test_a_layer_from_points_of_a_pipe(tmp_path):
 
     def fitted(pressures):
         rows = "\n".join(f"{3600 * q!r},{p / 1e5!r}" for q, p in zip(flows.tolist(), pressures.tolist()))
-        (tmp_path / "points.csv").write_text(f"flow [m3/h],pressure [bar]\n{rows}\n")
+        (tmp_path / "points.csv").write_text(f"flow [m3/h],pressure [bar]\n{rows}\n", encoding="utf-8")
         return read_mix(written(tmp_path, section))
 
     exact = fitted(pressures)
@@ -296,7 +296,7 @@ def test_own_entries_go_before_the_mix_and_that_before_the_base(tmp_path):
     assert kept["wall_friction"] == 0.0 and kept["friction"] == concrete("zhan").elements["friction"]
     assert scenes.tube(concrete=path).concrete.viscosity == 9
     child = tmp_path / "child.yaml"
-    child.write_text("base: mix.yaml\nflow: {slip_yield: 5}\n")
+    child.write_text("base: mix.yaml\nflow: {slip_yield: 5}\n", encoding="utf-8")
     found = scenes.tube(concrete=child).concrete
     assert (found.slip_yield, found.viscosity) == (5, 9) and found.yield_stress == read_mix(path).concrete.yield_stress
 
@@ -323,7 +323,9 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
     path, site = written(tmp_path, BULK | STONES), tmp_path / "site.yaml"
     bend = {"bend": {"to": "up", "radius": "0.5 m", "factor": 1}}
     parts = [{"straight": "10 m"}, bend, {"straight": "5 m"}]
-    site.write_text(yaml_text({"diameter": "125 mm", "flow": "20 m3/h", "concrete": "mix.yaml", "parts": parts}))
+    site.write_text(
+        yaml_text({"diameter": "125 mm", "flow": "20 m3/h", "concrete": "mix.yaml", "parts": parts}), encoding="utf-8"
+    )
     mix, line = read_mix(path), line_of({"diameter": "125 mm", "parts": parts})
     found = run_line(line, mix.concrete, 20 / 3600, simulate=False, variants=mix.variants)
     ends = {cause: tuple(run_line(line, each, 20 / 3600, simulate=False).pressure for each in pair)
@@ -354,7 +356,7 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
 
     def said(count):
         rows = [f"{q},{p}" for q, p in zip(flows[:count], pressures)]
-        points.write_text("\n".join(["flow,pressure", *rows]) + "\n")
+        points.write_text("\n".join(["flow,pressure", *rows]) + "\n", encoding="utf-8")
         return CliRunner().invoke(cli, ["theory", *own, *pipe, "--fit", str(points)]).output
 
     _, covariance = np.polyfit(flows / (math.pi * 0.0625**2), pressures * 0.0625 / 40, 1, cov=True)
@@ -450,7 +452,7 @@ def test_a_mix_states_another_law(tmp_path):
 
 def test_a_flow_states_another_law(tmp_path):
     path = tmp_path / "law.yaml"
-    path.write_text("base: no1\nflow: {flow_index: 0.8, slip_flow_index: 1.2}\n")
+    path.write_text("base: no1\nflow: {flow_index: 0.8, slip_flow_index: 1.2}\n", encoding="utf-8")
     found = scenes.tube(concrete=path)
     assert (found.concrete.flow_index, found.concrete.slip_flow_index) == (0.8, 1.2)
     assert scenes.tube(concrete=path, flow_index=1.0).concrete.flow_index == 1.0
@@ -463,12 +465,12 @@ def test_a_flow_states_another_law(tmp_path):
 
 def test_elements_have_no_layer_that_is_not_linear(tmp_path):
     path = tmp_path / "law.yaml"
-    path.write_text("base: no1\nflow: {slip_flow_index: 0.8}\n")
+    path.write_text("base: no1\nflow: {slip_flow_index: 0.8}\n", encoding="utf-8")
     section = "elements: {layer_yield: 100, layer_viscosity: 900}\n"
     if not concrete("no1").elements:
         with pytest.raises(SceneError, match=r"slip_flow_index = 0\.8: describes a slip layer that discrete elements"):
             scenes.pipe(concrete=path)
-    path.write_text(f"base: no1\nflow: {{slip_flow_index: 0.8}}\n{section}")
+    path.write_text(f"base: no1\nflow: {{slip_flow_index: 0.8}}\n{section}", encoding="utf-8")
     assert scenes.pipe(concrete=path).parameters["layer_viscosity"] == 900
 
 
@@ -492,7 +494,9 @@ def test_laws_that_a_mix_cannot_have(section, says):
 def test_age_and_temperature_are_factors_that_a_file_states(tmp_path):
     """They scale stresses and viscosities of bulk and layer once, in scenes, records, lines and elements."""
     path = tmp_path / "old.yaml"
-    path.write_text("base: no1\nsource: measured after 60 min\nflow: {yield_factor: 1.5, viscosity_factor: 1.2}\n")
+    path.write_text(
+        "base: no1\nsource: measured after 60 min\nflow: {yield_factor: 1.5, viscosity_factor: 1.2}\n", encoding="utf-8"
+    )
     fresh, old = scenes.tube().concrete, scenes.tube(concrete=path).concrete
     assert (old.yield_stress, old.slip_yield) == (1.5 * fresh.yield_stress, 1.5 * fresh.slip_yield)
     assert (old.viscosity, old.slip_viscosity) == (1.2 * fresh.viscosity, 1.2 * fresh.slip_viscosity)

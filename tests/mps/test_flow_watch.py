@@ -7,6 +7,7 @@ import pytest
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, SceneError
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.quantities import report
 from warpcrete.mps.scene import FlowWatch
@@ -68,12 +69,25 @@ def test_a_flow_that_bursts_is_not_called_steady(device):
         Simulation(scene, device=device).run()
 
 
+class FrameTimes(Recorder):
+    """Times of all frames [s]."""
+
+    def __init__(self):
+        self.times = []
+
+    def frame(self, simulation):
+        self.times.append(simulation.stepper.time)
+
+
 def test_nothing_is_called_steady_that_is_not(device):
     """A flow of given duration that ends before it is steady; one without a second sample."""
     run = Simulation(scenes.channel(spacing=10e-3, duration=0.01), device=device).run()
     assert not run.result["steady"] and "steady" not in check_flow(run)
     assert "not steady" in dict(report(run))
-    whole = Simulation(scenes.channel(spacing=10e-3), device=device).run()
+    frames = FrameTimes()
+    whole = Simulation(scenes.channel(spacing=10e-3), device=device, recorders=[frames], frame_interval=10.0).run()
     assert whole.result["steady"] and check_flow(whole)["steady"][0] and "not steady" not in dict(report(whole))
+    # The last state is drawn, although no frame is due when the flow is found to be steady.
+    assert frames.times == [0.0, whole.series["time"][-1]] and frames.times[1] < 10.0
     short = Simulation(scenes.channel(spacing=10e-3, duration=5e-4, sample_interval=5e-4), device=device).run()
     assert not all(ok for ok, _ in check_flow(short).values())

@@ -193,7 +193,7 @@ def test_a_slump_rests_where_the_tall_cone_does(device):
 
 def test_softer_concrete_slumps_and_spreads_more():
     found = [
-        FreeSimulation(slump(yield_stress=tau, lift_time=0.5, duration=3.0), device="cpu").run().result
+        FreeSimulation(slump(yield_stress=tau, lift_time=0.5, duration=3.0, spacing=0.0125), device="cpu").run().result
         for tau in (1200.0, 600.0, 300.0)
     ]
     slumps, spreads = ([number(r[name]) for r in found] for name in ("slump", "spread"))
@@ -267,7 +267,7 @@ def test_concrete_that_leaves_the_plate_stops_the_run():
 
 def test_slump_by_the_command(tmp_path):
     out = tmp_path / "run"
-    done = CliRunner().invoke(cli, ["run", "slump", "--spacing", "0.01", "--lift-time", "0.5", "--duration", "5",
+    done = CliRunner().invoke(cli, ["run", "slump", "--spacing", "0.0125", "--lift-time", "0.5", "--duration", "5",
                                     "--concrete", "no1", "--yield-stress", "1500", "--device", "cpu", "--frames", "4",
                                     "--out", str(out), "--quiet"])  # fmt: skip
     assert done.exit_code == 0, done.output

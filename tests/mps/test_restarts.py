@@ -57,6 +57,18 @@ def test_structure_that_does_not_break_is_a_concrete_that_bears_more(device):
     assert grown.series["bulk_gained"][-1] == pytest.approx(300.0, rel=1e-6)
 
 
+@pytest.mark.parametrize("name, ways", [("tube", 2), ("channel", 1)])
+def test_the_pressure_of_the_first_step_bears_the_wall_of_that_step(device, name, ways):
+    """Expect the drag of the wall in the same step, because the momentum of a constant flow does not change."""
+    found, scene = run(name, device, "float64", **PLUG, duration=DT, sample_interval=DT)
+    assert found.series["time"][1] == pytest.approx(DT)
+    stress, pressure = found.series["wall_stress"][1], found.series["pressure"][1]
+    # The drive of a flow that starts reaches the concrete at the end of the step, so that the wall brakes it before.
+    braked = DT / scene.concrete.density * ways / scene.radius * stress
+    assert stress == pytest.approx(20.0 + 1000.0 * (scene.velocity - braked), rel=1e-4)  # measured 8e-5
+    assert pressure == pytest.approx(ways * scene.length / scene.radius * stress, rel=1e-9)  # measured 5e-12
+
+
 @pytest.mark.thorough
 def test_structure_of_concrete_with_another_law_bears_more(device):
     thick = SHEARED | dict(flow_index=1.3, slip_flow_index=0.8)

@@ -292,7 +292,7 @@ def test_a_funnel_empties(device):
 
 def test_a_funnel_whose_sides_slip_empties_sooner(device):
     """By the layer on slanted sides and on the one across: little clings to what is all but smooth."""
-    small = {"spacing": 0.015, "cone_height": 0.2, "outlet_height": 0.1, "top_width": 0.3, "outlet_width": 0.09,
+    small = {"spacing": 0.02, "cone_height": 0.2, "outlet_height": 0.1, "top_width": 0.3, "outlet_width": 0.09,
              "breadth": 0.12, "time_step": 4e-3}  # fmt: skip
     stiff = OWN | {"viscosity": 40.0, "yield_stress": 0.0, "slip_viscosity": 50.0, "slip_yield": 0.0}
     sticks, slips = (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from pumping import SMALL
+from pumping import SMALL, TINY
 from test_recordings import columns
 
 from warpcrete import Simulation, scenes
@@ -93,7 +93,7 @@ def test_chains_are_as_wide_as_contacts_press(pumped):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_load_of_each_body_is_its_largest_contact_force(device, threads):
-    scene = scenes.pipe(**SMALL | dict(shapes="reference", travel=0.001, settle=0.0))
+    scene = scenes.pipe(**TINY | dict(shapes="reference", travel=0.001, ramp=0.0005, settle=0.0))
     simulation = Simulation(scene, device=device, threads=threads)
     simulation.run()
     model, state = simulation.model, simulation.state
@@ -168,7 +168,8 @@ def test_a_profile_is_the_mean_velocity_of_rings(pumped):
 @pytest.fixture(scope="module")
 def clumps():
     """A short pipe of clumps, after its run."""
-    simulation = Simulation(scenes.pipe(**SMALL | dict(travel=0.002, shapes="reference")), device="cpu")
+    scene = scenes.pipe(**TINY | dict(shapes="reference", travel=0.002, ramp=0.001))
+    simulation = Simulation(scene, device="cpu", threads=1)
     simulation.run()
     return simulation
 

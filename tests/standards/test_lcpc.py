@@ -45,7 +45,7 @@ def test_another_process_finds_both_scenes_and_their_test():
         f"assert pickle.loads({record!r}).name == 'lcpc'\n"
         "assert importlib.import_module('warpcrete.scenes.lcpc_dem').scene.name == 'lcpc-dem'"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
 
 

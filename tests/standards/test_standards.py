@@ -3,6 +3,7 @@
 import copy
 import pickle
 
+import numpy as np
 import pytest
 from test_free_flows import vessel
 
@@ -11,7 +12,7 @@ from warpcrete.core.run.method import Quantity, report_of
 from warpcrete.core.units import number
 from warpcrete.methods import METHODS, method_of
 from warpcrete.mps.free.simulation import FreeSimulation
-from warpcrete.standards import TESTS, ClosedForm, StandardTest
+from warpcrete.standards import J_RING, TESTS, ClosedForm, Outcome, Specimen, StandardTest
 
 
 @pytest.fixture
@@ -40,6 +41,23 @@ def test_a_test_of_one_s_own_needs_nothing_but_its_record(device, channel):
     assert {"channel_spread", "channel_spread_theory", "slump"} <= {each.name for each in METHODS[0].quantities}
     with pytest.raises(SceneError, match="dimensions"):
         vessel(test=channel)
+
+
+def test_the_blocking_step_is_that_over_the_bars():
+    """Fill a ring of 300 mm up to the outer edge of its bars of 18 mm with 80 mm of concrete, and 30 mm outside."""
+    edge = 0.159
+
+    def height_around(inner, outer):
+        inside = min(max(edge**2 - inner**2, 0.0) / (outer**2 - inner**2), 1.0)
+        return 0.03 + 0.05 * inside
+
+    concrete = Specimen(top=lambda radius: 0.08, spread=lambda: 0.6, height_around=height_around,
+                        depth=lambda *_: 0.0, front=lambda: 0.0, screen=lambda *_: 0.0, inside=1.0)  # fmt: skip
+    size = {"top_diameter": 0.1, "base_diameter": 0.2, "mould_height": 0.3, "ring_diameter": 0.3, "bar_diameter": 0.018}
+    row = J_RING.measure(concrete, size)
+    (step,) = [each for each in J_RING.quantities if each.name == "blocking_step"]
+    found = step.of(Outcome(J_RING, size, {name: np.array([value]) for name, value in row.items()}))
+    assert found == pytest.approx(0.05, abs=1e-12)
 
 
 def test_a_record_stays_itself(channel):

@@ -15,7 +15,7 @@ def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
     levels = {"coarse-graining": "x 2", "time step": "x 1.5"}
     promise = {"setting": "x", "levels": levels, "promised": 0.04, "ratio": 0.3}
     record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "promises": [promise]}
-    (tmp_path / "trade.json").write_text(json.dumps(record))
+    (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
     advice = advise(tmp_path, "pipe", pipe, {"size_max": 0.012, "size_min": 0.006, "diameter": 0.1}, 0.05)
     assert advice.changes == pytest.approx({"size_min": 0.012, "size_max": 0.024, "safety": 1.2})
     assert not advice.left_out
@@ -31,7 +31,7 @@ def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
 def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_path):
     promise = {"setting": "x", "levels": {"time step": "x 4"}, "promised": 0.04, "ratio": 0.3}
     record = {"scene": "channel", "parameters": {"time_step": 5e-4}, "quantities": ["pressure"], "promises": [promise]}
-    (tmp_path / "trade.json").write_text(json.dumps(record))
+    (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
     channel = modules()["channel"]
     for given in ({}, {"time_step": 5e-4}):
         advice = advise(tmp_path, "channel", channel, given, 0.05)
@@ -43,7 +43,7 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_pat
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
 def test_shipped_trades_are_of_scenes_of_this_version(path):
-    record = json.loads(path.read_text())
+    record = json.loads(path.read_text(encoding="utf-8"))
     module = modules()[record["scene"]]
     scene = module.scene(**record["parameters"])  # refuses what it does not know
     assert set(record["quantities"]) <= {each.name for each in method_of(scene).quantities}
@@ -72,7 +72,7 @@ def test_the_nearest_shipped_trade_is_taken():
     layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
     assert layered == (
         "concrete zhan instead of zhan-table1",
-        "wall_friction 0.034 instead of None",
+        "wall_friction 0.034 instead of the default",
         "layer_viscosity 1190 instead of 0",
     )
     assert nearest_shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
@@ -86,11 +86,11 @@ def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
     done = command("run", "channel", "--aggregates", "--aggregate-fraction", "0.2", "--duration", "0.02", "--accuracy",
                    "20%", "--out", tmp_path / "r", *bare)  # fmt: skip
     assert done.returncode == 0 and "phases one phase" in done.stderr, done.stdout + done.stderr
-    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    made = json.loads((tmp_path / "r" / "scene.json").read_text(encoding="utf-8"))["parameters"]
     assert made["aggregates"] is False and made["aggregate_fraction"] is None
     # What is chosen by hand stays, and is said to be missing from the setting.
     done = command("run", "channel", "--precision", "float32", "--accuracy", "5%", "--out", tmp_path / "s", *bare)
-    setting = json.loads((SHIPPED / "channel.json").read_text())["promises"][2]["levels"]
+    setting = json.loads((SHIPPED / "channel.json").read_text(encoding="utf-8"))["promises"][2]["levels"]
     assert ("without precision float64" in done.stderr) is (setting.get("precision") == "float64")
 
 
@@ -102,11 +102,11 @@ def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
         "from the shipped trade 'channel', measured on",
         "within",
         "twice the flow",
-        "flow 0.002 instead of None",
+        "flow 0.002 instead of the default",
     ):
         assert words in done.stderr
-    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    made = json.loads((tmp_path / "r" / "scene.json").read_text(encoding="utf-8"))["parameters"]
     assert made["tolerated_error"] == pytest.approx(0.1)
-    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    result = json.loads((tmp_path / "r" / "result.json").read_text(encoding="utf-8"))
     advice = advise(SHIPPED / "channel.json", "channel", modules()["channel"], {"flow": 0.002}, 0.1)
     assert max(abs(result["pressure_error"]), abs(result["slip_velocity_error"])) <= advice.promised <= 0.1

@@ -137,7 +137,7 @@ def test_a_flow_index_comes_back(tmp_path, monkeypatch):
     assert found.best["flow_index"] == pytest.approx(1.3, abs=0.03)
     assert found.best["viscosity"] == pytest.approx(30.0, rel=0.06)
     path = tmp_path / "concrete.yaml"
-    path.write_text(yaml_text(concrete_of(found, modules())))
+    path.write_text(yaml_text(concrete_of(found, modules())), encoding="utf-8")
     assert scenes.tube(concrete=path).concrete.flow_index == pytest.approx(found.best["flow_index"], rel=1e-5)
 
 
@@ -230,7 +230,7 @@ targets:
 def test_wrong_targets_are_refused_in_one_line(tmp_path, change, says):
     assert GOOD.count(change[0]) >= 1
     path = tmp_path / "targets.yaml"
-    path.write_text(GOOD.replace(*change, 1) if change[0] != "tube" else GOOD.replace(*change))
+    path.write_text(GOOD.replace(*change, 1) if change[0] != "tube" else GOOD.replace(*change), encoding="utf-8")
     with pytest.raises(SceneError) as refused:
         read_task(path, modules())
     assert says in str(refused.value) and "\n" not in str(refused.value)
@@ -248,7 +248,7 @@ def test_values_that_contradict_one_another_are_refused():
 
 
 @pytest.mark.thorough
-def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path):
+def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path, whole_pictures):
     """By the command, with real runs: interrupted after its first round, gone on with, and the concrete used."""
     path = tmp_path / "targets.yaml"
     path.write_text(
@@ -256,13 +256,14 @@ def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path):
         "  - {scene: channel, parameters: {concrete: no1, spacing: 0.02, length: 0.2, flow: 1e-3}, quantity: pressure,"
         " value: 6000, uncertainty: 1%}\n"
         "  - {scene: channel, parameters: {concrete: no1, spacing: 0.02, length: 0.2, flow: 2e-3}, quantity: pressure,"
-        " value: 6700, uncertainty: 1%, held_out: true}\n"
+        " value: 6700, uncertainty: 1%, held_out: true}\n",
+        encoding="utf-8",
     )
     out = tmp_path / "out"
     done = command("calibrate", path, "--out", out, "--device", "cpu", "--trials", "4", "--batch", "4", "--repeat", "1",
                    "--quiet")  # fmt: skip
     assert done.returncode == 0, done.stderr
-    answer = json.loads((out / "answer.json").read_text())
+    answer = json.loads((out / "answer.json").read_text(encoding="utf-8"))
     fitted, held = answer["targets"]
     assert abs(fitted["off"]) < 1 and held["held_out"] and held["runs"] and answer["trials"] == 4
     assert (out / "calibration.png").stat().st_size > 5000
@@ -314,9 +315,9 @@ def test_what_is_held_out_is_not_fitted(tmp_path, monkeypatch):
 
 
 def test_files_are_meant_from_the_targets_folder(tmp_path):
-    (tmp_path / "mine.yaml").write_text("base: no1\nflow: {density: 2400}")
+    (tmp_path / "mine.yaml").write_text("base: no1\nflow: {density: 2400}", encoding="utf-8")
     path = tmp_path / "targets.yaml"
-    path.write_text(GOOD.replace("no1", "mine.yaml"))
+    path.write_text(GOOD.replace("no1", "mine.yaml"), encoding="utf-8")
     task, raw = read_task(path, modules())
     assert raw["targets"][0]["parameters"]["concrete"] == str(tmp_path / "mine.yaml")
     assert task.targets[0].parameters["concrete"] == str(tmp_path / "mine.yaml")
@@ -329,7 +330,7 @@ def test_the_file_of_a_pipes_concrete_holds_all_that_it_had(tmp_path):
     task = task_of(raw, modules())
     found = SimpleNamespace(task=task, best={"friction": 0.123})
     path = tmp_path / "concrete.yaml"
-    path.write_text(yaml_text(concrete_of(found, modules())))
+    path.write_text(yaml_text(concrete_of(found, modules())), encoding="utf-8")
     ours, theirs = scenes.pipe(concrete=path), scenes.pipe(friction=0.123)
     assert (ours.contact, ours.contacts, ours.bonds) == (theirs.contact, theirs.contacts, theirs.bonds)
 

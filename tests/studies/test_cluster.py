@@ -17,6 +17,7 @@ from test_study import BASE
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError, WarpcreteError
 from warpcrete.dem.simulation import ElementSimulation
+from warpcrete.studies import running
 from warpcrete.studies.cluster import LOCAL_SCHEDULER_OPTIONS, check_scheduler, local_cluster, slurm_cluster
 from warpcrete.studies.running import previous_outcome, run_cases, run_on_gpu
 from warpcrete.studies.study import cases_of, resume_study, run_study
@@ -44,7 +45,7 @@ def begun(out, **changes):
         [sys.executable, "-c", COMMAND, "study", "pipe", "--velocity", "0.3", "0.31",
          *options, "--out", str(out), "--device", "cpu", "--scheduler", "local", "--workers", "2",
          "--checkpoint-every", "0.2", "--quiet"],
-        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",
     )  # fmt: skip
 
 
@@ -138,6 +139,30 @@ def test_one_case_of_a_part_that_cannot_begin_leaves_the_others(run, tmp_path):
     found = run(record, tmp_path, [wrong, sound])
     assert isinstance(found[0], SceneError) and found[1]["finished"]
     assert isinstance(run(record, tmp_path, [wrong])[0], SceneError)
+
+
+def test_a_gpu_runs_and_stores_the_cases_group_by_group(tmp_path, monkeypatch):
+    """Of three cases in groups of two, the first two are stored before the third begins, which Ctrl-C then stops."""
+    cases = cases_of(BASE, {"velocity": [0.3, 0.45, 0.6]})
+    record = {"device": "cpu", "precision": "float32", "figure": False,
+              "command": {"frames": 25.0, "checkpoint_every": 0.0}}  # fmt: skip
+    monkeypatch.setattr(running, "CASES_TOGETHER", 2)
+    together, run = [], running._outcomes
+
+    def noting(by_name, progress):
+        together.append(list(by_name))
+        if len(together) == 2:
+            return dict.fromkeys(by_name, KeyboardInterrupt())
+        return run(by_name, progress)
+
+    monkeypatch.setattr(running, "_outcomes", noting)
+    found = batch_of_a_gpu(record, tmp_path, cases)
+    names = [case.name for case in cases]
+    assert together == [names[:2], names[2:]]
+    assert [isinstance(outcome, KeyboardInterrupt) for outcome in found] == [False, False, True]
+    alone = Simulation(scenes.pipe(**cases[1].parameters), device="cpu", threads=1).run()
+    assert found[1]["state_hash"] == alone.result["state_hash"]
+    assert (tmp_path / names[0] / "result.json").is_file() and not list(tmp_path.rglob("*.png"))
 
 
 @pytest.mark.posix

@@ -1,6 +1,7 @@
 """What `explain` foretells, beside the state of a run that begins; no times, which benchmarks compare."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from warpcrete.dem.forecast import tiled
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene.containers import MeshContainer, PipeContainer
 from warpcrete.geometry.axis import Arc, Axis, Line
-from warpcrete.studies.tradeoffs.explain import explain
+from warpcrete.studies.tradeoffs.explain import _time_step_savings, explain
 
 SMALL = dict(diameter=0.1, size_min=12e-3, size_max=20e-3, length=0.5, ramp=0.02, travel=0.05, plug_ball=15e-3)
 
@@ -68,6 +69,41 @@ def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
     assert explain(scenes.channel(duration=0.05), device=device, cache=False).forecast.steps == 100
 
 
+FLOWS = {
+    "particles": lambda: scenes.channel(spacing=0.02, duration=0.01),
+    "free": lambda: scenes.slump(spacing=0.015, duration=0.1),
+    "part": lambda: scenes.part(unit="horizontal", straight=0.15, spacing=0.0125, diameter=0.1),
+}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", FLOWS)
+def test_a_forecast_of_a_flow_states_the_threads_that_it_uses(kind):
+    scene = FLOWS[kind]()
+    features = [explain(scene, device="cpu", threads=n, cache=False).forecast.features["threads"] for n in (1, 2)]
+    simulation = Simulation(scene, device="cpu", threads=2)
+    simulation.prepare()
+    assert features == ["1", str(simulation.flow.threads)]
+    assert features[1] == ("1" if kind == "particles" else "2"), "a small flow of particles uses one thread"
+
+
+@pytest.mark.thorough
+def test_dashpots_that_limit_the_step_are_a_saving(device):
+    """For one contact, the step with a damping ratio b is sqrt(1 + b^2) - b of that without, here 0.62."""
+    contacts = {**SMALL, "length": 0.2, "bonds": False, "plug": "none"}
+    contacts.pop("plug_ball")
+    told = explain(scenes.pipe(**contacts), device=device, threads=1, cache=False)
+    limits = told.forecast.limits
+    assert told.forecast.governing.startswith("contacts; their dashpots shorten the step by")
+    ratio = limits["contacts"] / limits["contacts without dashpots"]
+    assert math.sqrt(1.25) - 0.5 <= ratio < 0.85
+    (saving,) = _time_step_savings(replace(told.forecast, parts={"steps": 1.0}))
+    assert saving.what == "no dashpots, or less damping" and saving.ratio == pytest.approx(ratio)
+    bare = explain(scenes.pipe(**contacts, normal_damping=0.0), device=device, threads=1, cache=False)
+    assert "dashpots" not in bare.forecast.governing
+    assert not list(_time_step_savings(replace(bare.forecast, parts={"steps": 1.0})))
+
+
 @pytest.mark.thorough
 def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = scenes.pipe(**SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2))
@@ -88,7 +124,9 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
     other = explain(softer, device=device, threads=1, cache=False).forecast.limits
     ratio = other["contacts and hydrated bonds"] / limits["contacts and hydrated bonds"]
     assert ratio == pytest.approx(2.0, rel=0.05)
-    (saving,) = [s for s in told.savings if s.what == "no hydrated bonds, or softer ones"]
+    assert "dashpots" not in told.forecast.governing
+    (saving,) = [s for s in told.savings if "dashpots" in s.what or "hydrated" in s.what]
+    assert saving.what == "no hydrated bonds, or softer ones"
     assert saving.ratio < 0.8 and saving.error == "error not measured"
     assert limits["contacts without dashpots"] > 1.1 * limits["contacts"]
     assert "mm" in told.forecast.governing
@@ -98,7 +136,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
 
 def test_features_are_those_that_are_compiled_in(device):
     def used(**changes) -> set[str]:
-        scene = scenes.pipe(concrete="zhan-table1", **SMALL | dict(length=0.2) | changes)
+        scene = scenes.pipe(concrete="zhan-table1", **SMALL | dict(length=0.1) | changes)
         if not changes.get("bonds", True):  # of the plug, too
             scene = replace(scene, bodies=(), drives=(), group_bonds={})
         features = explain(scene, device=device, cache=False)
@@ -129,9 +167,9 @@ def test_a_forecast_is_kept_for_the_next_time(tmp_path, monkeypatch):
     (kept,) = (tmp_path / "cache").rglob("explain-*.json")
     assert str(explain(scene, device="cpu")) == str(first)
     before = kept.stat().st_mtime_ns
-    kept.write_text("{")  # a broken one counts as none
+    kept.write_text("{", encoding="utf-8")  # a broken one counts as none
     assert explain(scene, device="cpu").forecast.counts == first.forecast.counts
-    assert kept.stat().st_mtime_ns != before and json.loads(kept.read_text())["counts"]
+    assert kept.stat().st_mtime_ns != before and json.loads(kept.read_text(encoding="utf-8"))["counts"]
     explain(scenes.channel(spacing=0.0195), device="cpu")
     assert len(list((tmp_path / "cache").rglob("explain-*.json"))) == 2
 
@@ -145,7 +183,7 @@ def test_savings_by_a_trade(tmp_path):
               point("wall 64 facets", "wall", 2.8, 0.001), point("both", "combined", 0.1, 0.1),
               point("stiffness 1 Pa", "stiffness", 0.1, 0.1, ("no aggregate swallowed",))]  # fmt: skip
     record = {"scene": "pipe", "machine": "some machine", "points": points}
-    (tmp_path / "trade.json").write_text(json.dumps(record))
+    (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
     told = explain(scenes.pipe(**SMALL | dict(length=0.2)), device="cpu", trade=tmp_path)
     assert [(s.what, s.ratio, s.error) for s in told.savings if s.error != "error not measured"] == [
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")

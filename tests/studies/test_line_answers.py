@@ -8,7 +8,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from warpcrete import SceneError
+from warpcrete import SceneError, WarpcreteError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
 from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
@@ -291,7 +291,7 @@ begin = time.process_time()
 done = CliRunner().invoke(cli, ["line", "burj-khalifa", "--concrete", "example-scc", "--practice", "--rest", "600"])
 print(done.exit_code, "warp" in sys.modules, "matplotlib" in sys.modules, time.process_time() - begin)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     status, warp, plots, seconds = done.stdout.split()
     assert (status, warp, plots) == ("0", "False", "False") and float(seconds) < 0.5, done.stdout
 
@@ -307,7 +307,7 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
                   "the motor has 110 kW", "(efficiency 0.69: bar times m3/h over 25)", "after 20 min of rest",
                   "the line holds 0.404 m3", "| JSCE |"):  # fmt: skip
         assert words in done.output
-    record = json.loads((tmp_path / "line" / "line.json").read_text())
+    record = json.loads((tmp_path / "line" / "line.json").read_text(encoding="utf-8"))
     assert record["pump"]["motor_power_limit"]["value"] == 110e3 and record["pump"]["pressure_limit"]["value"] == 8.5e6
     along = record["along"]
     assert along["pressure"]["values"][0] == record["pressure"]["value"] and along["pressure"]["values"][-1] == 0
@@ -321,3 +321,24 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
         assert refused.exit_code == 2 and says in refused.output
     none = CliRunner().invoke(cli, ["line", str(path), "--method", "dem", "--practice"])
     assert none.exit_code == 2 and "practice: has no effect with '--method dem'" in none.output
+
+
+def test_a_line_is_a_dataset_of_its_parts_and_places(monkeypatch):
+    pytest.importorskip("xarray", reason="needs xarray, which the extra [test] installs")
+    made = pumped({"straight": 10}, {"bend": "up"}, {"straight": 5}, factor=1.5, name="yard")
+    found = made.to_xarray()
+    assert found.sizes == {"number": 3, "place": 4} and found["number"].to_numpy().tolist() == [1, 2, 3]
+    assert found["friction"].to_numpy() == pytest.approx([loss.friction for loss in made.losses])
+    assert found["friction"].attrs == {"units": "Pa", "long_name": "friction"}
+    low, high = found["over_straight_low"].to_numpy(), found["over_straight_high"].to_numpy()
+    assert (low[1], high[1]) == made.losses[1].range and all(map(math.isnan, (low[0], high[0], low[2], high[2])))
+    places, bands = made.bands()
+    for name, end in (("pressure", "value"), ("pressure_low", "low"), ("pressure_high", "high")):
+        assert found[name].dims == ("place",) and found[name].attrs["units"] == "Pa"
+        assert found[name].to_numpy() == pytest.approx([getattr(band, end) for band in bands])
+    assert found["place"].to_numpy() == pytest.approx(places) and found["place"].attrs["units"] == "m"
+    assert found.attrs["line"] == "yard" and json.loads(found.attrs["concrete"])["slip_yield"] == 50.0
+    assert json.loads(found.attrs["quantities"])["pressure"] == made.pressure
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(WarpcreteError, match=r"pip install xarray, or use line\.record\(\)"):
+        made.to_xarray()

@@ -26,7 +26,8 @@ def test_a_bore_is_read_beside_its_line(tmp_path):
     site = tmp_path / "site.yaml"
     site.write_text(
         "diameter: 125 mm\nbegin: up\nparts:\n  - straight: 1\n"
-        "  - bore: {file: valve.stl, scale: 0.001, length: 250 mm, outlet: 100 mm}\n  - straight: 1\n"
+        "  - bore: {file: valve.stl, scale: 0.001, length: 250 mm, outlet: 100 mm}\n  - straight: 1\n",
+        encoding="utf-8",
     )
     part = read_line(site).parts[1]
     assert (part.diameter, part.outlet, part.length, part.rise) == (0.125, 0.1, 0.25, 0.25)
@@ -98,7 +99,7 @@ def test_a_flow_through_a_whole_line_refuses_a_bore(tmp_path):
     tube(tmp_path / "valve.stl", [0.0625, 0.0625])
     site = tmp_path / "site.yaml"
     parts = "parts:\n  - straight: 1\n  - bore: {file: valve.stl, scale: 0.001, length: 0.25}\n  - straight: 1\n"
-    site.write_text(f"diameter: 125 mm\n{parts}")
+    site.write_text(f"diameter: 125 mm\n{parts}", encoding="utf-8")
     with pytest.raises(SceneError, match=r"^line = 'site': has a bore from a mesh .part 2., which this scene cannot"):
         scenes.part(line=str(site))
 

@@ -40,6 +40,18 @@ def test_exact_pressures_give_the_constants_that_made_them():
     assert again.pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 0.01).pressure, rel=1e-6)
 
 
+def test_gauges_within_a_part_bear_the_weight_of_what_rises_behind_them():
+    """Put gauges at a third and two thirds of the rising pipe, in which the pressure falls in a straight line."""
+    found = taps(parts=(0, 1, 2))
+    for low, high in zip(taps(parts=(4,)), taps(parts=(5,)), strict=True):
+        assert low.pressure - high.pressure > 30 * 2400 * 9.81
+        for share in (1 / 3, 2 / 3):
+            place, pressure = (a + share * (b - a) for a, b in ((low.place, high.place), (low.pressure, high.pressure)))
+            found.append(Tap(place, pressure, low.flow, 0))
+    fit = fit_line(LINE, GUESS, found)
+    assert [x.value for x in fit.constants] == pytest.approx([700, 25, 2.2], rel=1e-6) and fit.scatter < 1e-3
+
+
 def test_the_band_covers_the_true_constants_as_often_as_it_says():
     """With gauges that are off by 0.05 bar, 95 % of many fits cover each constant: 51 of 60 do at least."""
     inside = np.zeros(3)
@@ -155,7 +167,7 @@ def test_the_command_fits_a_trial_line(tmp_path):
     assert (
         "from: pipe" in layer and "**Fit to 12 taps of site**" in done.output and "pressure at the pump" in done.output
     )
-    record = json.loads((tmp_path / "out" / "line.json").read_text())
+    record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["fit"]["constants"]["slip viscosity"]["value"] == pytest.approx(700, rel=0.03)
     factor = record["fit"]["constants"]["factor of bends"]["value"]
     mix = f"mix:\n  density: 2400\n  spread: 600 mm\n  concrete: {{viscosity: 60, yield_stress: 80}}\n  {layer}\n"
@@ -166,7 +178,7 @@ def test_the_command_fits_a_trial_line(tmp_path):
     (tmp_path / "site.yaml").write_text(again, encoding="utf-8")
     second = CliRunner().invoke(cli, ["line", str(tmp_path / "site.yaml"), "--out", str(tmp_path / "again")])
     assert second.exit_code == 0, second.output
-    pressure = json.loads((tmp_path / "again" / "line.json").read_text())["pressure"]["value"]
+    pressure = json.loads((tmp_path / "again" / "line.json").read_text(encoding="utf-8"))["pressure"]["value"]
     assert pressure == pytest.approx(record["pressure"]["value"], rel=2e-3)
     assert pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 25 / 3600).pressure, rel=0.02)
     for more, says in (

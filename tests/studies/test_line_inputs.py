@@ -26,7 +26,7 @@ def test_a_slump_and_a_straight_pipe_suffice(tmp_path):
     eta, tau = slump_layer(0.18)
     assert (mix.concrete.slip_viscosity, mix.concrete.slip_yield) == pytest.approx((eta, tau))
     friction = steady(mix.concrete, Line(radius=0.0625, length=190.0, rise=0.0), 30 / 3600).pressure
-    record = json.loads((tmp_path / "out" / "line.json").read_text())
+    record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["pressure"]["value"] == pytest.approx(friction + 2350 * 9.81 * 20, rel=1e-9)
     assert record["pressure_low"]["value"] < record["pressure"]["value"] / 1.4
     assert "slump 180mm at 30 m3/h" in done.output and "20 mm in 125 mm is 0.16" in done.output

@@ -231,10 +231,10 @@ def test_parts_are_simulated_once_and_found_again(device, tmp_path, monkeypatch)
         assert loss.friction == pytest.approx(loss.theory, rel=allowed), loss.part.label
         assert loss.friction > 0.999 * loss.theory
     assert found.losses[1].friction == found.losses[3].friction
-    record = json.loads((tmp_path / "line" / "line.json").read_text())
+    record = json.loads((tmp_path / "line" / "line.json").read_text(encoding="utf-8"))
     assert record["pressure"]["value"] == pytest.approx(found.pressure) and len(record["parts"]) == 6
     assert (tmp_path / "line" / "line.png").stat().st_size > 10_000
-    assert "| 2 | bend of 90 degrees, radius 0.5 m |" in (tmp_path / "line" / "line.md").read_text()
+    assert "| 2 | bend of 90 degrees, radius 0.5 m |" in (tmp_path / "line" / "line.md").read_text(encoding="utf-8")
 
     def refused(*given, **settings):
         raise AssertionError("is simulated again")
@@ -260,13 +260,15 @@ def test_a_part_that_fails_its_check_is_told(tmp_path, monkeypatch):
     """Friction allowed to be off by nothing: in remarks, record, and the exit code, also where the run was known."""
     monkeypatch.setattr(scenes.modules()["part"], "ACCURACY", 1e-9)
     path = tmp_path / "site.yaml"
-    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - bend: {to: up, radius: 0.3 m}\n")
+    path.write_text(
+        "diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - bend: {to: up, radius: 0.3 m}\n", encoding="utf-8"
+    )
     given = ["line", str(path), "--simulate", "--cells", "8", "--device", "cpu", "--quiet", "--out"]
     for more in ([str(tmp_path / "one")], [str(tmp_path / "two"), "--known", str(tmp_path / "one")]):
         done = CliRunner().invoke(cli, [*given, *more])
         assert done.exit_code == 3
         assert "- check FAILED in bend-125-90-0.3-cells-8: friction upstream: +" in done.output
-        record = json.loads((tmp_path / more[0].rsplit("/")[-1] / "line.json").read_text())
+        record = json.loads((tmp_path / more[0].rsplit("/")[-1] / "line.json").read_text(encoding="utf-8"))
         assert len(record["failed_checks"]["bend-125-90-0.3-cells-8"]) == 2
 
 
@@ -291,7 +293,7 @@ def test_a_line_put_together_is_the_line_as_a_whole(device):
 
 def test_the_command_adds_up_a_line(tmp_path):
     path = tmp_path / "site.yaml"
-    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n")
+    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n", encoding="utf-8")
     done = CliRunner().invoke(cli, ["line", str(path), "--theory"])
     assert done.exit_code == 0, done.output
     theory = run_line(read_line(path), concrete_of("no1"), 20 / 3600, simulate=False)
@@ -299,11 +301,11 @@ def test_the_command_adds_up_a_line(tmp_path):
     other = CliRunner().invoke(cli, ["line", str(path), "--theory", "--flow", "40 m3/h", "--concrete", "no3"])
     more = run_line(read_line(path), concrete_of("no3"), 40 / 3600, simulate=False)
     assert f"{more.pressure / 1e5:.4g} bar" in other.output and more.pressure > theory.pressure
-    path.write_text("diameter: 125 mm\nconcrete: no1\nparts:\n  - straight: 10 m\n")
+    path.write_text("diameter: 125 mm\nconcrete: no1\nparts:\n  - straight: 10 m\n", encoding="utf-8")
     refused = CliRunner().invoke(cli, ["line", str(path), "--theory"])
     assert refused.exit_code == 2 and "flow: is missing" in refused.output
     (tmp_path / "else").mkdir()
-    (tmp_path / "else" / "file").write_text("")
+    (tmp_path / "else" / "file").write_text("", encoding="utf-8")
     taken = CliRunner().invoke(
         cli, ["line", str(path), "--simulate", "--flow", "20 m3/h", "--out", str(tmp_path / "else")]
     )
@@ -313,7 +315,7 @@ def test_the_command_adds_up_a_line(tmp_path):
 
 def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
     path, out = tmp_path / "site.yaml", tmp_path / "line"
-    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n")
+    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n", encoding="utf-8")
 
     def cut(*given, **settings):
         (out / "parts").mkdir()

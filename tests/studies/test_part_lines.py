@@ -35,7 +35,7 @@ parts:
 
 def written(folder, parts, diameter=0.1, more=""):
     path = folder / "site.yaml"
-    path.write_text(f"diameter: {diameter}\n{more}parts: {parts}\n")
+    path.write_text(f"diameter: {diameter}\n{more}parts: {parts}\n", encoding="utf-8")
     return str(path)
 
 
@@ -143,7 +143,7 @@ def test_bends_of_one_plane_are_computed_by_half(tmp_path):
 def test_a_line_in_two_planes_loses_what_its_parts_do(device, tmp_path):
     """What is between is the coarse cells' error on straight friction, which the parts take from finer ones."""
     path = tmp_path / "site.yaml"
-    path.write_text(TWO_PLANES)
+    path.write_text(TWO_PLANES, encoding="utf-8")
     whole = PartSimulation(scenes.part(line=str(path), spacing=0.125 / 8, time_step=3e-3), device=device).run()
     added = run_line(read_line(path), concrete_of("no1"), 19.8 / 3600, cells=8, simulate=True, device=device)
     assert all(good for good, _ in modules()["part"].check(whole).values())

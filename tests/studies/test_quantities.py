@@ -15,6 +15,7 @@ from warpcrete.core.run.run_loop import Run
 from warpcrete.dem.measure.quantities import QUANTITIES, Known, no_plateau, past_ramp
 from warpcrete.dem.measure.quantities import report as element_report
 from warpcrete.dem.measure.sampling import unit_of
+from warpcrete.dem.scene.scene import Stops
 from warpcrete.methods import METHODS
 from warpcrete.record.checks import failed_checks
 from warpcrete.studies.cases import Case
@@ -75,6 +76,19 @@ def test_no_plateau_before_the_piston_moves_steadily_or_while_the_pressure_chang
         assert not past_ramp(scene, travel)
     elif not plateau:
         assert "still changes by more than 10 %" in lines["plateau pressure"]
+
+
+def test_the_final_window_lies_within_the_last_stroke():
+    """Raise the pressure in the last fifth of the second of two strokes, which is all that the window may hold."""
+    stops = Stops(count=1, stroke_time=1.0, pause=0.5)
+    pipe = dataclasses.replace(PIPE.pipe, travel=1.0, ramp=0.1, stops=stops)
+    begun = pipe.begun(1.0)
+    assert 0.4 < begun < 0.6
+    way = np.linspace(0, 1.0, 1001)
+    begins = begun + 0.8 * (1.0 - begun)
+    known = known_of(way, np.where(way < begins - 1e-9, 10e3, 30e3), dataclasses.replace(PIPE, pipe=pipe))
+    assert known.window_begin == pytest.approx(begins, rel=1e-12)
+    assert results(known)["end_pressure"]["value"] == pytest.approx(30e3, rel=1e-12)
 
 
 def wave(way, size, period=0.05):
@@ -222,7 +236,7 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
     assert lines[0] == "| velocity [m/s] | diameter [m] | peak [kPa] | plateau [kPa] | runs | failed | suspect |"
     assert lines[2] == "| 0.1 | 0.1 | 20.00 | 10.00 | 1 | 0 | 0 |"
     study.write()
-    with (tmp_path / "study.csv").open() as file:
+    with (tmp_path / "study.csv").open(encoding="utf-8") as file:
         row = next(csv.DictReader(file))
     assert row["velocity [m/s]"] == "0.1" and float(row["peak_pressure [Pa]"]) == 20e3
     assert "plateau_pressure_scatter [Pa]" in row

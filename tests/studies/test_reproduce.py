@@ -111,7 +111,7 @@ def test_what_names_nothing_is_refused(tmp_path):
 def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
     first = Reproduction(tmp_path / "first", "zhan", False, 2, "cpu", ("yielding layer",), ("units",))
     first.folder.mkdir()
-    (first.folder / "reproduction.json").write_text(json.dumps({"paper": "zhan", "quick": False}))
+    (first.folder / "reproduction.json").write_text(json.dumps({"paper": "zhan", "quick": False}), encoding="utf-8")
     for place, case in enumerate(groups("yielding layer", "units", seeds=2)["yielding layer"]):
         pressure = {"value": 1e4 + 1e3 * place, "unit": "Pa"}
         first.results[key_of("yielding layer", case)] = {
@@ -120,7 +120,7 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
     write(first)
     found = reproduce("zhan", out=tmp_path / "out", seeds=2, only=first.columns + first.rows, known=[first.folder])
     assert found.finished and len(found.results) == 8, "nothing is left to run"
-    text = (found.folder / "reproduction.md").read_text()
+    text = (found.folder / "reproduction.md").read_text(encoding="utf-8")
     # Of two seeds: their mean and standard deviation in kPa.
     assert "| yielding layer | 10.5 +- 0.71 / 10.5 +- 0.71 | 12.5 +- 0.71 / 12.5 +- 0.71 |" in text
     assert "| 0.10 | 0.10 |" in text and "as a yield stress of 357 Pa" in text
@@ -139,7 +139,7 @@ def test_what_is_open_stands_beside_the_calibrated_concrete():
         assert column_parameters(name)["concrete"] == "zhan"
 
 
-def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
+def test_failed_cases_are_left_out_of_a_verdict(tmp_path, whole_pictures):
     (row,) = [row for row in ZHAN if row.parameter == "velocity"]
     found = Reproduction(tmp_path, "zhan", False, 2, "cpu")
     for value in row.values:
@@ -161,7 +161,7 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
         found.results[key] = {"peak_pressure": {"value": 4e4, "unit": "Pa"}}
     assert verdict_of(found, sizes, "calibrated")[1] == "too few runs finished (missing: 0.1)"
     write(found)
-    text = (tmp_path / "reproduction.md").read_text()
+    text = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     assert "| calibrated | 31.0 +- 0.14 | 33.0 +- 0.14 | 35.0 +- 0.14 | 37.0 +- 0.14 | - |" in text
     assert "overlap of body 7" in text
     assert (tmp_path / "reproduction.png").stat().st_size > 5000
@@ -184,12 +184,12 @@ def test_a_reproduction_runs_and_is_gone_on_with(tmp_path, monkeypatch):
     found = reproduce("xu", out=tmp_path / "out", device="cpu", quick=True)
     assert found.finished and len(found.results) == 3 and not found.failures
     assert len([path for path in (found.folder / "flow-channel").iterdir() if path.is_dir()]) == 2
-    text = (found.folder / "reproduction.md").read_text()
+    text = (found.folder / "reproduction.md").read_text(encoding="utf-8")
     assert text.count("| channel | no1 | flow 0.00") == 3 and "Pressure holds" in text
     assert papers.XU_PRINTED["pressure"] == 9.40e3
     again = reproduce("xu", out=tmp_path / "again", device="cpu", quick=True, known=[tmp_path / "out"])
     assert again.finished and sorted(path.name for path in again.folder.glob("*/")) == [] and len(again.results) == 3
-    assert (again.folder / "reproduction.md").read_text() == text
+    assert (again.folder / "reproduction.md").read_text(encoding="utf-8") == text
 
 
 @pytest.mark.thorough
@@ -202,5 +202,5 @@ def test_the_command_reproduces_xu_quickly(tmp_path):
 
 def test_nothing_is_judged_that_did_not_run(tmp_path):
     write(Reproduction(tmp_path, "xu", True, 1, "cpu"))
-    text = (tmp_path / "reproduction.md").read_text()
+    text = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     assert "Pressure holds" not in text and text.count("Not judged") == 4

@@ -101,7 +101,7 @@ def test_bad_studies_write_nothing(tmp_path):
         run_study("pipe", pipe_module, {"velocity": [0.3, -1.0]}, base=BASE, out=out, device="cpu")
     assert not out.exists()
     out.mkdir()
-    (out / "study.json").write_text("{}")
+    (out / "study.json").write_text("{}", encoding="utf-8")
     with pytest.raises(RunFolderError, match="is not the record of a study"):
         resume_study(out, pipe_module)
     shutil.rmtree(out)
@@ -130,7 +130,7 @@ def test_the_study_command(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "| velocity [m/s] | peak [kPa] | runs | failed | suspect |" in done.stdout
     assert "2 of 2 cases done" in done.stdout
-    record = json.loads((out / "study.json").read_text())
+    record = json.loads((out / "study.json").read_text(encoding="utf-8"))
     assert [c["varied"] for c in record["cases"]] == [{"velocity": 0.3}, {"velocity": 0.6}]
     again = command("study", "--resume", str(out), "--quiet")
     assert again.returncode == 0 and "2 of 2 cases done" in again.stdout
@@ -177,18 +177,18 @@ def test_a_case_that_was_cut_before_its_checks_is_run_again(tmp_path):
     study = run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, device="cpu", processes=1)
     (name,) = study.results
     path = out / name / "result.json"
-    result = json.loads(path.read_text())
+    result = json.loads(path.read_text(encoding="utf-8"))
     assert set(result["checks"]) >= {"finished", "momentum balance"}
     del result["checks"]
-    path.write_text(json.dumps(result))
+    path.write_text(json.dumps(result), encoding="utf-8")
     again = resume_study(out, pipe_module, processes=1)
-    assert "checks" in again.results[name] and "checks" in json.loads(path.read_text())
+    assert "checks" in again.results[name] and "checks" in json.loads(path.read_text(encoding="utf-8"))
 
 
 def test_a_study_without_cases_or_settings_is_none(tmp_path):
     case = {"name": "a", "varied": {}, "parameters": {}}
     whole = {"scene": "pipe", "cases": [case], "command": {}, "device": "cpu", "precision": "float32"}
     for record in (whole | {"cases": []}, {key: value for key, value in whole.items() if key != "precision"}):
-        (tmp_path / "study.json").write_text(json.dumps(record))
+        (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
         with pytest.raises(RunFolderError, match="is not the record of a study"):
             resume_study(tmp_path, pipe_module)

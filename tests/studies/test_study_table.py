@@ -105,7 +105,7 @@ def test_a_study_comes_back_with_its_runs(tmp_path):
     whole = made.table()
     read = pandas.read_parquet(out / "study.parquet").set_index("case")
     pandas.testing.assert_frame_equal(read, whole, check_dtype=False)
-    (out / "study.json").write_text('{"scene": "none"}')
+    (out / "study.json").write_text('{"scene": "none"}', encoding="utf-8")
     with pytest.raises(RunFolderError, match="names a scene that this version does not have"):
         warpcrete.load(out)
 

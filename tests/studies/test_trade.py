@@ -138,11 +138,11 @@ def test_a_trade_of_a_flow_goes_by_the_closed_form(flow_trade):
 def test_what_a_trade_writes(flow_trade):
     folder = flow_trade.folder
     assert {p.name for p in folder.iterdir()} == {"trade.json", "trade.md", "trade.csv", "trade.png", "runs"}
-    rows = list(csv.DictReader((folder / "trade.csv").open()))
+    rows = list(csv.DictReader((folder / "trade.csv").open(encoding="utf-8")))
     assert len(rows) == len(flow_trade.points) and float(rows[0]["pressure_error"]) == flow_trade.given.errors[0].shift
-    text = (folder / "trade.md").read_text()
+    text = (folder / "trade.md").read_text(encoding="utf-8")
     assert "against the closed form" in text and "time step 0.002 s" in text
-    record = json.loads((folder / "trade.json").read_text())
+    record = json.loads((folder / "trade.json").read_text(encoding="utf-8"))
     assert len(record["points"]) == len(flow_trade.points) and any(p["front"] for p in record["points"])
 
 
@@ -193,7 +193,7 @@ def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
     left_out = [p for p in trade.points if not p.results]
     assert len(left_out) == len(trade.points) - 1 > 0
     assert all(p.failure.startswith("not run: needs about 1e+09 s") for p in left_out)
-    assert "not run" in (tmp_path / "t" / "trade.md").read_text()
+    assert "not run" in (tmp_path / "t" / "trade.md").read_text(encoding="utf-8")
     again = resume_trade(tmp_path / "t", channel, budget=600.0)
     assert all(p.results for p in again.points)
 
@@ -236,11 +236,11 @@ def test_a_quantity_that_the_scene_does_not_come_to_is_refused(tmp_path):
 
 
 def test_folders_that_hold_no_trade_of_this_version_are_refused(flow_trade, tmp_path):
-    record = json.loads((flow_trade.folder / "trade.json").read_text())
-    (tmp_path / "trade.json").write_text(json.dumps(record | {"provenance": {"warpcrete": "0.0.1"}}))
+    record = json.loads((flow_trade.folder / "trade.json").read_text(encoding="utf-8"))
+    (tmp_path / "trade.json").write_text(json.dumps(record | {"provenance": {"warpcrete": "0.0.1"}}), encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"was made by version 0\.0\.1"):
         resume_trade(tmp_path, channel)
-    (tmp_path / "trade.json").write_text("{}")
+    (tmp_path / "trade.json").write_text("{}", encoding="utf-8")
     with pytest.raises(RunFolderError, match="is not the record of a trade"):
         resume_trade(tmp_path, channel)
 
@@ -292,7 +292,7 @@ def test_settings_for_an_accuracy(flow_trade):
     advice = advise(flow_trade.folder, "channel", channel, COARSE | dict(time_step=3e-4, flow=1e-3), 0.2)
     assert "time_step" not in advice.changes and set(advice.outside) == {
         "time_step 0.0003 instead of 0.0005",
-        "flow 0.001 instead of None",
+        "flow 0.001 instead of the default",
     }
     with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: this trade guarantees"):
         advise(flow_trade.folder, "channel", channel, COARSE, 1e-6)
@@ -304,7 +304,7 @@ def test_settings_for_an_accuracy(flow_trade):
 def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monkeypatch):
     shutil.copytree(element_trade, tmp_path / "t")
     trade = resume_trade(tmp_path / "t", pipe)
-    before = json.loads((tmp_path / "t" / "trade.json").read_text())
+    before = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))
     (gone,) = [p for p in trade.points if p.levels == {"time step": 1}]
     for seed in trade.seeds:
         (trade._folder(gone, seed) / "result.json").unlink()
@@ -316,7 +316,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
     again = resume_trade(tmp_path / "t", pipe, budget=600.0)
     assert again.interrupted and again.reference.levels == trade.reference.levels == {"time step": 4}
     assert again.given.errors == trade.given.errors
-    after = json.loads((tmp_path / "t" / "trade.json").read_text())
+    after = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))
     assert after["finest"] == before["finest"]
     # Runs of some of the seeds promise nothing.
     partial = Setting("x", {}, {}, {trade.seeds[0]: trade.given.results[trade.seeds[0]]})
@@ -336,7 +336,7 @@ def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, mon
     for seed in (2, 3, 4):
         folder = trade._folder(cheapest, seed)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "failed.txt").write_text("failed: exploded")
+        (folder / "failed.txt").write_text("failed: exploded", encoding="utf-8")
         cheapest.results.pop(seed, None)
     trade.promises.clear()
     phases._find_promises(trade, lambda *_: None)
@@ -350,7 +350,7 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     wanted = ("--accuracy", "20%", "--trade", folder)
     done = command("run", "channel", "--spacing", "0.02", *wanted, "--out", tmp_path / "r", *bare)
     assert done.returncode == 0 and "note: " in done.stderr and " within " in done.stderr  # its checks accept 20 %
-    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    made = json.loads((tmp_path / "r" / "scene.json").read_text(encoding="utf-8"))["parameters"]
     advice = advise(folder, "channel", channel, COARSE, 0.2)
     assert {name: made[name] for name in advice.changes} == advice.changes
     for words, message in (
@@ -363,7 +363,7 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
 
 
 def test_what_is_shipped_of_a_trade(flow_trade):
-    record = json.loads((flow_trade.folder / "trade.json").read_text())
+    record = json.loads((flow_trade.folder / "trade.json").read_text(encoding="utf-8"))
     kept = compact(record)
     assert kept["promises"] == record["promises"] and len(kept["points"]) == len(record["points"])
     assert "provenance" not in kept and "knobs" not in kept and kept["machine"] == record["machine"]

@@ -73,7 +73,9 @@ def alone(request, tmp_path_factory):
 
 def hashes(folder):
     """Of the runs that are done, by their folders."""
-    results = {path.parent.name: json.loads(path.read_text()) for path in folder.glob("runs/*/result.json")}
+    results = {
+        path.parent.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("runs/*/result.json")
+    }
     return {name: result["state_hash"] for name, result in results.items() if "checks" in result and result["finished"]}
 
 
@@ -95,18 +97,18 @@ def test_workers_find_the_same_errors(name, alone, tmp_path):
     trade = traded(name, tmp_path / "t", device=alone[name].device, **where)
     assert_same(trade, alone[name])
     assert all(math.isfinite(p.cost) and p.cost > 0 for p in trade.measured)
-    record = json.loads((trade.folder / "trade.json").read_text())
+    record = json.loads((trade.folder / "trade.json").read_text(encoding="utf-8"))
     most = record["abreast"]
     assert record["threads"] == 1 and trade.machine == alone[name].machine and (most == 2 or where is not TWO)
     said = f"Up to {most} runs were made at the same time, each on its own worker: {trade.machine}."
-    assert (said in (trade.folder / "trade.md").read_text()) is (most > 1)
-    assert "at the same time" not in (alone[name].folder / "trade.md").read_text()
+    assert (said in (trade.folder / "trade.md").read_text(encoding="utf-8")) is (most > 1)
+    assert "at the same time" not in (alone[name].folder / "trade.md").read_text(encoding="utf-8")
     if name == "channel":
         tried = [promise for promise in trade.promises if promise.point is not None]
         assert tried and all(set(promise.carried) == set(VARIANTS) for promise in tried)
     # It goes on without workers, with what is there.
     again = resume_trade(trade.folder, importlib.import_module(f"warpcrete.scenes.{name}"), budget=1e-3)
-    assert again.spent == 0.0 and (said in (trade.folder / "trade.md").read_text()) is (most > 1)
+    assert again.spent == 0.0 and (said in (trade.folder / "trade.md").read_text(encoding="utf-8")) is (most > 1)
     assert [p.errors for p in again.points] == [p.errors for p in trade.points]
 
 
@@ -121,7 +123,7 @@ def test_a_lost_worker_and_an_interruption_lose_no_run_that_was_done(alone, tmp_
         [sys.executable, "-c", code, "trade", "pipe", *options, "--knob", "coarse-graining", "--quantity",
          "end_pressure", "--repeat", "2", "--device", "cpu", "--scheduler", "local", "--workers", "2", "--out",
          str(out), "--quiet"],
-        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",
     )  # fmt: skip
 
     def wait_for(runs):
@@ -255,8 +257,8 @@ def test_what_it_refuses(alone, tmp_path):
     with pytest.raises(WarpcreteError, match=r"has different kinds of workers \(another, one\)"):
         differing.hardware("cpu")
     shutil.copytree(alone["channel"].folder, tmp_path / "t")
-    record = json.loads((tmp_path / "t" / "trade.json").read_text())
+    record = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))
     record["provenance"] |= dict.fromkeys(("processor", "device_name"), "an abacus")
-    (tmp_path / "t" / "trade.json").write_text(json.dumps(record))
+    (tmp_path / "t" / "trade.json").write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(RunFolderError, match="contains times of an abacus, but the workers have"):
         resume_trade(tmp_path / "t", channel, scheduler="local", workers=1)

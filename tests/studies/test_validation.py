@@ -90,13 +90,14 @@ def test_bands_add_up_by_cause():
 
 
 def test_a_third_of_the_groups_is_held_out_and_no_fitted_one():
-    held = held_out_groups(shipped_cases())
+    cases = shipped_cases()
+    held = held_out_groups(cases)
     for kind in UNITS:
-        groups = {case.group for case in shipped_cases() if case.kind == kind}
+        groups = {case.group for case in cases if case.kind == kind}
         own = {group for of, group in held if of == kind}
         assert own <= groups - set(FITTED.get(kind, ()))
         assert len(own) == min(round(len(groups) / 3), len(groups - set(FITTED.get(kind, ()))))
-    assert held == held_out_groups(shipped_cases()[::-1])
+    assert held == held_out_groups(cases[::-1])
 
 
 def test_shipped_predictions_of_pipes_hold():

@@ -103,10 +103,10 @@ print(study)
 def script(tmp_path, how, out, settings, before=""):
     text = SCRIPT.format(settings=settings, before=before)
     file = tmp_path / "script.py"
-    file.write_text(text)
+    file.write_text(text, encoding="utf-8")
     return subprocess.run(
         [sys.executable, "-" if how == "stdin" else str(file), str(out)], input=text if how == "stdin" else None,
-        capture_output=True, text=True, timeout=300, cwd=tmp_path,
+        capture_output=True, encoding="utf-8", timeout=300, cwd=tmp_path,
     )  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def test_a_study_runs_from_a_script_without_a_main_guard(tmp_path, how, settings
     done = script(tmp_path, how, tmp_path / "study", settings, before="print('once')")
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"once\n<Study of scene 'channel': 2 of 2 cases done, folder '{tmp_path / 'study'}'>\n"
-    record = json.loads((tmp_path / "study" / "study.json").read_text())
+    record = json.loads((tmp_path / "study" / "study.json").read_text(encoding="utf-8"))
     assert all((tmp_path / "study" / case["name"] / "result.json").is_file() for case in record["cases"])
 
 
@@ -140,9 +140,9 @@ threading.Thread(target=kill, daemon=True).start()
 
 
 def test_python_dash_m_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "warpcrete", "--help"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "warpcrete", "--help"], capture_output=True, encoding="utf-8")
     assert done.returncode == 0 and done.stdout.startswith("Usage: warpcrete [OPTIONS]")
-    done = subprocess.run([sys.executable, "-m", "warpcrete", "run", "chute"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "warpcrete", "run", "chute"], capture_output=True, encoding="utf-8")
     assert done.returncode == 2 and done.stderr.startswith("error: scene = 'chute'")
 
 

@@ -165,7 +165,7 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     line = Line(radius=0.0625, length=20.0, rise=0.0)
     rows = [f"{steady(known, line, q / 3600).pressure / 1e5!r}, {q}" for q in (8, 15, 30, 45)]
     points = tmp_path / "points.csv"
-    points.write_text("\n".join(["pressure [bar],flow [m3/h]", *rows]) + "\n")
+    points.write_text("\n".join(["pressure [bar],flow [m3/h]", *rows]) + "\n", encoding="utf-8")
     pipe = ["--diameter", "0.125", "--length", "20", "--rise", "0"]
     given = ["theory", "--concrete", "no1", *pipe, "--fit", str(points)]
     done = CliRunner().invoke(cli, given)
@@ -178,7 +178,7 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert "--slip-viscosity 640 --slip-yield 75;" in bulk.output  # no. 1 without its layer
 
     def refused(text):
-        points.write_text(text)
+        points.write_text(text, encoding="utf-8")
         return str(CliRunner().invoke(cli, given).exception)
 
     assert "has no column 'pressure'; " in refused("flow [m3/h],p [bar]\n1,2\n")

@@ -15,6 +15,7 @@ import click
 
 from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
 from .console import prepare_streams
+from .help_pages import GroupedCommand, full_help_option
 from .option_types import DEVICE, FLOW, GROWTH, LENGTH, POWER, PRESSURE, TIME, Completed
 from .scene_commands import LazyGroup, WordCommand, by_method, load, scenes
 from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
@@ -72,14 +73,19 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
         load("run").resume(resume, scenes(), live=live, bind=bind, quiet=quiet)
 
 
-class TheoryCommand(click.Command):
+class TheoryCommand(GroupedCommand):
     """Command that has one option for each parameter of flow scenes that the closed form uses."""
 
+    common = ("flow", "pressure", "fit", "rest")
+    title = "Flow and pressure."
+
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        return [*load("options").parameter_options(load("theory").fields().values()), *super().get_params(ctx)]
+        parameters = load("options").parameter_options(load("theory").fields().values())
+        help_option = super().get_params(ctx)[len(self.params) :]
+        return [*self.params, *parameters, full_help_option(), *help_option]
 
 
-@cli.command("theory", cls=TheoryCommand)
+@cli.command("theory", cls=TheoryCommand, context_settings={"max_content_width": 110})
 @click.option(
     "--flow",
     type=FLOW,

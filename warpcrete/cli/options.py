@@ -16,51 +16,7 @@ from ..core.inputs.parameters import Alias, CompositeRule, Field, FileIf, OneOf,
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
 from . import completion
-
-COMMON = ("out", "device", "live", "colour", "accuracy", "resume", "quiet", "help", "help_all")
-"""Names of the options of a run that the short help shows."""
-FULL_HELP = "warpcrete.full_help"
-"""Key under which a context notes that its help shows all options."""
-
-
-class ParameterOption(click.Option):
-    """Command-line option of a scene's parameter, with the group under which help pages list the option."""
-
-    group = ""
-    common = True
-
-
-def _show_full_help(context: click.Context, option: click.Parameter, asked: bool) -> None:
-    if asked and not context.resilient_parsing:
-        context.meta[FULL_HELP] = True
-        click.echo(context.get_help())
-        context.exit()
-
-
-class GroupedCommand(click.Command):
-    """Command whose help page has one section for each group of its options.
-
-    `--help` shows the common options, `--help-all` all of them.
-    """
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        sections: dict[str, list[tuple[str, str]]] = {}
-        left_out = 0
-        for option in self.get_params(ctx):
-            record = option.get_help_record(ctx)
-            if record is None:
-                continue
-            common = option.common if isinstance(option, ParameterOption) else option.name in COMMON
-            if not common and not ctx.meta.get(FULL_HELP):
-                left_out += 1
-                continue
-            group = option.group if isinstance(option, ParameterOption) else "Recording and running."
-            sections.setdefault(group, []).append(record)
-        for title, records in sections.items():
-            with formatter.section(title.rstrip(".")):
-                formatter.write_dl(records)
-        if left_out:
-            formatter.write(f"\n{left_out} further options: {ctx.command_path} --help-all\n")
+from .help_pages import GroupedCommand, ParameterOption, full_help_option
 
 
 class SceneCommand(GroupedCommand):
@@ -236,6 +192,5 @@ def run_options() -> list[click.Parameter]:
         click.Option(["--resume"], type=click.Path(path_type=Path),
                      help="Continue the interrupted run in this folder with its own settings"),
         click.Option(["--quiet"], is_flag=True, help="Show no progress bar"),
-        click.Option(["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_full_help,
-                     help="Show this message with all options"),
+        full_help_option(),
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import click
 
 from ..core.device.device import default_threads
 from ..core.device.interrupts import StopAtSample
-from ..core.errors import RunFolderError, between, positive, refuse
+from ..core.errors import RunFolderError, WarpcreteError, between, one_line, positive, refuse
 from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
@@ -153,7 +154,8 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
 class PipelineRecorder(Recorder):
     """Recorder that adds the pressure of a pipeline to the result of a finished run.
 
-    This recorder must finish before the recorder of tables, which writes the result.
+    This recorder must finish before the recorder of tables, which writes the result. The run is complete even if the
+    pressure of the pipeline cannot be computed.
     """
 
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
@@ -162,7 +164,12 @@ class PipelineRecorder(Recorder):
     def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Compute the pressure of the whole pipeline from the run's pressure plateau, if the run has reached one."""
         if run.finished and (self.height is not None or self.distance is not None):
-            estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
+            try:
+                estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
+            except Exception as error:
+                reason = one_line(str(error) if isinstance(error, WarpcreteError) else repr(error))
+                warnings.warn(f"the run is complete, but the pipeline's pressure is not known: {reason}", stacklevel=2)
+                return
             if estimate is not None:
                 run.result["pipeline_estimate"] = estimate
 
@@ -172,7 +179,7 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:
-        return [("pipeline, Eq. 13", "not known: it needs the pressure plateau of a finished run")]
+        return [("pipeline, Eq. 13", "not known; it needs the pressure plateau of a finished run")]
     estimate = run.result["pipeline_estimate"]
     total = number(estimate["total_pressure"]) / 1e6
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]

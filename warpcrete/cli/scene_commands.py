@@ -13,6 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from ..core.errors import WarpcreteError
+from .help_pages import GroupedCommand
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
@@ -161,6 +162,4 @@ def _repeat_command(path: Path) -> click.Command:
             kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)
         job.run(record["scene"], module, record["parameters"], settings | kept | options.given(settings))
 
-    return options.GroupedCommand(
-        str(path), params=options.run_options(), callback=callback, help="Repeat a saved run."
-    )
+    return GroupedCommand(str(path), params=options.run_options(), callback=callback, help="Repeat a saved run.")

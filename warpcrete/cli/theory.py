@@ -31,7 +31,8 @@ command has the option `diameter` instead."""
 def fields() -> dict[str, Field]:
     """Return, by name, the parameters of the command: those parameters of pipe flows that the closed form uses."""
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
-    return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
+    pipe |= {name: declared_fields(Line)[name] for name in LINE}
+    return {**declared_fields(ConcreteParameters), **{name: replace(x, group="Pipe.") for name, x in pipe.items()}}
 
 
 def run(

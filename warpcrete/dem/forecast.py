@@ -266,7 +266,7 @@ class _ShortenedCopy:
             if rounds:
                 subcycles.set_rounds(stepper.index, rounds)
         if self._springs_differ:
-            found["contacts without dashpots"] = safety * self._undamped()
+            found["contacts without dashpots"] = min(safety * self._undamped(), scene.time_step.largest)
         whole = estimate()
         if whole > scene.time_step.largest:
             found["largest allowed"] = scene.time_step.largest
@@ -285,12 +285,12 @@ class _ShortenedCopy:
                          f"with contacts alone and account for {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
         else:
             words.append("contacts")
+            undamped = found.get("contacts without dashpots", alone)
+            if undamped > 1.1 * alone:
+                share = 100 * (1 - alone / undamped)
+                words.append(f"their dashpots shorten the step by {share:.0f} % compared with springs alone")
         if rounds:
             words.append(f"hydrated bonds are integrated in {rounds} rounds per step, for which the step is halved")
-        undamped = found.get("contacts without dashpots", alone)
-        if undamped > 1.1 * alone:
-            share = 100 * (1 - alone / undamped)
-            words.append(f"the dashpots shorten the step by {share:.0f} % compared with springs alone")
         words.append(self._smallest())
         return {**found, "all together": whole}, "; ".join(words)
 

@@ -8,14 +8,13 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ..core.device.footprint import footprint
 from ..core.run.method import results_of
 from ..core.run.provenance import provenance
 from ..core.run.run_loop import Coroutine, Run, Simulation, Until, run_coroutine
 from ..core.run.tables import Table
 from ..core.units import quantity
 from .engine.bonding import bond_kinds
-from .engine.memory import check_memory
+from .engine.memory import check_memory, memory_of_batch
 from .engine.model import build_model
 from .engine.state import State
 from .engine.state_data import restore_state, state_dict, state_hash
@@ -246,7 +245,7 @@ class ElementSimulation(Simulation):
     def _memory(self) -> float:
         """Return the device memory of the run [B]; in a batch, its share by number of spheres."""
         batch = self.stepper.batch
-        return footprint(stepper=self.stepper)["stepper"] * self.state.sphere_count / max(batch.sphere_count, 1)
+        return memory_of_batch(self.stepper) * self.state.sphere_count / max(batch.sphere_count, 1)
 
     def going_on(self, state: dict[str, Any]) -> Coroutine:
         """Restore packing report and measurements from a `state_dict`, or resume an interrupted settling."""

@@ -35,8 +35,12 @@ TURNING_ROUNDS = 3
 """Number of times that all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
 """Number of cross-sections on either side whose centres determine the local direction of the bore."""
-AXIS_TOLERANCE = 0.004
-"""Largest distance between the fitted axis and the centres of the cross-sections, in radii."""
+AXIS_TOLERANCES = (0.004, 0.008, 0.016, 0.032, 0.064)
+"""Largest distance between the fitted axis and the centres of the cross-sections, in radii. The first value with which
+the axis nowhere bends more sharply than the bore allows is used. A bend whose mesh has few rings of triangles has
+kinks, which the axis must round."""
+LEAST_TURN = 1e-3
+"""Smallest angle of an arc [rad]; an arc that turns less is replaced by a straight piece."""
 STRAIGHT_TOLERANCE = 0.004
 """Largest angle that a straight piece of a bore's fitted axis may form with the measured direction of the bore, at any
 cross-section along this piece [rad]."""
@@ -135,15 +139,37 @@ def _extended_to_end(
     return np.concatenate([points, found[0][None]]), np.append(radii, found[1])
 
 
-def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tuple[Line | Arc, ...]:
+def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest: float) -> tuple[Line | Arc, ...]:
     """Return a smooth curve of few lines and arcs that passes close to points (n, 3) [m].
 
-    The distance to each point is at most a small fraction of the `radius` [m]. The curve begins at the first point in
-    the direction `ahead` and has no kinks. Each straight piece or pair of arcs spans as many points as the tolerance
-    allows.
+    The distance to each point is at most a small fraction of the `radius` [m], see `AXIS_TOLERANCES`. The curve begins
+    at the first point in the direction `ahead` and has no kinks. The radii of its arcs exceed `widest`, the largest
+    radius of the bore [m], if one of the tolerances permits it.
+    """
+    closest = _pieces(points, ahead, AXIS_TOLERANCES[0] * radius)
+    if _bends_gently(closest, widest):
+        return closest
+    for tolerance in AXIS_TOLERANCES:
+        found = tuple(
+            Line(piece.length) if isinstance(piece, Arc) and piece.angle < LEAST_TURN else piece
+            for piece in _pieces(points, ahead, tolerance * radius)
+        )
+        if _bends_gently(found, widest):
+            return found
+    return closest
+
+
+def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
+    """Return whether a flow can follow arcs: their radii exceed `widest` [m], and no turn is too small to matter."""
+    return all(piece.radius > widest and piece.angle >= LEAST_TURN for piece in pieces if isinstance(piece, Arc))
+
+
+def _pieces(points: np.ndarray, ahead: np.ndarray, allowed: float) -> tuple[Line | Arc, ...]:
+    """Return a smooth curve within the distance `allowed` [m] of points (n, 3) [m], in the direction `ahead` at first.
+
+    Each straight piece or pair of arcs spans as many points as this distance allows.
     """
     tangents = directions(points, ahead)
-    allowed = AXIS_TOLERANCE * radius
     found: list[Line | Arc] = []
     here, tangent, position = 0, ahead, points[0]
     last = len(points) - 1

@@ -143,7 +143,7 @@ def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field:
     start = np.zeros(3)
     sections = follow(vertices, faces, start, [np.array(way, float) for way in ways], field, name)
     way = sections.ahead
-    pieces = pieces_through(sections.points, way, float(sections.radii[0]))
+    pieces = pieces_through(sections.points, way, float(sections.radii[0]), float(sections.radii.max()))
     axis = Axis((0.0, 0.0, 0.0), tuple(way.tolist()), pieces)
     if _is_straight(axis):
         # A straight bore ends at the mesh's farthest vertex. This vertex gives the bore's length more accurately than

@@ -278,6 +278,19 @@ def _named(key: str, value: Any) -> Figure:
     return Figure({**FLOW, **LAWS}[key], value, value, value, UNITS[key], "flow", "as given")
 
 
+def flow_amounts(found: NamedConcrete) -> dict[str, float]:
+    """Return the flow constants and factors that a concrete states, as numbers in SI units.
+
+    Raises :class:`SceneError` for an unknown constant, and for a factor that is not above zero.
+    """
+    flow = known_only("flow", found.flow, UNITS, found.name)
+    for key, value in flow.items():
+        flow[key] = amount(f"concrete flow {key}", value, UNITS[key])
+        if key in FACTORS:
+            positive(f"concrete flow {key}", flow[key])
+    return flow
+
+
 def completed(name: str) -> NamedConcrete:
     """Return the concrete of a name or path with the sections that follow from its mix.
 

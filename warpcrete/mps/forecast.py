@@ -55,7 +55,6 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         **law_features(concrete),
         "scheme": _scheme_text(scene),
         "solves": _solver_text(flow),
-        "threads": "one thread per particle" if flow.parallel else f"{flow.threads}",
     }
 
 

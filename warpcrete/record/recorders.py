@@ -61,13 +61,14 @@ def recorders_of(
     *,
     going_on: bool = False,
     again: bool = False,
+    pictures: bool = True,
 ) -> list[Recorder]:
     """Return the recorders of a run folder.
 
-    Table and picture are always included, the others if they have a true entry in `chosen`. `check` is the scene's
-    acceptance check, or None if the scene has none. `command` holds settings that are stored for a resumed run. With
-    `going_on`, the folder must be that of the same, interrupted run. With `again`, the scene.json of an existing folder
-    must describe exactly this run.
+    Tables are always included, pictures with `pictures`, and the others if they have a true entry in `chosen`. `check`
+    is the scene's acceptance check, or None if the scene has none. `command` holds settings that are stored for a
+    resumed run. With `going_on`, the folder must be that of the same, interrupted run. With `again`, the scene.json of
+    an existing folder must describe exactly this run.
     """
     look = look or DrawSettings()
     found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again)]
@@ -78,4 +79,4 @@ def recorders_of(
         found.append(
             RerunRecorder(None, live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)
         )
-    return [*found, PictureRecorder(folder, colouring=look.colouring)]
+    return [*found, PictureRecorder(folder, colouring=look.colouring)] if pictures else found

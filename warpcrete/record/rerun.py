@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import importlib
 import os
 import sys
 import threading
@@ -50,6 +51,21 @@ def with_values(tensor: Any, values: np.ndarray) -> Any:
     return type(tensor).from_arrays([tensor.field("shape"), tensor.field("names"), buffer], fields=list(tensor.type))
 
 
+def _rerun() -> Any:
+    """Return Rerun's library, without its log, which would fill the terminal; its calls report errors anyway.
+
+    The library reads the variable RUST_LOG when it is imported. A value that the user has set stays in force.
+    """
+    quiet = "RUST_LOG" not in os.environ
+    if quiet:
+        os.environ["RUST_LOG"] = "off"
+    try:
+        return importlib.import_module("rerun")
+    finally:
+        if quiet:
+            del os.environ["RUST_LOG"]
+
+
 class RerunRecorder(Recorder):
     """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
@@ -82,11 +98,7 @@ class RerunRecorder(Recorder):
         self._recording: Any = None
         self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
-        # Switch off Rerun's log, which would fill the terminal; Rerun's calls report errors anyway.
-        os.environ.setdefault("RUST_LOG", "off")
-        import rerun as rr
-
-        self._rr = rr
+        self._rr = rr = _rerun()
         if isinstance(live, str):
             try:
                 rr.GrpcSink(live)

@@ -22,6 +22,12 @@ from ..record.recorders import recorders_of
 from .cases import Case
 from .workers import NoWorker, WorkerPool
 
+CASES_TOGETHER = 128
+"""Maximum number of cases that a GPU runs at the same time.
+
+Outcomes are stored, and memory is freed, after each group of so many cases, so that an interruption of a large study
+costs at most the packings of one group.
+"""
 FAILED = "failed.txt"
 """Name of the file in a case's folder that states why the case failed for good."""
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -44,7 +50,9 @@ def simulation_of(
         device=record["device"],
         precision=record.get("precision"),
         threads=record.get("threads", 1),
-        recorders=recorders_of(here, module.check, command, going_on=here.is_dir()),
+        recorders=recorders_of(
+            here, module.check, command, going_on=here.is_dir(), pictures=record.get("figure", True)
+        ),
         frame_interval=1.0 / command["frames"] if command["frames"] else None,
         progress=progress,
         checkpoint_path=checkpoint if every else None,
@@ -75,7 +83,7 @@ def run_on_gpu(
     store_outcome: OutcomeCallback,
     progress: Progress,
 ) -> None:
-    """Run all cases together on a GPU: discrete elements in batches, flows each on its own CUDA stream."""
+    """Run the cases on a GPU in groups: discrete elements in batches, flows each on its own CUDA stream."""
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
     def progress_of(case: Case) -> Progress:
@@ -86,7 +94,23 @@ def run_on_gpu(
 
         return report_progress
 
-    by_name, found = simulations_of(record, module, folder, pending, progress_of)
+    for first in range(0, len(pending), CASES_TOGETHER):
+        group = pending[first : first + CASES_TOGETHER]
+        if _run_group(record, module, folder, group, store_outcome, progress_of, progress):
+            return
+
+
+def _run_group(
+    record: dict[str, Any],
+    module: Any,
+    folder: Path,
+    group: list[Case],
+    store_outcome: OutcomeCallback,
+    progress_of: Callable[[Case], Progress],
+    progress: Progress,
+) -> bool:
+    """Run a group of cases together on a GPU, store their outcomes, and return whether Ctrl-C ended the runs."""
+    by_name, found = simulations_of(record, module, folder, group, progress_of)
     simulations = [simulation for simulation, _ in by_name.values()]
     with StopAtSample(simulations) as stop:
 
@@ -97,8 +121,11 @@ def run_on_gpu(
                 progress(phase, fraction, {})
 
         found |= _outcomes(by_name, packing)
-    for case in pending:
+    for case in group:
         store_outcome(case, found[case.name])
+    for simulation in simulations:
+        simulation.release()
+    return stop.requested or any(isinstance(outcome, KeyboardInterrupt) for outcome in found.values())
 
 
 def _outcomes(

@@ -109,7 +109,10 @@ def run_listed(
     figure: bool = True,
     **recorders: bool,
 ) -> Study:
-    """Run a study of the given cases, with or without a figure; see :func:`run_study` for the other arguments."""
+    """Run a study of the given cases, with or without figures of the study and of its cases.
+
+    A figure takes as long as hundreds of samples. See :func:`run_study` for the other arguments.
+    """
     cases = list(cases)
     if frames is not None:
         positive("frames", frames, "1/s")

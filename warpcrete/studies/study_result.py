@@ -128,7 +128,7 @@ class Study:
         `attrs["units"]` holds the units of the columns. Raises :class:`WarpcreteError` if pandas is not installed.
         """
         columns, units = columns_of(self)
-        return dataframe(columns, units, "case")
+        return dataframe(columns, units, "case", "study.rows()")
 
     def to_xarray(self) -> Any:
         """Return all cases and seeds as an xarray Dataset in SI units, with the dimension `case`.
@@ -136,7 +136,7 @@ class Study:
         Each variable has its unit in `attrs["units"]`. Raises :class:`WarpcreteError` if xarray is not installed.
         """
         columns, units = columns_of(self)
-        return dataset(columns, units, "case", {"scene": self.scene})
+        return dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
 
     def plot(self) -> Any:
         """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""

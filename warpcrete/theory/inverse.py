@@ -5,6 +5,7 @@ Slump and spread invert the closed forms of :mod:`.vessels`. All formulas are fo
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -40,6 +41,7 @@ def yield_of_long_heap(spread: float, density: float) -> float:
     return 225 * density * GRAVITY * VOLUME**2 / (128 * math.pi**2 * (spread / 2) ** 5)
 
 
+@functools.lru_cache(1024)
 def yield_of_heap(spread: float, density: float) -> float:
     """Return the yield stress [Pa] of the heap of a slump test that comes to rest at a diameter of `spread` [m].
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 
 from ..core.errors import WarpcreteError
-from . import assemblies, bonds, clumps, contacts, flows, impacts, spreading, stability, starting, vessels
+from . import assemblies, bonds, clumps, contacts, flows, impacts, spreading, stability, starting, suspensions, vessels
 from .case import Case, Row
 
 __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
@@ -20,7 +20,19 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 def cases() -> list[Case]:
     """Return all cases in the order of the table."""
-    modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading)
+    modules = (
+        impacts,
+        contacts,
+        bonds,
+        clumps,
+        assemblies,
+        stability,
+        flows,
+        starting,
+        vessels,
+        spreading,
+        suspensions,
+    )
     return [case for module in modules for case in module.CASES]
 
 

@@ -11,8 +11,9 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED
-from ..structs import array_structs, mps_types, row_place
+from ..structs import mps_types, row_place
 from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
+from .levels import system_structs
 from .other_laws import flow_functions
 from .places import grid_functions
 from .structure import with_gain_function
@@ -221,17 +222,17 @@ def store_coefficient_function(scalar, serial: bool, of: GridKind):
     in the row.
     """
     Fields = grid_structs(scalar, of.dimensions).Fields
-    Matrix = array_structs(scalar, 2).Matrix
+    Matrix = system_structs(scalar).Matrix
     f = grid_functions(scalar, of)
     entry = row_place(serial)
 
     @wp.func
     def store_coefficient(
-        mesh: Fields, matrix: Matrix, rows: wp.int32, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
+        mesh: Fields, matrix: Matrix, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
     ) -> wp.int32:
         if not f.is_unknown(mesh.kind[near]):
             return count
-        place = entry(r, count, rows, matrix.near_capacity)
+        place = entry(r, count, matrix.rows, matrix.near_capacity)
         matrix.near[place] = near
         matrix.coefficient[place] = c
         return count + 1
@@ -251,8 +252,8 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Fields, Geometry = structs.Fields, structs.Geometry
-    solves = array_structs(scalar, 2)
-    Matrix, Solve = solves.Matrix, solves.NumberSolve
+    systems = system_structs(scalar)
+    Matrix, Solve = systems.Matrix, systems.Solve
     f = grid_functions(scalar, of)
     store_coefficient = store_coefficient_function(scalar, serial, of)
     wall_friction = friction_function(scalar, of)
@@ -266,7 +267,6 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
             return
         number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
-        rows = dims * g.slots
         within = f.on_grid(g, c)
         if wp.static(not of.cut):
             if within:
@@ -344,11 +344,11 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
                                 other += own
                                 cross = way * both / (across * g.width[axis])
                                 other_axis = b * g.slots
-                                count = store_coefficient(mesh, matrix, rows, r, count, e + other_axis, -cross)
+                                count = store_coefficient(mesh, matrix, r, count, e + other_axis, -cross)
                                 behind = f.at(g, f.moved(edge, axis, -1)) + other_axis
-                                count = store_coefficient(mesh, matrix, rows, r, count, behind, cross)
+                                count = store_coefficient(mesh, matrix, r, count, behind, cross)
                         if other != scalar(0.0):
-                            count = store_coefficient(mesh, matrix, rows, r, count, next, other)
+                            count = store_coefficient(mesh, matrix, r, count, next, other)
                 if wp.static(not of.cut):
                     area = scalar(0.5) * (mesh.fill[low] + mesh.fill[number]) * mesh.wall_area[r]
                     force -= area * mesh.traction[r]

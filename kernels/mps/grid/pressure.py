@@ -7,7 +7,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ...common.reductions import keep, total
-from ..structs import array_structs, mps_types, row_place
+from ..structs import mps_types, row_place
 from .cells import (
     DT,
     FORCE,
@@ -21,6 +21,7 @@ from .cells import (
     grid_structs,
     item,
 )
+from .levels import system_structs
 from .places import grid_functions
 
 CORRECTED = 0.1
@@ -37,8 +38,8 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Fields, Geometry, Walls = structs.Fields, structs.Geometry, structs.Walls
-    solves = array_structs(scalar, 2)
-    Matrix, Solve = solves.Matrix, solves.NumberSolve
+    systems = system_structs(scalar)
+    Matrix, Solve = systems.Matrix, systems.Solve
     f = grid_functions(scalar, of)
     entry = row_place(serial)
 
@@ -76,7 +77,7 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                         diagonal += ease
                         next = f.at(g, f.moved(c, axis, 2 * side - 1))
                         if mesh.liquid[next] != 0:
-                            place = entry(number, count, g.slots, matrix.near_capacity)
+                            place = entry(number, count, matrix.rows, matrix.near_capacity)
                             matrix.near[place] = next
                             matrix.coefficient[place] = ease
                             count += 1
@@ -126,7 +127,7 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Fields, Geometry = structs.Fields, structs.Geometry
-    Solve = array_structs(scalar, 2).NumberSolve
+    Solve = system_structs(scalar).Solve
     f = grid_functions(scalar, of)
     whole = mps_types(scalar, dims).whole
 

@@ -190,6 +190,7 @@ def extend_kernel(scalar, of: GridKind):
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Fields, Geometry = structs.Fields, structs.Geometry
+    whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -202,6 +203,10 @@ def extend_kernel(scalar, of: GridKind):
             return
         number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
+        stride = whole()
+        stride[0] = 1
+        for b in range(1, dims):
+            stride[b] = stride[b - 1] * (g.n[b - 1] + 2)
         for axis in range(dims):
             r = number + axis * g.slots
             value = mesh.velocity[r]
@@ -216,7 +221,9 @@ def extend_kernel(scalar, of: GridKind):
                     along = n / 2
                     by = 1 - 2 * (n % 2)
                     if c[along] + by >= -1 and c[along] + by <= g.n[along]:
-                        o = f.at(g, f.moved(c, along, by)) + axis * g.slots
+                        o = r + by * stride[along]
+                        if wp.static(of.periodic):
+                            o = f.at(g, f.moved(c, along, by)) + axis * g.slots
                         if again != 0:
                             if known_before[o] != 0:
                                 sum += before[o]

@@ -89,12 +89,13 @@ class SceneFunction(Generic[P, S]):
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
         if args:
-            refuse("parameters", args, "must be given by name, as in name=value", f"the names are {', '.join(known)}")
+            refuse("parameters", args, "must be given by name, as in name=value",
+                   f"such as {next(iter(known))}=...; help(warpcrete.scenes.{self.__name__}) lists them")  # fmt: skip
         values = self.with_objects(self.completed(given))
         for name in values:
             if name not in known:
                 refuse("parameter", name, f"is not a parameter of scene {self.name}",
-                       known_names(name, known))  # fmt: skip
+                       self._elsewhere(name) or known_names(name, known))  # fmt: skip
         try:
             for name, value in values.items():  # Check each value by itself before values are combined.
                 made = known[name].converted(value, name)
@@ -122,6 +123,14 @@ class SceneFunction(Generic[P, S]):
             raise SceneError(
                 f"{name} = {quoted(numbers[name])}: is too large to compute with; give a smaller value, in SI units"
             ) from error
+
+    def _elsewhere(self, name: str) -> str:
+        """Return a hint if the scene of discrete elements for the same test has the parameter `name`, else ""."""
+        package = sys.modules.get(self._build.__module__.rpartition(".")[0])
+        other = getattr(package, f"{self.__name__}_dem", None)
+        if isinstance(other, SceneFunction) and (name == "method" or name in declared_fields(other.parameters)):
+            return f"use warpcrete.scenes.{other.__name__}, the same test by discrete elements"
+        return ""
 
     @property
     def name(self) -> str:

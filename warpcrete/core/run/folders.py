@@ -14,13 +14,18 @@ from ..errors import RunFolderError
 from .files import LOCK, cannot_write, check_new, is_empty, remove_partial
 
 fcntl: Any
+msvcrt: Any
 try:
     import fcntl
-except ImportError:  # Folders are not locked on systems other than POSIX.
+except ImportError:  # Windows locks bytes of files instead of whole files.
     fcntl = None
+    import msvcrt
 
 KILL_GRACE = 2.0
 """Time for which locking a folder is retried [s], because the processes of a killed run need some time to end."""
+LOCKED_BYTE = 2**30
+"""Position of the byte of the lock file that is locked on Windows. Other processes cannot read a locked byte, so this
+one lies beyond the owner's name, and beyond the end of the file."""
 
 
 class FolderLock:
@@ -49,6 +54,10 @@ class FolderLock:
             try:
                 file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
             except OSError as error:
+                # Windows refuses access for a moment while another process removes its lock file.
+                if fcntl is None and isinstance(error, PermissionError) and time.monotonic() < end:
+                    time.sleep(0.05)
+                    continue
                 raise cannot_write(self._path, error) from error
             if _lock(file) and _is_at(file, self._path):
                 return file
@@ -85,7 +94,15 @@ class FolderLock:
 
 
 def _lock(file: int) -> bool:
+    """Lock an open file without waiting, and return whether this succeeded; closing the file releases the lock."""
     if fcntl is None:
+        os.lseek(file, LOCKED_BYTE, os.SEEK_SET)
+        try:
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+        except OSError:  # Windows reports a byte that is locked already as "permission denied".
+            return False
+        finally:
+            os.lseek(file, 0, os.SEEK_SET)
         return True
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -98,6 +115,8 @@ def _lock(file: int) -> bool:
 
 def _is_at(file: int, path: Path) -> bool:
     """Return whether an open lock file still exists at `path`; its last owner may have removed or replaced it."""
+    if fcntl is None:  # Windows removes no open file.
+        return True
     try:
         there = path.stat()
     except OSError:

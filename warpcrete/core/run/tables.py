@@ -24,17 +24,21 @@ class Table:
     units: dict[str, str]
 
 
-def dataframe(columns: Mapping[str, Sequence[Any] | np.ndarray], units: Mapping[str, str], index: str) -> DataFrame:
+def dataframe(
+    columns: Mapping[str, Sequence[Any] | np.ndarray],
+    units: Mapping[str, str],
+    index: str,
+    instead: str = "the arrays in run.series",
+) -> DataFrame:
     """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
 
-    The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
+    The units of the columns are in `attrs["units"]`. `instead` names what the user can do without pandas.
+    Raises :class:`WarpcreteError` if pandas is not installed.
     """
     try:
         import pandas  # pyright: ignore[reportMissingTypeStubs]
     except ImportError:
-        raise WarpcreteError(
-            "table: needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
-        ) from None
+        raise WarpcreteError(f"table: needs pandas; run pip install pandas, or use {instead}") from None
     found = pandas.DataFrame(dict(columns))
     if index in found:
         found = found.set_index(index)  # pyright: ignore[reportUnknownMemberType]
@@ -47,19 +51,18 @@ def dataset(
     units: Mapping[str, str],
     index: str,
     attributes: Mapping[str, str],
+    instead: str = "the arrays in run.series",
 ) -> Any:
     """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
 
     Each variable has its unit in `attrs["units"]`, where plots of xarray find it, and its name in words in
-    `attrs["long_name"]`. `attributes` are those of the whole Dataset. Raises :class:`WarpcreteError` if xarray is not
-    installed.
+    `attrs["long_name"]`. `attributes` are those of the whole Dataset. `instead` names what the user can do without
+    xarray. Raises :class:`WarpcreteError` if xarray is not installed.
     """
     try:
         xarray: Any = importlib.import_module("xarray")
     except ImportError:
-        raise WarpcreteError(
-            "to_xarray: needs xarray; run pip install 'warpcrete[xarray]', or use the arrays in run.series"
-        ) from None
+        raise WarpcreteError(f"to_xarray: needs xarray; run pip install xarray, or use {instead}") from None
     variables = {
         name: (index, _array(values), {"long_name": name.replace("_", " "), "units": units.get(name, "")})
         for name, values in columns.items()

@@ -45,20 +45,22 @@ class Viewer:
     """True if a browser shows the recording, at `address`; False for a window."""
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start the viewer with its output suppressed, and wait until it accepts connections; return its process.
+        """Start the viewer, and wait until it accepts connections; return its process.
 
-        Raises :class:`RunFolderError` if the viewer does not start.
+        The viewer prints nothing, unless the user's variable RUST_LOG sets the level of its log. Raises
+        :class:`RunFolderError` if the viewer does not start.
         """
         process = subprocess.Popen(
-            self.command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env=os.environ | {"RUST_LOG": "off"},
+            self.command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=None if "RUST_LOG" in os.environ else subprocess.DEVNULL, env={"RUST_LOG": "off", **os.environ},
         )  # fmt: skip
         end = time.monotonic() + START_TIMEOUT
         while not all(map(_accepts_connections, self.endpoints)):
             if process.poll() is not None or time.monotonic() > end:
                 process.kill()
                 raise RunFolderError(
-                    f"the Rerun viewer did not start at {self.address}; try '{' '.join(self.command)}'"
+                    f"the Rerun viewer did not start at {self.address}; set RUST_LOG=info to see why, or try "
+                    f"'{' '.join(self.command)}'"
                 )
             time.sleep(0.05)
         return process

@@ -161,6 +161,10 @@ class JointArrays:
         vec4 = struct_of(self.structs, "spheres").vars["clear"].type.dtype
         self.spheres.scene = self._numbers(counts)
         self.spheres.clear = zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
+        meshed = n if self.features.meshes else 0
+        self.candidates.near_count = zeros(meshed, dtype=wp.int32, device=self.device)
+        self.candidates.chosen = zeros(meshed, dtype=vec4, device=self.device)
+        self._clear_near_candidates()
         self.bodies.scene = self._numbers([s.body_count for s in self.states])
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
@@ -241,6 +245,7 @@ class JointArrays:
         row["materials"][s] = len(model.materials)
         row["gravity"][s] = model.scene.gravity
         row["speed_limit"][s] = model.scene.watch.speed
+        row["mesh_speed"][s] = model.mesh_speed
         row["largest_radius"][s] = state.largest_radius
         row["growth_end"][s] = 1.0
         row["until"][s], row["interval"][s] = np.inf, NEVER
@@ -320,7 +325,14 @@ class JointArrays:
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
         """Enlarge the mesh candidates (triangles near a sphere) to at least `wanted` entries for each scene."""
-        self._regrow("candidates", ["face"], self.face_capacity, wanted)
+        if np.any(wanted > self.face_capacity):
+            self._regrow("candidates", ["face"], self.face_capacity, wanted)
+            self._clear_near_candidates()
+
+    def _clear_near_candidates(self) -> None:
+        """Allocate the near candidates, as many as there are candidates; all spheres must choose theirs anew."""
+        self.candidates.near = zeros(len(self.candidates.face), dtype=wp.int32, device=self.device)
+        self.candidates.chosen.zero_()
 
     def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
         if not np.any(wanted > capacity):

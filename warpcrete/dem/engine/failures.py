@@ -24,6 +24,7 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
     velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
     body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
     ways, speed = state.dt * speeds / radius, f"{speeds.max():.3g} m/s"
+    together = ways + state.dt * model.mesh_speed / radius
     wall = _wall_passed(model, state, own, radius)
     if wall:
         what = f"a speed of {speed} carries it through the mesh wall {wall!r}"
@@ -34,6 +35,12 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
             "contacts are missed"
         )
         cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s or an automatic one, or slower bodies"
+    elif np.any(together > 0.999):
+        what = (
+            f"a speed of {speed} and mesh walls that move at up to {model.mesh_speed:.3g} m/s bring it closer to a "
+            f"wall by {together.max():.3g} of its radius in a step of {state.dt:.3g} s, so that contacts are missed"
+        )
+        cures = f"a time_step below {0.5 * state.dt / together.max():.2g} s or an automatic one, or slower walls"
     else:
         limit = model.scene.watch.speed
         what = f"its speed rises from {speed} above watch.speed = {limit:g} m/s in one step, or is not a number"

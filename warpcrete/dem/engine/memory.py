@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.device.arrays import bytes_of
 from ...core.device.device import MEMORY_FRACTION, memory_free
+from ...core.device.footprint import footprint
 from ...core.errors import CapacityError
 from ...kernels.dem.linking import EXTRA_MASKS
 from ...kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
@@ -16,6 +17,7 @@ from .links import rows_of
 from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
+from .stepper_protocol import SceneStepper
 
 BONDS_PER_SPHERE = 4  # Assumed number of bonded pairs per sphere in a dense packing, with a reserve.
 PAIRS_PER_SPHERE = (
@@ -68,6 +70,8 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
         listing += 4 * scalar  # Add memory for the sphere's position at the last check of its distance from walls.
+    if model.features.meshes:
+        listing += 4 * scalar + 4  # Add memory for the choice of near candidates, the triangles that may touch soon.
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 
@@ -79,6 +83,17 @@ def memory_needed(model: Model, table: BodyTable) -> float:
     body, sphere = bytes_per_body(model, table)
     sums = 8 * (LANES + 1) * (int(BODY_COLUMNS) + int(CONTACT_COLUMNS))
     return body * len(table) + sphere * float(table.sphere_counts.sum()) + sums
+
+
+def memory_of_batch(stepper: SceneStepper) -> int:
+    """Return the device memory of a stepper's batch [B].
+
+    Finding all arrays of a batch takes a tenth of a second, so the batch keeps the result until its arrays change.
+    """
+    batch = stepper.batch
+    if batch.memory_by_version[0] != batch.version:
+        batch.memory_by_version = batch.version, footprint(stepper=stepper)["stepper"]
+    return batch.memory_by_version[1]
 
 
 def check_memory(model: Model, table: BodyTable) -> None:

@@ -119,6 +119,11 @@ class Model:
         """Largest stress scale of all contact laws of the scene [Pa]."""
         return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
 
+    @property
+    def mesh_speed(self) -> float:
+        """Largest speed of the mesh walls whose motion is prescribed [m/s]; 0 without such walls."""
+        return max((wall.top_speed() for wall in self.walls if isinstance(wall, MeshWall)), default=0.0)
+
 
 def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool = False) -> Model:
     """Build the model of a scene for a Warp `device` and a `precision` ("float32" or "float64").

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...core.device.device import memory_free
-from ...core.device.footprint import footprint
 from .batch import Batch
+from .memory import memory_of_batch
 from .neighbors import NeighborLists
 from .stable_step import StableStep
 from .state import State
@@ -52,7 +52,7 @@ class Regrouping:
             return
         self._few = 0
         # The old batch stays in memory, because ended scenes refer to it. The new batch must fit into the free memory.
-        needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
+        needed = memory_of_batch(steppers[0]) * spheres / max(batch.sphere_count, 1)
         if needed < MEMORY_SHARE * memory_free(batch.device):
             regroup(steppers)
 

@@ -30,6 +30,13 @@ NEAR_LINK_INTERVAL = 20
 
 It equals the default number of steps between two estimates of the stable step.
 """
+NEAR_MARGIN = 0.25
+"""Largest gap between a sphere and a triangle of a mesh that becomes a near candidate, as a fraction of the neighbour
+lists' skin.
+
+A sphere tests only its near candidates for contact, until it has moved through this gap. With 0.1, 0.5 and 1, a step in
+a reducer takes 5, 9 and 15 % longer on a CPU.
+"""
 THREADS_PER_LINK = 0.5
 """Number of GPU threads that compute the forces of near links, divided by the number of all links.
 
@@ -163,6 +170,7 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, on_side_stream: b
         "first": first,
         "last": last,
         "part": part,
+        "near_margin": NEAR_MARGIN,
         **struct_arguments(kernel, wall=b.walls, slot=b.slots),
     }
     return b.stage(kernel, tasks(b, last - first), on_side_stream=on_side_stream, **named)

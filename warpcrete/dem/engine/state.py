@@ -29,6 +29,7 @@ OF_BATCH = {
     "scenes": ("row",),
     "bodies": ("scene",),
     "spheres": ("scene", "clear"),
+    "candidates": ("near", "near_count", "chosen"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
 """Names of the arrays that a batch has but the states of its scenes do not store, by the name of their struct. The

@@ -90,6 +90,9 @@ class Candidates(Protocol):
 
     start: DeviceArray
     face: DeviceArray
+    near: DeviceArray
+    near_count: DeviceArray
+    chosen: DeviceArray
 
 
 class Walls(Protocol):

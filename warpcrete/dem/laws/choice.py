@@ -33,7 +33,7 @@ class LawChoice:
     contact: Annotated[
         ContactLaw | None,
         f"Law of all contacts, which replaces the scene's own: {', '.join(LAWS.classes)}, or package.module:Class of "
-        "a law of your own. The options --contact-NAME set its parameters; --help with this option lists them",
+        "a law of your own. Its parameters are contact_NAME, or options --contact-NAME, which --help lists",
         LAWS,
     ] = None
 

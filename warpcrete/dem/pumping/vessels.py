@@ -244,10 +244,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         """Return the contact law between grains."""
         if self.contact is not None:
             return self.contact
-        linear = Contact(
-            effective_modulus=self.stiffness, stiffness_ratio=self.stiffness_ratio, friction=self.grain_friction,
-            normal_damping_ratio=self.normal_damping,
-        )  # fmt: skip
+        linear = Contact(**_springs(self))
         if self.law == "rolling":
             return RollingResistance(contact=linear, rolling_friction=self.rolling_friction)
         if self.law in ("mortar", "plastic"):
@@ -339,11 +336,19 @@ def shear_means() -> tuple[float, float, float]:
     return float(np.mean(np.sqrt(np.maximum(across, 0)))), float(np.mean(across)), float(np.mean(along**2))
 
 
+def _springs(given: VesselParameters) -> dict[str, float]:
+    """Return the constants of springs, dashpots and friction between grains, which all contact laws have in common."""
+    return {
+        "effective_modulus": given.stiffness,
+        "stiffness_ratio": given.stiffness_ratio,
+        "friction": given.grain_friction,
+        "normal_damping_ratio": given.normal_damping,
+    }
+
+
 def _core_and_shell(given: VesselParameters) -> dict[str, float]:
     """Return the constants of the cores and shells of grains, which both laws of mortar have in common."""
-    shell = {"shell_fraction": given.shell_fraction, "shell_modulus": given.shell_modulus}
-    return dict(effective_modulus=given.stiffness, stiffness_ratio=given.stiffness_ratio,
-                friction=given.grain_friction, normal_damping_ratio=given.normal_damping, **shell)  # fmt: skip
+    return {**_springs(given), "shell_fraction": given.shell_fraction, "shell_modulus": given.shell_modulus}
 
 
 def mortar_law(given: VesselParameters) -> BinghamMortar:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import heapq
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -220,16 +221,31 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     points, depth = points[inside], depth[inside]
     # Spheres centred near the surface are small, so the 4,000 deepest points are enough as candidates for centres.
     candidates = np.argsort(-depth)[:4000]
+    # Grid points are sorted by x, so the points that a candidate can cover lie in one slice of them.
+    reach = depth[candidates] + 0.25 * step
+    first = np.searchsorted(points[:, 0], points[candidates, 0] - reach - step)
+    last = np.searchsorted(points[:, 0], points[candidates, 0] + reach + step)
+    slices = [slice(*ends) for ends in zip(first.tolist(), last.tolist(), strict=True)]
+    coverage = [
+        np.linalg.norm(points[near] - points[c], axis=1) <= r
+        for near, c, r in zip(slices, candidates, reach, strict=True)
+    ]
     uncovered = np.ones(len(points), dtype=bool)
     chosen: list[int] = []
-    coverage = [np.linalg.norm(points - points[c], axis=1) <= depth[c] + 0.25 * step for c in candidates]
-    for _ in range(spheres):
-        new_coverage = [int(np.count_nonzero(cover & uncovered)) for cover in coverage]
-        best = int(np.argmax(new_coverage))
-        if new_coverage[best] == 0:
+    # A candidate's new coverage only shrinks as spheres are added, so an earlier count is an upper bound. The candidate
+    # with the highest bound is best if its count has not changed; among equal counts the deepest candidate is best.
+    bounds = [(-int(np.count_nonzero(cover)), number) for number, cover in enumerate(coverage)]
+    heapq.heapify(bounds)
+    while len(chosen) < spheres:
+        bound, best = bounds[0]
+        count = int(np.count_nonzero(coverage[best] & uncovered[slices[best]]))
+        if count < -bound:
+            heapq.heapreplace(bounds, (-count, best))
+            continue
+        if count == 0:
             break
         chosen.append(int(candidates[best]))
-        uncovered &= ~coverage[best]
+        uncovered[slices[best]] &= ~coverage[best]
     if len(chosen) < spheres:
         refuse("spheres", spheres, f"must be at most {len(chosen)} for this mesh at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]

@@ -6,11 +6,10 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...core.errors import positive, refuse
-from ...core.inputs.amounts import amount
+from ...core.errors import refuse
 from ...core.inputs.concretes import NamedConcrete, known_only
 from ...core.inputs.limits import warn
-from ...mix.mix import FACTORS, UNITS, completed
+from ...mix.mix import FACTORS, completed, flow_amounts
 
 SIZES = ("sizes", "size_min", "size_max")
 """Names of the parameters that set the sizes of the aggregates."""
@@ -59,11 +58,7 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     Discrete elements support only Bingham's law for the slip layer. Raises :class:`SceneError` for another law, unless
     `layer_given` says that other values replace this layer.
     """
-    known = known_only("flow", found.flow, UNITS, found.name)
-    flow = {key: amount(f"concrete flow {key}", value, UNITS[key]) for key, value in known.items()}
-    for name in FACTORS:
-        if name in flow:
-            positive(f"concrete flow {name}", flow[name])
+    flow = flow_amounts(found)
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:
         refuse(

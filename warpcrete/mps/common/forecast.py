@@ -74,7 +74,11 @@ def flow_forecast(
         method="moving particles",
         device="",
         counts=flow.counts,
-        features={**features_of(simulation), "precision": simulation.precision},
+        features={
+            **features_of(simulation),
+            "precision": simulation.precision,
+            "threads": "one for each particle or cell" if flow.parallel else f"{flow.threads}",
+        },
         memory={name: float(size) for name, size in footprint(**flow.holdings, rest=simulation).items() if size},
         time_step=course.time_step,
         limits=limits or {},

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from ...core.errors import one_of, refuse
-from ...core.inputs.amounts import amount
-from ...core.inputs.concretes import is_file, known_only, shipped
+from ...core.inputs.concretes import is_file, shipped
 from ...core.inputs.parameters import Above, Alias, FileIf, Suggests, Within
 from ...core.inputs.text_files import name_of
-from ...mix.mix import FACTORS, completed, mix_named
-from ...mix.mix import UNITS as FLOW_UNITS
+from ...mix.mix import FACTORS, completed, flow_amounts, mix_named
 from ...theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
 
 BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
@@ -201,7 +199,7 @@ def _flow_of(name: str) -> dict[str, float]:
         return {}
     if not is_file(name):
         one_of("concrete", name, (*flowing(), "own"))
-    found = known_only("flow", completed(name).flow, CONSTANTS, name)
+    found = flow_amounts(completed(name))
     if not found:
         refuse("concrete", name, "must have a section 'flow'", f"add it with {', '.join(BINGHAM_CONSTANTS)}")
-    return {key: amount(f"concrete flow {key}", value, FLOW_UNITS[key]) for key, value in found.items()}
+    return found

@@ -27,6 +27,8 @@ class FlowRun(Simulation):
     flow: Any
     goal: ClassVar[str] = "steady"
     """Key of the run's result under which the value of `steady` is stored."""
+    method: ClassVar[str] = "mps"
+    """Name of the simulation method in the run's result."""
     cure: ClassVar[str] = "use a smaller 'time_step'"
     """Advice for the user if a value of the time series is not finite."""
 
@@ -117,7 +119,7 @@ class FlowRun(Simulation):
         scene, flow, series = self.scene, self.flow, self.series()
         result: dict[str, Any] = {
             "scene": scene.name,
-            "method": "mps",
+            "method": self.method,
             "finished": finished,
             self.goal: self.steady,
             "simulated_time": quantity(flow.time, "s"),

@@ -53,9 +53,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
     extent = (scene.width, *((scene.depth,) if scene.depth else ()), scene.height)
     width = tuple(length / n for length, n in zip(extent, cells, strict=True))
     room = Room(cells, width, (0.0,) * axes, _sides(scene, axes))
-    walls: list[tuple[Distance, int]] = [(polygon_distance(block), ROUGH) for block in scene.blocks]
-    walls += [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
-    shut = [*walls, (polygon_distance(scene.gate), GATE)] if scene.gate else walls
+    walls, shut = _standing_walls(scene), free_walls(scene)
     geometry = geometry_of(room, shut, scene.axial)
     opened, opens = None, np.zeros(0)
     if scene.gate:
@@ -98,6 +96,18 @@ def free_layout(scene: FreeScene) -> GridLayout:
         opened=opened,
         opens=opens,
     )
+
+
+def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
+    """Return the distance function and the number of each wall that stays."""
+    walls: list[tuple[Distance, int]] = [(polygon_distance(block), ROUGH) for block in scene.blocks]
+    return walls + [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
+
+
+def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
+    """Return the distance function and the number of each wall at the start, the gate included."""
+    walls = _standing_walls(scene)
+    return [*walls, (polygon_distance(scene.gate), GATE)] if scene.gate else walls
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:

@@ -14,7 +14,7 @@ can be sheared without limit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,36 +23,20 @@ import warp as wp
 from ...core.device.device import default_threads, parallel
 from ...core.device.launching import Launcher, Step, launch
 from ...kernels.common.control import HALTED
-from ...kernels.common.reductions import BLOCK
-from ...kernels.mps.conjugate_gradient import OUTCOME
 from ...kernels.mps.grid.cells import NOW, WANTED
 from ...kernels.mps.grid.pace import Pace, clock_kernels
-from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
-from ..common.allocation import allocate
+from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
 from ..common.stepping import ABSOLUTE_PRESSURE_FACTOR, LARGEST_GRAPH, VELOCITY_ERROR, Stepping
-from .stages import CHUNKS, DISPERSION_TOLERANCES, GridStep
+from .stages import DISPERSION_TOLERANCES, GridStep
 from .state import GridState, grid_numbers
+from .systems import CHUNKS, System, solve_arrays, system_of
 
-HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the net flow into a cell, by precision.
 MIN_RELATIVE_SPEED = 0.05
 """Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
 CELLS_PER_THREAD = 256
 """Minimum number of cells for each CPU thread."""
 UNREACHABLE_STEPS = 2**31 - 1  # Number of steps that no run ever reaches.
-
-
-@dataclass(frozen=True)
-class System:
-    """Linear system with a row for each face or for each cell of the grid."""
-
-    rows: int
-    matrix: Any
-    """Coefficients of the system, a struct `Matrix`."""
-    arrays: Any
-    """Working arrays of the solve, a struct `Solve` whose arrays hold one number per row."""
-    numbers: Any
-    """Struct `FlowConstants`, of which the solve reads only the number of rows."""
 
 
 class GridFlow(Stepping):
@@ -77,11 +61,18 @@ class GridFlow(Stepping):
         self.gate, self.barrier = self._launcher.gate, self._launcher.barrier
         self.full = state.layout.full or state.layout.periodic
         kind, faces = state.layout.kind, state.layout.axes * state.slots
-        self.viscous = self._system(faces, kind.velocity_neighbours)
-        self.projection = self._system(state.slots, kind.pressure_neighbours)
+        near, shape = (kind.velocity_neighbours, kind.pressure_neighbours), state.shape
+        self.viscous = system_of(self.scalar, self.device, shape, state.layout.axes, near[0])
+        self.projection = system_of(self.scalar, self.device, shape, 1, near[1])
         # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does not need
         # this system.
-        self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
+        self.dispersion = (
+            None
+            if self.full
+            else replace(
+                self.projection, arrays=solve_arrays(self.scalar, self.device, state.slots, self.projection.first[-1])
+            )
+        )
         self.event_flags = wp.zeros(2, dtype=wp.int32, device=self.device)
         self._no_threshold = wp.zeros(1, dtype=wp.float64, device=self.device)
         self.extended = [wp.zeros(faces, dtype=self.scalar, device=self.device) for _ in range(2)]
@@ -150,6 +141,11 @@ class GridFlow(Stepping):
         The goal is a time or a number of steps. On a GPU the method returns before the steps are completed; they run on
         the current CUDA stream.
         """
+        self.begin_goal()
+        super().launch()
+
+    def begin_goal(self) -> None:
+        """Send the goal to the device, unless this has been done."""
         if not self._goal_sent:
             launch(
                 self.clock_kernels.begin, 1, self.device, until=min(self._goal_time, 1e300), goal=self._goal,
@@ -157,7 +153,6 @@ class GridFlow(Stepping):
                 pressure_threshold=self.pressure_threshold, dispersion_threshold=self.dispersion_threshold,
             )  # fmt: skip
             self._goal_sent = True
-        super().launch()
 
     @property
     def _largest_graph(self) -> int:
@@ -185,34 +180,6 @@ class GridFlow(Stepping):
     def _read_clock(self) -> None:
         clock = self.mesh.clock.numpy()
         self.time, self.next_step = float(clock[int(NOW)]), float(clock[int(WANTED)])
-
-    def _system(self, rows: int, near: int) -> System:
-        structs = array_structs(self.scalar, 2)
-        matrix = structs.Matrix()
-        matrix.near_capacity = near
-        for name in structs.Matrix.vars:
-            if name not in ("near_capacity", "grain_rows", "grains", "coarse"):
-                # The struct's arrays for drag and position serve particle flows only; on a grid both arrays stay zero.
-                used = {"used": 0, "used_count": 0} if self.parallel else {"used_count": 1}
-                size = {"near": rows * near, "coefficient": rows * near, **used}
-                allocate(structs.Matrix, self.device, matrix, **{name: size.get(name, rows)})
-        numbers = flow_struct(self.scalar)()
-        numbers.count = rows
-        return System(rows, matrix, self._arrays(rows), numbers)
-
-    def _arrays(self, rows: int) -> Any:
-        """Return the working arrays of the solve of a linear system with `rows` equations."""
-        struct = array_structs(self.scalar, 2).NumberSolve
-        sizes = {
-            "partial": 3 * (-(-rows // BLOCK) if self.parallel else CHUNKS),
-            "outcome": OUTCOME,
-            "stop_norm": 1,
-            "history": HISTORY,
-            "direction": rows * (2 if self.parallel else 1),
-            "preconditioned": rows if self.parallel else 0,
-            **dict.fromkeys(("load", "lift", "change", "inner"), 0),
-        }
-        return allocate(struct, self.device, **dict.fromkeys(struct.vars, rows) | sizes)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -126,6 +126,12 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
+        # A side of the room also prescribes this velocity inside other walls. Left unknown there, the velocities of the
+        # faces along an edge between two walls would hardly be determined, and solves would converge slowly.
+        for side, at in zip(room.sides[axis], (1, depth.shape[axis] - 1), strict=True):
+            if side == WALL:
+                on_side = closed & (index[axis] == at)
+                stops, own = stops | on_side, np.where(on_side, PLATE, own)
         gap.append(np.minimum(distance, far))
         part.append(np.where(closed, 0.0, np.where(share > 1 - MIN_OPEN_FRACTION, 1.0, share)))
         shut.append(np.where(stops, int(FIXED), int(INSIDE)))

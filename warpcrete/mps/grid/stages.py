@@ -14,25 +14,23 @@ from typing import Any
 import warp as wp
 
 from ...core.device.launching import Stage, parameter_names
+from ...core.device.scan import scan_stages
 from ...kernels.common.reductions import BLOCK
-from ...kernels.mps.conjugate_gradient import serial_solver, used_rows_kernel
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ...kernels.mps.grid.cells import STRIP
 from ...kernels.mps.grid.filling import fill_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
+from ...kernels.mps.grid.levels import level_kernels
+from ...kernels.mps.grid.multigrid import resident_multigrid, serial_multigrid
 from ...kernels.mps.grid.pace import speed_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
 from ...kernels.mps.grid.structure import break_kernel
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
-from ...kernels.mps.resident_solver import resident_blocks, resident_solver
+from ...kernels.mps.resident_solver import resident_blocks
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
+from .systems import CHUNKS, System
 
-CHUNKS = 32
-"""Number of chunks into which a CPU divides the rows of a linear system.
-
-Each chunk forms one partial sum. Sums therefore have the same bits for any number of threads up to CHUNKS, the maximum.
-"""
 EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 # Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
 # second is relative to the residual that displaces the volume of a whole cell in one step.
@@ -73,10 +71,10 @@ class GridStep:
             *self._cells(viscosity.viscosity),
             *self._cells((wall_kernel if kind.cut else side_kernel)(scalar, kind)),
             *self._cells(momentum_kernel(scalar, serial, kind), matrix=viscous.matrix, viscous=viscous.arrays),
-            *self._used_rows(viscous),
+            *self._complete(viscous),
             *self._solve(viscous, VISCOSITY, velocity, 0.0),
             *self._cells(pressure.divergence, matrix=projection.matrix, projection=projection.arrays),
-            *self._used_rows(projection),
+            *self._complete(projection),
             *self._solve(projection, PRESSURE, increment, flow.scene.tolerance),
             *self._cells(pressure.project),
             *(self._drive() if layout.periodic and layout.mean_velocity_fixed else []),
@@ -173,29 +171,34 @@ class GridStep:
             *correct,
         ]
 
-    def _used_rows(self, system: Any) -> list[Stage]:
-        """Return the stages that list the rows with unknowns; a GPU skips the other rows without a list."""
+    def _complete(self, system: System) -> list[Stage]:
+        """Return the stages that form the coarser levels of a system and list its rows with unknowns."""
+        kernels, matrix = level_kernels(self.scalar, not self.flow.parallel), system.matrix
+        found = []
+        for level in range(1, len(system.first) - 1):
+            rows = system.first[level + 1] - system.first[level]
+            found += self._shared(kernels.coarsen, rows, level=level, matrix=matrix)
+        found += self._shared(kernels.damp, system.first[-1], matrix=matrix)
         if self.flow.parallel:
-            return []
-        return self._alone(used_rows_kernel(self.scalar, 2), 1, rows=system.rows, matrix=system.matrix)
+            found += scan_stages(matrix.free, matrix.before)
+        return [*found, *self._alone(kernels.list_rows, system.first[-1] if self.flow.parallel else 1, matrix=matrix)]
 
-    def _solve(self, system: Any, what: int, x: wp.array, tolerance: float) -> list[Any]:
+    def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
         """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
 
         The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
         system.
         """
-        flow, kind = self.flow, (self.scalar, 2, False)
+        flow = self.flow
         lower, upper = (CHUNKS * part // flow.threads for part in (self.parts.start, self.parts.stop))
         named = {
-            "flow": system.numbers, "what": what, "tolerance": tolerance, "maximum": flow.scene.maximum_iterations,
-            "matrix": system.matrix, "system": system.arrays, "x": x, "count": system.rows, "gate": flow.gate,
-            "flags": flow.flags, "parts": CHUNKS, "lower": lower, "upper": upper,
-            "workers": flow.threads // len(self.parts),
+            "what": what, "tolerance": tolerance, "maximum": flow.scene.maximum_iterations, "matrix": system.matrix,
+            "system": system.arrays, "x": x, "gate": flow.gate, "flags": flow.flags, "parts": CHUNKS, "lower": lower,
+            "upper": upper, "workers": flow.threads // len(self.parts),
         }  # fmt: skip
-        kernel, tasks, block = serial_solver(*kind, sparse=True), 1, None
+        kernel, tasks, block = serial_multigrid(self.scalar), 1, None
         if flow.parallel:
             block, parties = resident_blocks(flow.device, system.rows, system.matrix.near_capacity, flow.abreast)
             named["parties"] = parties
-            kernel, tasks = resident_solver(*kind, width=block, sparse=True), block * parties
+            kernel, tasks = resident_multigrid(self.scalar, block), block * parties
         return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, flow.device, block=block)]

@@ -55,6 +55,9 @@ class GridState:
     grains = None
     """Coarse aggregate; always None, because flows on a grid have no separate aggregate."""
 
+    aggregates: Any = None
+    """Arrays of rigid aggregates, which :mod:`warpcrete.suspension` adds; None without aggregates."""
+
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
         self.mesh_arrays = MESH_ARRAYS

@@ -127,6 +127,11 @@ class PartScene(Parametrised, PartSettings):
         for piece in pieces:
             wide = self.bores.at([begin, begin + piece.length])
             if isinstance(piece, Arc):
+                if piece.radius <= wide.max() and self.wall is not None:
+                    refuse("wall", self.wall.name, f"bends too sharply for a flow {begin:.3g} m from its start: its "
+                           f"axis has a radius of {piece.radius:.3g} m there, and the bore one of {wide.max():.3g} m",
+                           "use a wider bend, or a mesh with more rings of triangles around it; discrete elements "
+                           "accept the mesh")  # fmt: skip
                 if piece.radius <= wide.max():
                     refuse("elbow radius", piece.radius, "must exceed the pipe's radius",
                            f"use more than {wide.max():g} m")  # fmt: skip

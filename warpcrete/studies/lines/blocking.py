@@ -159,13 +159,13 @@ def _parameters(
 ) -> dict[str, Any]:
     """Return the scene parameters of one simulation that pumps concrete through a part.
 
-    The simulation ends as soon as the part is blocked. If the concrete has a contact law of its own, this law stays
-    unchanged. Otherwise the stones' friction is at least :data:`FRICTION` and their modulus at least :data:`MODULUS`,
-    because smoother or softer stones would pass bores that block in reality.
+    The simulation ends as soon as the part is blocked, and measures no losses. If the concrete has a contact law of its
+    own, this law stays unchanged. Otherwise the stones' friction is at least :data:`FRICTION` and their modulus at
+    least :data:`MODULUS`, because smoother or softer stones would pass bores that block in reality.
     """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)
-    own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter,
+    own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter, "slices": 0.0,
             "stop_when_blocked": True}  # fmt: skip
     given = modules()[SCENE].scene.declared(own)
     if given.contact is not None:

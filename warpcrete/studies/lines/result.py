@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 
 from ...core.drawing.html import html_table
 from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THEORY, legend_beside, open_frame, rgb
-from ...core.run.tables import dataframe
+from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from ...mps.common.mixes import CONCRETE_CONSTANTS
@@ -121,10 +122,37 @@ class LineResult:
 
         `attrs["units"]` holds the units of the columns. Raises :class:`WarpcreteError` if pandas is not installed.
         """
+        return dataframe(*self._columns(), "number", "line.record()")
+
+    def to_xarray(self) -> Any:
+        """Return the parts and the pressure along the line as an xarray Dataset in SI units.
+
+        The losses of the parts have the dimension `number`. The pressure and the ends of its band have the dimension
+        `place`, the distance of the parts' ends from the start of the line [m]. Each variable has its unit in
+        `attrs["units"]`; the attributes of the Dataset are the line's name and, as JSON texts, the constants of the
+        concrete and the quantities of the whole line. Raises :class:`WarpcreteError` if xarray is not installed.
+        """
+        record, (columns, units) = self.record(), self._columns()
+        ranges = columns.pop("over_straight_range")
+        for end, name in enumerate(("over_straight_low", "over_straight_high")):
+            columns[name] = [None if each is None else each[end] for each in ranges]
+        attributes = {
+            "line": self.line.name,
+            "concrete": json.dumps(record["concrete"]),
+            "quantities": json.dumps({name: entry["value"] for name, entry in record.items()
+                                      if isinstance(entry, dict) and "value" in entry}),
+        }  # fmt: skip
+        along = {name: entry["values"] for name, entry in record["along"].items()}
+        units_along = {name: entry["unit"] for name, entry in record["along"].items()}
+        parts = dataset(columns, units, "number", attributes, "line.record()")
+        return parts.merge(dataset(along, units_along, "place", {}))
+
+    def _columns(self) -> tuple[dict[str, list[Any]], dict[str, str]]:
+        """Return the parts as columns of a table, and the units of those columns that have one."""
         parts = self.record()["parts"]
         units = {name: entry["unit"] for name, entry in parts[0].items() if isinstance(entry, dict)}
         columns = {name: [x[name]["value"] if name in units else x[name] for x in parts] for name in parts[0]}
-        return dataframe(columns, units, "number")
+        return columns, units
 
     def plot(self) -> Any:
         """Return a Matplotlib figure of the pressure along the line, with its band and the closed form."""

@@ -161,4 +161,6 @@ def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) ->
 
 
 def _shown(value: Any) -> str:
+    if value is None:
+        return "the default"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,176 @@
+"""Linear systems of a flow on a grid, with the coarser matrices of their multigrid preconditioner.
+
+A system has a row for each cell, or for each face. The rows of 2 x 2 x 2 cells (2 x 2 in a plane), or of the faces with
+the same axis in such cells, form one row of the next coarser level. With P the matrix that gives each row the value of
+its coarser row, the coarser matrix is P^T A P (unsmoothed aggregation). Its rows have no more entries than those of the
+finest level, because the coupling of neighbours stays a coupling of neighbours.
+
+All levels share the same arrays. The rows of the finest level come first, and each coarser level follows. Each row of a
+coarser matrix is gathered by one task in a fixed order, so the matrix has the same bits for any number of threads.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ...common.control import HALTED
+from ..structs import row_place
+from .cells import item
+
+DAMPING = wp.constant(1.8)
+"""Bound of the eigenvalues of a smoothing step. Below 2, every smoothing step reduces the error whatever the matrix."""
+SINGULAR = wp.constant(1.0e-4)
+"""Ratio of a coarse row's diagonal to the diagonals of its finer rows below which the coarse row is left out.
+
+Only pressures in a closed room reach this: the matrix does not change if all of them change by the same amount.
+"""
+
+
+@functools.cache
+def system_structs(scalar) -> SimpleNamespace:
+    """Build the structs `Matrix`, the matrices of all levels, and `Solve`, the working arrays of a solve.
+
+    Below, n is the number of rows of all levels, and m the number of rows of the finest level.
+    """
+
+    @wp.struct
+    class Matrix:
+        near_capacity: wp.int32  # Maximum number of entries in a row, the diagonal not counted.
+        rows: wp.int32  # Number of rows of all levels, n.
+        levels: wp.int32  # Number of levels, at least 1.
+        children: wp.int32  # Maximum number of rows that form a row of the next coarser level.
+        free: wp.array(dtype=wp.int32)  # 1 for rows without an unknown, else 0, shape (n,).
+        diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
+        near_count: wp.array(dtype=wp.int32)  # Number of entries in each row, shape (n,).
+        near: wp.array(dtype=wp.int32)  # Column of each entry, shape (n * near_capacity,).
+        coefficient: wp.array(dtype=scalar)  # Negative value of each entry, shape (n * near_capacity,).
+        smoothing: wp.array(dtype=scalar)  # Change of an unknown per residual in a smoothing step, shape (n,).
+        parent: wp.array(dtype=wp.int32)  # Row of the next coarser level that contains a row, or -1, shape (n,).
+        child: wp.array(dtype=wp.int32)  # Rows that form a row of a coarser level, or -1, shape ((n - m) * children,).
+        first: wp.array(dtype=wp.int32)  # First row of each level, and n, shape (levels + 1,).
+        before: wp.array(dtype=wp.int32)  # Number of rows without an unknown before each row, shape (n,); GPU only.
+        used: wp.array(dtype=wp.int32)  # Rows with an unknown, in increasing order, shape (n,).
+        begin: wp.array(dtype=wp.int32)  # Index in `used` of each level's first row, and the end, shape (levels + 1,).
+        cycle: wp.array(
+            dtype=wp.int32
+        )  # Operations of the preconditioner, see `multigrid.py`, shape (4 * operations,).
+
+    @wp.struct
+    class Solve:
+        residual: wp.array(dtype=scalar)  # Residual of the equations of each level, shape (n,).
+        even: wp.array(dtype=scalar)  # Solutions of each level for this residual, shape (n,).
+        odd: wp.array(dtype=scalar)  # Second array of such solutions, used alternately, shape (n,).
+        # Search direction, shape (m,); on a GPU the old and the new direction, shape (2 m,).
+        direction: wp.array(dtype=scalar)
+        product: wp.array(dtype=scalar)  # Product of the matrix and the search direction, shape (m,).
+        partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk, for three different sums.
+        stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
+        outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).
+        history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
+
+    return SimpleNamespace(Matrix=Matrix, Solve=Solve)
+
+
+@functools.cache
+def level_kernels(scalar, serial: bool) -> SimpleNamespace:
+    """Build the kernels that complete a system, after the matrix of its finest level is stored.
+
+    - `coarsen` forms the rows of one coarser level from those of the level before it, with one task per row.
+    - `damp` computes the factors of the smoothing steps, with one task per row of all levels.
+    - `list_rows` lists the rows with an unknown. On a CPU it runs as one task. On a GPU it runs with one task per row,
+      after a prefix sum of `free` has been stored in `before`.
+    """
+    Matrix = system_structs(scalar).Matrix
+    entry = row_place(serial)
+
+    @wp.func
+    def add_entry(matrix: Matrix, row: wp.int32, count: wp.int32, column: wp.int32, c: scalar) -> wp.int32:
+        """Add a coefficient to a row with `count` entries, and return the new number of entries."""
+        for n in range(count):
+            place = entry(row, n, matrix.rows, matrix.near_capacity)
+            if matrix.near[place] == column:
+                matrix.coefficient[place] = matrix.coefficient[place] + c
+                return count
+        place = entry(row, count, matrix.rows, matrix.near_capacity)
+        matrix.near[place] = column
+        matrix.coefficient[place] = c
+        return count + 1
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def coarsen(
+        level: wp.int32, flags: wp.array(dtype=wp.int32), matrix: Matrix, worker: wp.int32, workers: wp.int32
+    ):  # fmt: skip
+        if flags[HALTED] != 0:
+            return
+        row = matrix.first[level] + item(wp.tid(), worker, workers)
+        count = wp.int32(0)
+        diagonal = scalar(0.0)
+        whole = scalar(0.0)
+        found = wp.int32(0)
+        for k in range(matrix.children):
+            i = matrix.child[(row - matrix.first[1]) * matrix.children + k]
+            if i >= 0:
+                if matrix.free[i] == 0:
+                    found = 1
+                    own = matrix.diagonal[i]
+                    whole += own
+                    for n in range(matrix.near_count[i]):
+                        place = entry(i, n, matrix.rows, matrix.near_capacity)
+                        column = matrix.parent[matrix.near[place]]
+                        if column == row:
+                            own -= matrix.coefficient[place]
+                        else:
+                            count = add_entry(matrix, row, count, column, matrix.coefficient[place])
+                    diagonal += own
+        matrix.free[row] = 1 - found
+        matrix.near_count[row] = count
+        matrix.diagonal[row] = wp.where(diagonal > scalar(SINGULAR) * whole, diagonal, scalar(0.0))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def damp(flags: wp.array(dtype=wp.int32), matrix: Matrix, worker: wp.int32, workers: wp.int32):
+        # With D the diagonal and R the sum of the magnitudes of all entries of a row, the eigenvalues of R^-1 A are at
+        # most 1 (l1-Jacobi smoother, Baker, Falgout, Kolev & Yang 2011). Those of S A, where S = min(1/D, DAMPING / R),
+        # are therefore at most DAMPING. With a single level, a smoothing step only divides by the diagonal.
+        if flags[HALTED] != 0:
+            return
+        i = item(wp.tid(), worker, workers)
+        if matrix.free[i] != 0:
+            return
+        diagonal = matrix.diagonal[i]
+        sum = diagonal
+        for n in range(matrix.near_count[i]):
+            sum += wp.abs(matrix.coefficient[entry(i, n, matrix.rows, matrix.near_capacity)])
+        factor = scalar(0.0)
+        if diagonal > scalar(0.0):
+            factor = scalar(1.0) / diagonal
+            if matrix.levels > 1:
+                factor = wp.min(factor, scalar(DAMPING) / sum)
+        matrix.smoothing[i] = factor
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def list_serially(flags: wp.array(dtype=wp.int32), matrix: Matrix):
+        if flags[HALTED] != 0:
+            return
+        count = wp.int32(0)
+        for level in range(matrix.levels):
+            matrix.begin[level] = count
+            for i in range(matrix.first[level], matrix.first[level + 1]):
+                if matrix.free[i] == 0:
+                    matrix.used[count] = i
+                    count += 1
+        matrix.begin[matrix.levels] = count
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def list_in_parallel(flags: wp.array(dtype=wp.int32), matrix: Matrix):
+        if flags[HALTED] != 0:
+            return
+        i = wp.tid()
+        if matrix.free[i] == 0:
+            matrix.used[i - matrix.before[i]] = i
+        if i < matrix.levels:
+            matrix.begin[i] = matrix.first[i] - matrix.before[matrix.first[i]]
+        if i == matrix.rows - 1:
+            matrix.begin[matrix.levels] = matrix.rows - matrix.before[i] - matrix.free[i]
+
+    return SimpleNamespace(coarsen=coarsen, damp=damp, list_rows=list_serially if serial else list_in_parallel)

@@ -1,0 +1,206 @@
+"""Vectors and operators of the coupled equations of mortar velocity, rigid aggregates and pressure.
+
+The unknowns of a time step are the changes of the face velocities u, of the velocities and spins U of the aggregates,
+and of the cell pressures p. With the viscous matrix A, the rigid motion P, the pressure forces G and the net inflow D
+of the cells, the equations are
+
+    P^T (A u - G p) + E U = P^T F + L,    D u = -inflow at the start,
+
+where F are the forces at the start of the step, L are forces on the aggregates, and E is the inertia that aggregates
+have in excess of the mortar in their place. A face of an aggregate has no equation of its own.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.levels import system_structs
+from ..mps.grid.places import grid_functions
+from .bodies import body_structs
+from .vectors import share_functions, vector_struct
+
+COMPRESSION = wp.constant(1.0)
+"""Pressure that a divergence of the velocity causes in a viscous fluid, over viscosity and divergence.
+
+A velocity field that is the gradient of a potential has the viscous force 2 mu times the gradient of its divergence."""
+
+
+@functools.cache
+def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
+    """Build the kernels of residuals and of the pressure in the preconditioner.
+
+    - `start` sets the residual from the forces and inflows at the beginning of the step.
+    - `pressure_force` computes the forces of a pressure field on the faces.
+    - `inflow` computes the net inflow into the cells that a change of the velocities causes.
+    - `request` sets up a pressure solve that removes an inflow.
+    - `press` computes the pressure of the preconditioner: the solution of the pressure solve plus the viscous part.
+    """
+    Grid = grid_parameters_struct(scalar, 3)
+    structs = body_structs(scalar)
+    Bodies, Cover = structs.Bodies, structs.Cover
+    fields = grid_structs(scalar, 3)
+    Fields, Geometry = fields.Fields, fields.Geometry
+    systems = system_structs(scalar)
+    Matrix, Solve = systems.Matrix, systems.Solve
+    Vector = vector_struct(scalar)
+    f = grid_functions(scalar, of)
+    own = share_functions(serial)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def start(
+        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, viscous: Solve, projection: Solve,
+        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector,
+    ):  # fmt: skip
+        task = wp.tid()
+        if task < tasks:
+            rows = 3 * g.slots
+            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
+                residual.faces[r] = wp.where(matrix.free[r] == 0, viscous.residual[r], scalar(0.0))
+            for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
+                if again == 0:
+                    # Pressure solves overwrite this residual, so keep the inflow in case the step is solved again.
+                    inflow[c] = projection.residual[c] * scalar(mesh.clock[DT]) / g.density
+                residual.cells[c] = residual.cells[c] + inflow[c]
+        else:
+            b = task - tasks
+            residual.linear[b] = bodies.force[b]
+            residual.angular[b] = bodies.torque[b]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def pressure_force(g: Grid, geometry: Geometry, mesh: Fields, pressure: wp.array(dtype=scalar),
+                       forces: wp.array(dtype=scalar)):  # fmt: skip
+        number = wp.tid()
+        c = f.cell(g, number)
+        for axis in range(3):
+            r = number + axis * g.slots
+            force = scalar(0.0)
+            if mesh.kind[r] == LIQUID and f.on_grid(g, c):
+                low = f.at(g, f.moved(c, axis, -1))
+                force = f.open_area(g, geometry, c, axis) * (pressure[low] - pressure[number])
+            forces[r] = force
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def inflow(g: Grid, geometry: Geometry, mesh: Fields, change: wp.array(dtype=scalar), sign: scalar,
+               result: wp.array(dtype=scalar)):  # fmt: skip
+        number = wp.tid()
+        c = f.cell(g, number)
+        into = scalar(0.0)
+        if mesh.liquid[number] != 0:
+            for axis in range(3):
+                for side in range(2):
+                    face = f.moved(c, axis, side)
+                    r = f.at(g, face) + axis * g.slots
+                    if mesh.kind[r] == LIQUID:
+                        flux = f.open_area(g, geometry, face, axis) * change[r]
+                        into += wp.where(side == 0, flux, -flux)
+        result[number] = sign * into
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def request(g: Grid, mesh: Fields, inflow: Vector, projection: Solve):
+        """Set the residual of a pressure solve from the net inflow into the cells."""
+        number = wp.tid()
+        mesh.increment[number] = scalar(0.0)
+        projection.residual[number] = g.density / scalar(mesh.clock[DT]) * inflow.cells[number]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def press(g: Grid, mesh: Fields, cut: Fields, residual: Vector, solved: wp.array(dtype=scalar), result: Vector):
+        number = wp.tid()
+        value = scalar(0.0)
+        if mesh.liquid[number] != 0:
+            value = solved[number] + scalar(COMPRESSION) * cut.in_cell[number] * residual.cells[number] / f.block(g)
+        result.cells[number] = value
+
+    return SimpleNamespace(start=start, pressure_force=pressure_force, inflow=inflow, request=request, press=press)
+
+
+@functools.cache
+def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
+    """Build the kernels of generalised conjugate residuals.
+
+    - `inner` computes partial sums of the weighted inner product of two vectors.
+    - `scale_of` does the same for the squared momentum of the flow, with which residuals are compared.
+    - `add` adds a multiple of a vector to another one.
+    - `finish` adds the solution to the velocities and pressures of the flow.
+    """
+    Grid = grid_parameters_struct(scalar, 3)
+    structs = body_structs(scalar)
+    Bodies, Cover = structs.Bodies, structs.Cover
+    Fields = grid_structs(scalar, 3).Fields
+    Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
+    f = grid_functions(scalar, of)
+    own = share_functions(serial)
+
+    @wp.func
+    def cell_weight(g: Grid, cut: Fields, c: wp.int32) -> scalar:
+        """Return the pressure that a net inflow of one unit of volume per time into a cell is worth."""
+        inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
+        return (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def inner(
+        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
+        one: Vector, two: Vector, partial: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        task = wp.tid()
+        sum = wp.float64(0.0)
+        if task < tasks:
+            rows = 3 * g.slots
+            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
+                if matrix.free[r] == 0 and cover.owner[r] == 0:
+                    sum += wp.float64(one.faces[r] / matrix.diagonal[r] * two.faces[r])
+            for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
+                if mesh.liquid[c] != 0:
+                    sum += wp.float64(one.cells[c] * cell_weight(g, cut, c) * two.cells[c])
+        else:
+            b = task - tasks
+            sum = wp.float64(wp.dot(one.linear[b], bodies.mobility[b] * two.linear[b]))
+            sum += wp.float64(wp.dot(one.angular[b], bodies.spin_mobility[b] * two.angular[b]))
+        partial[task] = sum
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def scale_of(
+        g: Grid, tasks: wp.int32, cover: Cover, matrix: Matrix, mesh: Fields, change: Vector,
+        partial: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        task = wp.tid()
+        sum = wp.float64(0.0)
+        if task < tasks:
+            rows = 3 * g.slots
+            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
+                if matrix.free[r] == 0:
+                    u = mesh.velocity[r] + change.faces[r]
+                    sum += wp.float64(matrix.diagonal[r] * u * u)
+        partial[task] = sum
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def add(g: Grid, tasks: wp.int32, factor: scalar, one: Vector, result: Vector):
+        task = wp.tid()
+        if task < tasks:
+            rows = 3 * g.slots
+            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
+                result.faces[r] = result.faces[r] + factor * one.faces[r]
+            for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
+                result.cells[c] = result.cells[c] + factor * one.cells[c]
+        else:
+            b = task - tasks
+            result.linear[b] = result.linear[b] + factor * one.linear[b]
+            result.angular[b] = result.angular[b] + factor * one.angular[b]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def finish(g: Grid, tasks: wp.int32, matrix: Matrix, solution: Vector, mesh: Fields, bodies: Bodies):
+        task = wp.tid()
+        if task < tasks:
+            rows = 3 * g.slots
+            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
+                if matrix.free[r] == 0:
+                    mesh.velocity[r] = mesh.velocity[r] + solution.faces[r]
+            for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
+                mesh.pressure[c] = wp.where(mesh.liquid[c] != 0, mesh.pressure[c] + solution.cells[c], scalar(0.0))
+        else:
+            b = task - tasks
+            bodies.velocity[b] = bodies.velocity[b] + solution.linear[b]
+            bodies.spin[b] = bodies.spin[b] + solution.angular[b]
+
+    return SimpleNamespace(inner=inner, scale_of=scale_of, add=add, finish=finish)

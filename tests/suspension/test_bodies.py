@@ -1,0 +1,130 @@
+"""What rigid spheres cover of a grid, and the reduced equations of mortar and spheres."""
+
+import numpy as np
+import pytest
+
+from warpcrete.suspension.aggregates import Aggregates
+from warpcrete.suspension.solve import Tolerances
+from warpcrete.verification.suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow
+
+WIDTH = RADIUS / 2
+VOLUME = 4 / 3 * np.pi * RADIUS**3
+TWO = np.array([[0.0, 0.0, -1.05 * RADIUS], [0.001, 0.002, 1.05 * RADIUS]])
+
+
+def room(centres, device, precision="float32", **given):
+    spheres = Aggregates(np.array(centres), np.full(len(centres), RADIUS), given.pop("density", DENSITY))
+    return mortar_flow((12, 12, 16), WIDTH, spheres, device, precision, **given)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.2, 0.35, 0.1)])
+def test_samples_cover_the_volume_of_a_sphere(device, shift):
+    flow = room([np.array(shift) * WIDTH], device)
+    flow.take(1)
+    solid = flow.aggregates.cover.solid.numpy().reshape(4, -1).sum(1) / 2**20 * WIDTH**3
+    # Each kind of samples, cells and three kinds of edges, tiles the room. The surface counts as plane in 27 parts of
+    # each sample, which makes a sphere of four cells up to 1.8 % too large.
+    assert solid == pytest.approx(np.full(4, VOLUME), rel=0.018)
+
+
+def test_faces_move_with_the_sphere_that_contains_their_centre(device):
+    flow = room([(0.0, 0.0, 0.0)], device)
+    flow.aggregates.bodies.velocity.assign(np.array([[0.1, 0.0, 0.0]]))
+    flow.aggregates.bodies.spin.assign(np.array([[0.0, 0.0, 2.0]]))
+    flow.take(1)
+    cover, spin = flow.aggregates.cover, flow.aggregates.bodies.spin.numpy()[0]
+    velocity, layout = flow.aggregates.bodies.velocity.numpy()[0], flow.state.layout
+    slots, faces = flow.state.slots, cover.faces.numpy()[: cover.count.numpy()[0]]
+    k, j, i = np.unravel_index(faces % slots, layout.shape)
+    places = np.stack([i, j, k], 1) - 1.0
+    axis = faces // slots
+    places += np.where(np.arange(3) == axis[:, None], 0.0, 0.5)
+    places = np.array(layout.room.origin) + places * WIDTH
+    inside = np.linalg.norm(places, axis=1) < RADIUS
+    # All but the last free faces of cells, which cannot move otherwise, have their centre in the sphere.
+    assert inside.mean() > 0.8 and len(faces) > 80
+    rigid = velocity + np.cross(spin, places)
+    own = flow.state.faces("velocity").reshape(3, -1)[axis, faces % slots]
+    assert own == pytest.approx(rigid[np.arange(len(axis)), axis], abs=1e-6)
+
+
+def vectors(flow, seed):
+    """Random values of all unknowns; the faces of spheres get their rigid motion."""
+    rng = np.random.default_rng(seed)
+    solve, free = flow.coupled, flow.viscous.matrix.free.numpy()[: 3 * flow.state.slots] == 0
+    x = solve._vector()
+    x.faces.assign(np.where(free, rng.normal(size=len(free)), 0.0))
+    x.linear.assign(rng.normal(size=(flow.aggregates.count, 3)))
+    x.angular.assign(rng.normal(size=(flow.aggregates.count, 3)) / RADIUS)
+    return x
+
+
+def products(flow, x, y):
+    """The product y . K x of the reduced viscous matrix, over mortar faces and spheres."""
+    solve, owner = flow.coupled, flow.aggregates.cover.owner.numpy()
+    # A spread of the rigid motions on the faces is part of the first search direction.
+    for each in (x, y):
+        solve._launch(solve.forces.spread, flow.aggregates.count, x=each)
+    effect = solve._vector()
+    solve._launch(solve.search.multiply, solve.tasks, direction=x, result=effect)
+    solve._launch(solve.search.gather, flow.aggregates.count, direction=x, result=effect)
+    mortar = np.where(owner == 0, effect.faces.numpy() * y.faces.numpy(), 0.0).sum()
+    bodies = (effect.linear.numpy() * y.linear.numpy()).sum() + (effect.angular.numpy() * y.angular.numpy()).sum()
+    return float(mortar + bodies)
+
+
+def test_the_reduced_matrix_is_symmetric_and_positive(device):
+    flow = room(TWO, device, "float64", density=DENSITY + 400)
+    flow.take(1)
+    x, y = vectors(flow, 1), vectors(flow, 2)
+    assert products(flow, x, y) == pytest.approx(products(flow, y, x), rel=1e-10)
+    assert products(flow, x, x) > 0 and products(flow, y, y) > 0
+
+
+def test_spheres_as_heavy_as_the_mortar_stay(device):
+    flow = room(TWO, device)
+    flow.take(3)
+    speed = np.abs(flow.aggregates.bodies.velocity.numpy()).max()
+    assert speed < 1e-9
+
+
+def test_forces_within_the_mortar_add_up_to_nothing(device):
+    """Two spheres are pushed apart by equal forces: no force remains, so nothing moves as a whole."""
+    flow = room(TWO, device, "float64", tolerances=Tolerances(coupled=1e-8), time_step=1e-3)
+    push = np.array([[0.0, 0.0, -1e-3], [0.0, 0.0, 1e-3]])
+    flow.aggregates.bodies.force.assign(push)
+    flow.take(1)
+    found = flow.aggregates.bodies.velocity.numpy()
+    assert found[0, 2] < 0 < found[1, 2]
+    assert abs(found[:, 2].sum()) < 0.1 * np.abs(found[:, 2]).max()
+
+
+def test_close_spheres_are_not_glued_together(device):
+    """Spheres with a fiftieth of a cell between them part under a force, at the speed of lubrication."""
+    gap = 0.02 * WIDTH
+    flow = room([(0.0, 0.0, -RADIUS - gap / 2), (0.0, 0.0, RADIUS + gap / 2)], device)
+    flow.aggregates.bodies.force.assign(np.array([[0.0, 0.0, -1e-3], [0.0, 0.0, 1e-3]]))
+    flow.take(1)
+    speed = np.diff(flow.aggregates.bodies.velocity.numpy()[:, 2])[0]
+    lubricated = 1e-3 / (1.5 * np.pi * VISCOSITY * RADIUS**2 / gap)
+    assert speed == pytest.approx(lubricated, rel=0.1)
+
+
+def test_spheres_do_not_sink_into_the_floor(device):
+    low = -8 * WIDTH + RADIUS
+    flow = room([(0.0, 0.0, low + 0.1 * WIDTH)], device, density=DENSITY + 5000, time_step=0.5)
+    flow.take(8)
+    gap = flow.aggregates.bodies.centre.numpy()[0, 2] - low
+    assert -0.02 * RADIUS < gap < 0.1 * WIDTH
+    assert flow.aggregates.smallest_gap() == pytest.approx(gap / RADIUS, abs=0.02)
+
+
+def test_coupled_velocities_hold_at_large_viscous_numbers(device):
+    """The default tolerance gives the velocity of the converged solution, at dt mu / (rho h^2) of 1e2 and 1e4."""
+    for number in (1e2, 1e4):
+        dt, found = number * DENSITY * WIDTH**2 / VISCOSITY, []
+        for tolerances in (Tolerances(), Tolerances(coupled=1e-6)):
+            flow = room([(0.0, 0.0, 0.0)], device, "float64", density=DENSITY + 10, time_step=dt, tolerances=tolerances)
+            flow.take(1)
+            found.append(flow.aggregates.bodies.velocity.numpy()[0, 2])
+        assert found[0] == pytest.approx(found[1], rel=0.02)

@@ -1,0 +1,150 @@
+"""Linear systems of a flow on a grid, and the levels of their multigrid preconditioner."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.device import parallel
+from ...kernels.common.reductions import BLOCK
+from ...kernels.mps.conjugate_gradient import OUTCOME
+from ...kernels.mps.grid.levels import system_structs
+from ...kernels.mps.grid.multigrid import PROLONG, RESTRICT, SMOOTH
+from ..common.allocation import allocate
+
+CHUNKS = 32
+"""Number of chunks into which a CPU divides the rows of a linear system.
+
+Each chunk forms one partial sum. Sums therefore have the same bits for any number of threads up to CHUNKS, the maximum.
+"""
+HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
+SMALLEST = {"cpu": 2000, "gpu": 150_000}
+"""Number of cells below which a grid has a single level, so that the preconditioner is the diagonal of the matrix.
+
+On such grids the coarser levels take more time than they save. Cells of the frame around the grid count, too.
+"""
+COARSEST = 32
+"""Number of cells below which a level is not coarsened further."""
+COARSEST_STEPS = 6
+"""Number of smoothing steps that solve the equations of the coarsest level."""
+VISITS = {"cpu": 2, "gpu": 1}
+"""Number of times that a level uses the next coarser one. Two visits save iterations, but on a GPU each visit waits."""
+STEPS = {"cpu": 1, "gpu": 2}
+"""Number of smoothing steps before and after the next coarser level, on all levels but the finest, which has one."""
+
+
+@dataclass(frozen=True)
+class System:
+    """Linear system with a row for each face or for each cell of the grid."""
+
+    rows: int
+    """Number of rows of the finest level."""
+    first: tuple[int, ...]
+    """First row of each level, and the number of rows of all levels."""
+    matrix: Any
+    """Coefficients of the systems of all levels, a struct `Matrix`."""
+    arrays: Any
+    """Working arrays of the solve, a struct `Solve`."""
+
+
+def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: int, near: int) -> System:
+    """Return a system on a grid.
+
+    `shape` is the number of cells along each axis, with the frame around the grid and the last axis first. There are
+    `copies` rows for each cell, one for each axis or only one. A row has at most `near` entries beside the diagonal.
+    """
+    kind = "gpu" if parallel(device) else "cpu"
+    shapes = level_shapes(shape) if math.prod(shape) >= SMALLEST[kind] else [shape]
+    first = np.cumsum([0, *(copies * math.prod(each) for each in shapes)])
+    parent, child = kinship(shapes, copies, first)
+    rows, levels, structs = int(first[-1]), len(shapes), system_structs(scalar)
+    matrix = structs.Matrix()
+    matrix.near_capacity, matrix.rows, matrix.levels, matrix.children = near, rows, levels, 2 ** len(shape)
+    many = {"near": rows * near, "coefficient": rows * near, "before": rows if parallel(device) else 0}
+    sizes = {name: many.get(name, rows) for name in structs.Matrix.vars if name not in NUMBERS}
+    data = {"free": np.ones(rows), "parent": parent, "child": child, "first": first, "begin": levels + 1}
+    data["cycle"] = np.array(cycle(levels, VISITS[kind], STEPS[kind]), np.int32).ravel()
+    allocate(structs.Matrix, device, matrix, **sizes | data)
+    return System(int(first[1]), tuple(map(int, first)), matrix, solve_arrays(scalar, device, int(first[1]), rows))
+
+
+NUMBERS = ("near_capacity", "rows", "levels", "children")
+"""Members of the struct `Matrix` that are numbers."""
+
+
+def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
+    """Return the working arrays of a solve with `finest` rows on the finest level and `rows` rows on all levels."""
+    wide = parallel(device)
+    sizes = {
+        "direction": finest * (2 if wide else 1), "product": finest, "stop_norm": 1, "outcome": OUTCOME,
+        "partial": 3 * (-(-finest // BLOCK) if wide else CHUNKS), "history": HISTORY,
+    }  # fmt: skip
+    struct = system_structs(scalar).Solve
+    return allocate(struct, device, **dict.fromkeys(struct.vars, rows) | sizes)
+
+
+def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Return the numbers of cells along each axis of all levels, each half of those of the level before it."""
+    shapes = [tuple(shape)]
+    while math.prod(shapes[-1]) > COARSEST and max(shapes[-1]) > 2:
+        shapes.append(tuple((n + 1) // 2 for n in shapes[-1]))
+    return shapes
+
+
+def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row of the next coarser level that contains each row, and the rows that each coarser row contains.
+
+    Missing rows are -1. The second array has one line for each coarser row, flattened.
+    """
+    axes = len(shapes[0])
+    parent = np.full(first[-1], -1)
+    child = np.full((first[-1] - first[1], 2**axes), -1)
+    for level, (fine, coarse) in enumerate(itertools.pairwise(shapes)):
+        at = np.indices(fine).reshape(axes, -1)
+        beside = np.ravel_multi_index(tuple(at // 2), coarse)
+        which = np.ravel_multi_index(tuple(at % 2), (2,) * axes)
+        for copy in range(copies):
+            own = first[level] + copy * math.prod(fine) + np.arange(math.prod(fine))
+            above = first[level + 1] + copy * math.prod(coarse) + beside
+            parent[own] = above
+            child[above - first[1], which] = own
+    return parent, child.ravel()
+
+
+def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int]]:
+    """Return the operations of a multigrid cycle, as `kernels/mps/grid/multigrid.py` describes them.
+
+    A level uses the next coarser one `visits` times, with `steps` smoothing steps before and after that. The first
+    smoothing step of a level is part of the operation before it. The solution of the finest level begins in the array
+    `odd` and ends in the array `even`.
+    """
+    found: list[tuple[int, int, int, int]] = []
+
+    def smooth(level: int, side: int, count: int) -> int:
+        for _ in range(count):
+            found.append((int(SMOOTH), level, side, 0))
+            side = 1 - side
+        return side
+
+    def visit(level: int, side: int, first: bool) -> int:
+        """Add a visit of a level whose solution is in the array `side`, and return the array of its new solution."""
+        if level == levels - 1:
+            return smooth(level, side, COARSEST_STEPS - first)
+        count = steps if level else 1
+        side = smooth(level, side, count - first)
+        found.append((int(RESTRICT), level, side, 0))
+        coarse = visit(level + 1, 0, True)
+        if level + 1 < levels - 1:
+            for _ in range(visits - 1):
+                coarse = visit(level + 1, coarse, False)
+        found.append((int(PROLONG), level, side, coarse))
+        return smooth(level, side, count)
+
+    if levels > 1:
+        visit(0, 1, True)
+    return found

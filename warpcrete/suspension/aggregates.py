@@ -1,0 +1,100 @@
+"""Arrays of rigid aggregates in a grid flow, and what they cover of the grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import refuse
+from ..kernels.suspension.bodies import body_structs
+from ..kernels.suspension.pairs import CAPACITY, pair_struct
+from ..mps.common.allocation import allocate
+from ..mps.grid.layout import GridLayout
+
+MIN_CELLS = 3.0
+"""Minimum number of cells across the smallest aggregate; below it, the drag is more than a tenth too small."""
+STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
+"""Names of the arrays of aggregates that the next step depends on."""
+
+
+@dataclass(frozen=True)
+class Aggregates:
+    """Spheres in a mortar at the start of a run."""
+
+    centre: np.ndarray
+    """Centres [m], shape (n, 3), in the axes of the grid."""
+    radius: np.ndarray
+    """Radii [m], shape (n,)."""
+    density: float
+    """Density of the aggregates [kg/m3]."""
+    velocity: np.ndarray | None = None
+    """Velocities of the centres [m/s], shape (n, 3); None for rest."""
+
+    def __post_init__(self) -> None:
+        centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)
+        if centre.ndim != 2 or centre.shape[1] != 3 or radius.shape != centre.shape[:1]:
+            refuse("centre", centre.shape, f"must have the shape (n, 3) for radii of shape {radius.shape}",
+                   "give one centre and one radius for each aggregate")  # fmt: skip
+        if not (np.isfinite(centre).all() and np.all(radius > 0)):
+            refuse("radius", radius.tolist(), "must be above 0, and all centres must be numbers", "remove the others")
+        object.__setattr__(self, "centre", centre)
+        object.__setattr__(self, "radius", radius)
+
+    @property
+    def count(self) -> int:
+        """Number of aggregates."""
+        return len(self.radius)
+
+
+class BodyState:
+    """Aggregates on a device: the structs `Bodies` and `Cover` of `kernels/suspension/bodies.py`."""
+
+    def __init__(
+        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any, device: Any
+    ) -> None:
+        structs = body_structs(scalar)
+        count, radius = aggregates.count, aggregates.radius
+        width = min(layout.room.width)
+        if 2 * radius.min() < MIN_CELLS * width:
+            refuse("spacing", width, f"is too coarse: {2 * radius.min():.3g} m, the smallest aggregate, must be at "
+                                     f"least {MIN_CELLS:g} cells wide",
+                   f"use {2 * radius.min() / 4:.3g} m or less, or leave smaller aggregates to the mortar")  # fmt: skip
+        volume = 4 / 3 * np.pi * radius**3
+        extra = (aggregates.density - density) * volume
+        zero = np.zeros((count, 3))
+        self.count, self.radius, self.extra_weight = count, radius, extra[:, None] * gravity
+        self.bodies = allocate(
+            structs.Bodies, device, centre=aggregates.centre, spin=count,
+            velocity=zero if aggregates.velocity is None else np.asarray(aggregates.velocity, float),
+            turn=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), radius=radius, extra_mass=extra,
+            extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
+            spin_mobility=count,
+        )  # fmt: skip
+        # A sphere of radius R touches fewer faces of each axis than a sphere wider by two cells contains.
+        room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
+        slots = int(np.prod(layout.shape))
+        self.cover = allocate(
+            structs.Cover, device, claims=3 * slots, owner=3 * slots, closing=3 * slots, closer=3 * slots, shared=slots,
+            touches=3 * slots, toucher=3 * slots, covered=3 * slots, solid=4 * slots, count=count, touched=count,
+            first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()), part=int(room.sum()),
+        )  # fmt: skip
+        entries = count * int(CAPACITY)
+        self.pairs = allocate(
+            pair_struct(scalar), device, count=count, other=entries, normal=entries, gap=entries, rough=entries,
+            still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=count, full=1, changed=1,
+        )  # fmt: skip
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Return the places and motions of the aggregates, by name."""
+        return {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+
+    def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
+        """Restore places and motions of the aggregates."""
+        for name in STATE_ARRAYS:
+            getattr(self.bodies, name).assign(found[name])
+
+    def smallest_gap(self) -> float:
+        """Return the smallest gap of an aggregate, divided by its radius; negative for an overlap."""
+        return float(self.pairs.smallest_gap.numpy().min())

@@ -1,0 +1,71 @@
+"""Display of a mortar with aggregates: the surface of the concrete, and the aggregates as spheres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from ..core.drawing.surfaces import Surface
+from ..mps.free.display import FreeDisplay
+
+STONE = (168, 120, 82)
+"""Colour of aggregates."""
+DIVISIONS = 2
+"""Number of times that the triangles of an icosahedron are divided to draw a sphere."""
+
+
+class SuspensionDisplay(FreeDisplay):
+    """Display of a mortar with aggregates.
+
+    The surface of the concrete encloses the aggregates, of which those that bulge out are seen. The cut shows those
+    that the cutting plane meets, and those behind it.
+    """
+
+    def surface(self, cut: bool = False) -> Surface:
+        """Return the surface of the concrete followed by those of the aggregates, or the part behind the cut."""
+        concrete = super().surface(cut)
+        return self.derived(("with aggregates", cut), lambda: self._with_spheres(concrete, cut))
+
+    def surface_colours(self, surface: Surface) -> np.ndarray:
+        """Return the colours of a surface at its vertices as RGB bytes, shape (v, 3)."""
+        colours = super().surface_colours(surface)
+        colours[surface.fields["aggregate"] > 0] = STONE
+        return colours
+
+    @cached_property
+    def _sphere(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and faces of a sphere of unit radius."""
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=DIVISIONS)
+        return np.asarray(ball.vertices, float), np.asarray(ball.faces)
+
+    def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
+        centres = self.read("aggregates.centre").astype(float)
+        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)
+        radii = self.read("aggregates.radius").astype(float)
+        copies = self._mirrored
+        centres = np.concatenate([centres * [a, b, 1.0] for a, b in copies])
+        radii, speeds = np.tile(radii, len(copies)), np.tile(speeds, len(copies))
+        if cut and self.cut is not None:
+            seen = centres[:, 1] + radii > self.cut
+            centres, radii, speeds = centres[seen], radii[seen], speeds[seen]
+        points, faces = self._sphere
+        count, each = len(radii), len(points)
+        vertices = (centres[:, None] + radii[:, None, None] * points).reshape(-1, 3)
+        offsets = len(concrete.vertices) + each * np.arange(count)
+        values = {"speed": np.repeat(speeds, each)}
+        fields = {
+            name: np.concatenate([field, values.get(name, np.zeros(each * count))])
+            for name, field in concrete.fields.items()
+        }
+        marks = np.concatenate([np.zeros(len(concrete.vertices)), np.ones(each * count)])
+        return replace(
+            concrete,
+            vertices=np.concatenate([concrete.vertices, vertices]),
+            faces=np.concatenate([concrete.faces, (offsets[:, None, None] + faces).reshape(-1, 3)]),
+            normals=np.concatenate([concrete.normals, np.tile(points, (count, 1))]),
+            fields={**fields, "aggregate": marks},
+        )

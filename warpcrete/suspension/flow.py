@@ -1,0 +1,171 @@
+"""Grid flow of a mortar with rigid aggregates: one time step, which the host launches stage by stage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..kernels.common.control import HALTED
+from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
+from ..kernels.mps.grid.filling import fill_kernel
+from ..kernels.mps.grid.forces import momentum_kernel
+from ..kernels.mps.grid.pressure import pressure_kernels
+from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
+from ..kernels.mps.grid.walls import wall_kernel
+from ..kernels.mps.structs import PRESSURE
+from ..kernels.suspension.blocks import block_kernel
+from ..kernels.suspension.bodies import cover_kernels, motion_kernels, release_kernels
+from ..kernels.suspension.pairs import pair_kernels
+from ..kernels.suspension.strain import strain_kernels
+from ..mps.grid.flow import GridFlow
+from ..mps.grid.geometry import MIRROR, WALL
+from ..mps.grid.stages import GridStep
+from ..mps.grid.state import GridState
+from .aggregates import Aggregates, BodyState
+from .solve import CoupledSolve, Tolerances
+
+CUTOFF_CELLS = 0.7
+"""Gap between two aggregates that the grid resolves, in cells; narrower gaps get the missing lubrication force.
+
+Fitted to the approach of two spheres (Brenner 1961) with four cells across a sphere."""
+
+
+class SuspensionStep(GridStep):
+    """Stages of a time step before and after the coupled solve, for one thread."""
+
+    def before(self) -> list[Any]:
+        """Return the stages that set up the equations of the step."""
+        flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
+        bins, serial = bin_kernels(scalar, kind), not flow.parallel
+        cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
+        motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
+        count = flow.aggregates.count
+        return [
+            *self._alone(bins.clear, slots),
+            *(self._cells(lift_kernel(scalar, kind), slots=slots, after=flow.state.opened)
+              if len(self.layout.opens) else []),
+            *self._alone(bins.tally, flow.count),
+            *self._alone(bins.allot, slots),
+            *self._shared(bins.sort, flow.count),
+            *self._cells(bins.order),
+            *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
+            *self._cells(gather_kernel(scalar, kind)),
+            *self._alone(cover.clear, 4 * slots),
+            *self._alone(cover.claim, count),
+            *self._alone(free.close, slots),
+            *self._alone(free.shut, 3 * slots),
+            *self._alone(free.share, slots),
+            *self._alone(free.release, slots),
+            *self._alone(cover.collect, count),
+            *self._alone(motion.carry, count),
+            *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
+                         sides=flow.sides, cutoff=flow.cutoff, roughness=flow.roughness),
+            *self._alone(strain.rates, slots),
+            *self._alone(strain.viscosity, slots),
+            *self._cells(wall_kernel(scalar, kind)),
+            *self._cells(momentum_kernel(scalar, serial, kind), mesh=flow.cut, matrix=flow.viscous.matrix,
+                         viscous=flow.viscous.arrays),
+            *self.blocks(),
+            *self._cells(pressure_kernels(scalar, serial, kind).divergence, matrix=flow.projection.matrix,
+                         projection=flow.projection.arrays),
+            *self._complete(flow.projection),
+        ]  # fmt: skip
+
+    def blocks(self) -> list[Any]:
+        """Return the stage that inverts the blocks of the aggregates in the matrix."""
+        kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
+        return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
+
+    def after(self) -> list[Any]:
+        """Return the stages that move the mortar and the aggregates."""
+        flow, kind, scalar = self.flow, self.kind, self.scalar
+        return [
+            *(self._speeds() if flow.adaptive else []),
+            *([] if flow.full else self._disperse()),
+            *self._extrapolate(),
+            *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
+            *self._alone(motion_kernels(scalar, kind).move, flow.aggregates.count),
+            *self._alone(flow.clock_kernels.tick, 1),
+        ]
+
+    def pressure_solve(self, tolerance: float) -> list[Any]:
+        """Return the stage that solves for the pressure increment."""
+        return self._solve(self.flow.projection, PRESSURE, self.flow.mesh.increment, tolerance)
+
+
+class SuspensionFlow(GridFlow):
+    """Flow of a mortar on a grid in space, with rigid aggregates in it."""
+
+    def __init__(
+        self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, tolerances: Tolerances | None = None
+    ) -> None:
+        super().__init__(state, threads=1)
+        down = np.array([0.0, 0.0, -state.scene.gravity])
+        self.aggregates = BodyState(
+            aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
+        )
+        state.aggregates = self.aggregates.bodies
+        # A second view of the mesh, whose viscosities are those of the samples' mortar.
+        self.cut = state.structs.Fields()
+        for name in state.structs.Fields.vars:
+            setattr(self.cut, name, getattr(self.mesh, name))
+        self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
+        self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
+        sides = [side for pair in state.layout.room.sides for side in pair]
+        self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
+        self.coupled = CoupledSolve(self, tolerances or Tolerances())
+        part = SuspensionStep(self, range(1))
+        self._before, self._after, self._blocks = part.before(), part.after(), part.blocks()
+        self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
+
+    @property
+    def kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        return self._kernel_arrays
+
+    @property
+    def _kernel_arrays(self) -> dict[str, Any]:
+        return super()._kernel_arrays | {
+            "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut,
+            "pairs": self.aggregates.pairs,
+        }  # fmt: skip
+
+    def invert_blocks(self) -> None:
+        """Invert the blocks of the aggregates in the matrix again, after pairs have begun to touch."""
+        for stage in self._blocks:
+            stage()
+
+    def launch(self) -> None:
+        """Take the steps that the flow still needs to reach its goal; the host launches every stage."""
+        self.begin_goal()
+        while not self.flags.numpy()[int(HALTED)]:
+            self.take_step()
+
+    def take_step(self) -> None:
+        """Take one time step."""
+        for stage in self._before:
+            stage()
+        self.coupled.solve()
+        for stage in self._after:
+            stage()
+
+    def outcomes(self) -> dict[str, dict[str, float]]:
+        """Return iterations of the viscous solves and of the coupled solve, and its error, in the last step."""
+        coupled = self.coupled
+        return {
+            "viscosity": {"iterations": float(coupled.inner)},
+            "pressure": {"iterations": float(coupled.outer), "after": coupled.error},
+        }
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays that the next step depends on."""
+        return super().state_arrays() | {f"aggregate_{name}": a for name, a in self.aggregates.state_dict().items()}
+
+    def load_state_dict(self, found: dict[str, Any]) -> None:
+        """Restore the flow and its aggregates from a `state_dict`."""
+        self.aggregates.load_state_dict(
+            {name.removeprefix("aggregate_"): a for name, a in found["arrays"].items() if name.startswith("aggregate_")}
+        )
+        super().load_state_dict(found)

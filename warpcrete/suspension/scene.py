@@ -1,0 +1,84 @@
+"""Scenes of a mortar with aggregates and a free surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from ..core.errors import refuse
+from ..core.inputs.parameters import Above, Declared, Within
+from ..mps.free.scene import FreeScene
+from .aggregates import MIN_CELLS
+
+MAX_FRACTION = 0.3
+"""Largest volume fraction of aggregates that random placement without overlaps reaches reliably."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuspensionScene(FreeScene):
+    """Mortar with rigid spheres in a vessel; `concrete` holds the constants of the mortar between them."""
+
+    aggregate_fraction: float
+    """Volume of the aggregates divided by the volume of the concrete."""
+    aggregate_diameters: tuple[float, float]
+    """Smallest and largest diameter of the aggregates [m]; diameters are evenly distributed by volume."""
+    aggregate_density: float
+    """Density of the aggregates [kg/m3]."""
+    roughness: float
+    """Height of the roughness at which two aggregates touch, divided by their reduced radius."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.depth:
+            refuse("depth", self.depth, "must be above 0, because aggregates move in space", "use half of the width")
+        smallest, largest = self.aggregate_diameters
+        if largest < smallest:
+            refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
+                   f"use {smallest:g} m for equal aggregates")  # fmt: skip
+        if smallest < MIN_CELLS * self.spacing:
+            refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {smallest:g} m, must be at least "
+                                            f"{MIN_CELLS:g} cells wide",
+                   f"use {smallest / 4:.3g} m or less, or leave aggregates of this size to the mortar")  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AggregateParameters(Declared):
+    """Aggregates that are simulated as rigid spheres in the mortar."""
+
+    common: ClassVar[tuple[str, ...]] = ("aggregate_fraction",)
+
+    aggregate_fraction: Annotated[
+        float,
+        "Volume fraction of aggregates that are simulated one by one, as rigid spheres in the mortar; "
+        "the constants of the concrete are then those of the mortar between them. 0 simulates concrete as one fluid",
+        Within(0, MAX_FRACTION),
+    ] = 0.0
+    aggregate_smallest: Annotated[
+        float, "Smallest diameter of these aggregates [m]; at least three cells, better four", Above()
+    ] = 0.05
+    aggregate_largest: Annotated[float, "Largest diameter of these aggregates [m]", Above()] = 0.05
+    aggregate_density: Annotated[float, "Density of these aggregates [kg/m3]", Within(500, 10000)] = 2650.0
+    roughness: Annotated[
+        float,
+        "Roughness of aggregates: gap at which two of them touch, divided by 1 / (1 / R1 + 1 / R2)",
+        Within(1e-4, 0.1),
+    ] = 0.01
+
+    def aggregates(self) -> dict[str, Any]:
+        """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
+        return {
+            "aggregate_fraction": self.aggregate_fraction,
+            "aggregate_diameters": (self.aggregate_smallest, self.aggregate_largest),
+            "aggregate_density": self.aggregate_density,
+            "roughness": self.roughness,
+        }
+
+
+def vessel_scene(parameters: AggregateParameters, **fields: Any) -> FreeScene:
+    """Return the scene of a vessel: with aggregates if the parameters state a fraction, otherwise without."""
+    if parameters.aggregate_fraction > 0:
+        return SuspensionScene(**fields, **parameters.aggregates())
+    return FreeScene(**fields)

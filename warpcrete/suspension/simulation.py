@@ -1,0 +1,73 @@
+"""Simulation of a mortar with aggregates in a vessel, from a scene to a finished run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import InstabilityError
+from ..mps.free.layout import free_cells, free_layout
+from ..mps.free.simulation import FreeSimulation
+from ..mps.grid.state import GridState, check_memory
+from .display import SuspensionDisplay
+from .flow import SuspensionFlow
+from .placing import placed_aggregates
+from .scene import SuspensionScene
+
+UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1"}
+"""Units of the columns of the time series that describe the aggregates."""
+DEEPEST = 0.3
+"""Overlap of two aggregates, relative to a radius, at which a run stops."""
+
+
+class SuspensionSimulation(FreeSimulation):
+    """Simulation of a mortar with aggregates; parameters and errors are those of :class:`warpcrete.Simulation`."""
+
+    scene_type = SuspensionScene
+    scene: SuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
+    method = "suspension"
+
+    def unit(self, column: str) -> str:
+        """Return the unit of a column of the time series."""
+        return UNITS.get(column) or super().unit(column)
+
+    def display(self, colouring: str | None = None) -> SuspensionDisplay:
+        """Return the display, which tells recorders what to draw: concrete, aggregates, walls and curves."""
+        return SuspensionDisplay(self, colouring)
+
+    def place_flow(self) -> SuspensionFlow:
+        """Return the flow at its start, with its particles, its aggregates and its grid."""
+        scene = self.scene
+        check_memory(free_cells(scene), self.device, self.precision)
+        layout = free_layout(scene)
+        self.volume = float(np.sum(layout.mass)) * layout.volume
+        return SuspensionFlow(
+            GridState(scene, layout, self.device, self.precision), placed_aggregates(scene, layout),
+            roughness=scene.roughness,
+        )  # fmt: skip
+
+    def measured(self) -> dict[str, float]:
+        """Measure the flow and return the results as a row of the time series."""
+        flow = self.flow
+        gap = flow.aggregates.smallest_gap() if flow.steps else 0.0
+        return super().measured() | {
+            "smallest_gap": min(gap, 1.0),
+            "aggregate_height": float(flow.aggregates.bodies.centre.numpy()[:, 2].mean()),
+            "coupled_error": flow.coupled.error,
+        }
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if aggregates overlap so much that the state is no longer meaningful."""
+        super().watch_row(row)
+        if row["smallest_gap"] < -DEEPEST:
+            raise InstabilityError(
+                f"t = {row['time']:.6g} s: two aggregates, or an aggregate and a wall, overlap by "
+                f"{-row['smallest_gap']:.2g} of a radius; use a smaller 'time_step'"
+            )
+
+    def sizes(self) -> dict[str, Any]:
+        """Return sizes of the model, such as the number of aggregates, for the run's result."""
+        bodies = self.flow.aggregates
+        volume = 4 / 3 * np.pi * float(np.sum(bodies.radius**3))
+        return super().sizes() | {"aggregates": {"count": bodies.count, "fraction": volume / self.volume}}
