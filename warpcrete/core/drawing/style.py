@@ -1,4 +1,4 @@
-"""Style of all curves and figures: one colour for one meaning, and legends beside the curves instead of on them."""
+"""Style of most curves and figures: one colour for one meaning, and legends beside the curves instead of on them."""
 
 from __future__ import annotations
 
@@ -60,6 +60,8 @@ def legend_beside(axes: Any, fontsize: float = 8, **settings: Any) -> None:
 
 def _end(handle: Any) -> float:
     """Return the value at which a curve ends on the right; things that are no curve follow the curves."""
+    if isinstance(handle, tuple):  # a curve with error bars, whose line comes first
+        handle = handle[0]
     if not hasattr(handle, "get_ydata"):
         return -np.inf
     y = np.asarray(handle.get_ydata(), float)
