@@ -2,6 +2,7 @@
 
 python notebooks/gallery/make.py                  makes all pictures and the page, in some ten minutes on two cores
 python notebooks/gallery/make.py slump line       makes two of them
+python notebooks/gallery/make.py --again          runs all commands anew, as after a change of the program
 python notebooks/gallery/make.py --list           lists their names
 
 Runs are kept in a folder for temporary files, so that entries with the same command share one run. Scenes are drawn by
@@ -168,6 +169,8 @@ def spheres_of(instancer: Any, stage: Any, code: float, cut: bool) -> tuple[np.n
     """Return the centres, radii and colours of all spheres of a point instancer."""
     from pxr import UsdGeom
 
+    from warpcrete.geometry.rotation import rotate
+
     places = np.array(instancer.GetPositionsAttr().Get(code), float)
     turns, sizes = instancer.GetOrientationsAttr().Get(code), np.array(instancer.GetScalesAttr().Get())[:, 0]
     kinds = np.array(instancer.GetProtoIndicesAttr().Get())
@@ -180,8 +183,7 @@ def spheres_of(instancer: Any, stage: Any, code: float, cut: bool) -> tuple[np.n
         mine = kinds == kind
         for ball in stage.GetPrimAtPath(target).GetChildren():
             at = np.array(UsdGeom.Xformable(ball).GetLocalTransformation().ExtractTranslation())
-            v, w = q[mine, :3], q[mine, 3:]
-            turned = at + 2 * np.cross(v, np.cross(v, at) + w * at)
+            turned = rotate(q[mine], np.tile(at, (mine.sum(), 1)))
             radius = UsdGeom.Sphere(ball).GetRadiusAttr().Get()
             found.append((places[mine] + sizes[mine, None] * turned, radius * sizes[mine], colours[mine]))
     centres, radii, paint = (np.concatenate([part[k] for part in found]) for k in range(3))
@@ -377,7 +379,7 @@ def caption_of(folder: Path) -> str:
 
 
 def surface_file(folder: Path) -> Any:
-    """Draw the surface of the concrete from its file for ParaView, coloured by the friction ahead."""
+    """Draw the surface of the concrete from its file for ParaView, coloured by the pressure."""
     data = last_step(folder / "surface.vtkhdf")
     data.GetPointData().SetActiveNormals("Normals")
     upper = 1e3 * round(1e-3 * data.GetPointData().GetArray("pressure").GetRange()[1])
@@ -419,38 +421,38 @@ def viewer(folder: Path) -> Path:
 
 
 REDUCER = """\
-import numpy as np, matplotlib.figure as drawing, warpcrete
+import numpy as np, matplotlib.figure as drawing, warpcrete; figure = drawing.Figure((7.6, 2.2), layout="constrained")
 scene = warpcrete.scenes.part(unit="horizontal", outlet_diameter=0.07, spacing=0.01)
 simulation = warpcrete.Simulation(scene, device="cpu"); simulation.run(); display = simulation.display("speed")
 half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np.all(y[half.faces] < 1e-6, axis=1)]
-figure = drawing.Figure(figsize=(7.6, 2.2), layout="constrained"); axes = figure.add_subplot(aspect="equal")
-figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="[m/s]"); axes.set_title(scene.caption)"""
+axes = figure.add_subplot(aspect="equal", title=scene.caption, xlabel="x [m]", ylabel="z [m]")
+figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="[m/s]")"""
 RESTART = """\
 from matplotlib.figure import Figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
 figure, rests = Figure(figsize=(7.6, 3.6), layout="constrained"), range(0, 1801, 60)
 axes = figure.add_subplot(xlabel="rest [s]", ylabel="pressure [bar]", title="Restart of 100 m, no2, 20 m3/h")
 for rate in (0.1, 0.5, 1.7):
     peaks = [restart(CONCRETES["no2"], Line(length=100, rise=0), t, rate, 20 / 3600).pressure / 1e5 for t in rests]
-    axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1]))"""
+    axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1])); axes.set_xlim(0, 2100)"""
 CONCRETE = "--concrete own --density 2300 --viscosity 30 --yield-stress"
 PIPE = "--diameter 0.1 --length 0.35 --elbow-radius 0.25"
 ENTRIES = (
     Entry("units", "Pumping units", "Aggregates in the four units of Zhan et al. (2019), coloured by the largest "
           "contact force on each: a vertical and a horizontal pipe, and two bends.",
           f"warpcrete study pipe --unit A B C D {PIPE} --travel 0.02 --settle 0.3 --usd --out OUT", units),
-    Entry("chains", "Force chains in a bend", "Forces between the aggregates. The piston pushes from the left, and the "
-          "force that it exerts spreads through a few strong chains.",
+    Entry("chains", "Force chains in a bend", "Forces between the aggregates. The dark disc is the piston, and the "
+          "forces are largest near it.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", chains),
     Entry("viewer", "The same bend in the viewer", "The recording in the Rerun viewer: bodies, a cut, force chains and "
           "curves over time on one timeline.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
-    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm. They form an "
-          "arch, and the run stops because the stones in the throat (dark) hardly move.",
+    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm: those below "
+          "the throat (dark) lag behind the piston and jam, and the run stops.",
           "warpcrete run part-dem --unit vertical --diameter 0.08 --outlet-diameter 0.036 --taper 0.08 \\\n"
           "    --straight 0.12 --size-min 0.014 --size-max 0.018 --plug none --stop-when-blocked \\\n"
           "    --colour speed --out OUT",
           usd(direction=(0.3, -1.0, 0.25), cut=True)),
-    Entry("worn", "A worn bend", "Depth of the wear that sliding and impacts have caused on the wall of a bend.",
+    Entry("worn", "A worn bend", "Depth that sliding and impacts have worn off the wall of a bend.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.3 --wear --out OUT",
           usd(direction=(-0.55, -1.0, 0.1), only_walls=True)),
     Entry("slump", "Slump test", "A cone of concrete whose mould is lifted, coloured by the shear rate.",
@@ -460,29 +462,29 @@ ENTRIES = (
           "height over time.", f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
     Entry("jring", "J-ring test", "Grains that spread through a ring of bars, coloured by their speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
-          "--out OUT", usd(time=0.25, direction=(0.2, -1.0, 0.55), opacity=0.2)),
-    Entry("lbox", "L-box test", "Concrete that flows between two bars into the box while the gate opens.",
+          "--out OUT", usd(time=0.4, direction=(0.2, -1.0, 0.55), opacity=0.2)),
+    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box, as the gate opens.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
           "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
           usd(direction=(0.45, -1.0, 0.35), opacity=0.2)),
-    Entry("funnel", "V-funnel test", "Concrete that flows out of a funnel, fastest and most sheared at the outlet.",
+    Entry("funnel", "V-funnel test", "Concrete that flows out of a funnel, most sheared at the outlet.",
           "warpcrete run funnel --concrete own --density 2300 --viscosity 20 --yield-stress 20 --spacing 0.015 \\\n"
           "    --duration 1 --out OUT", usd(direction=(0.3, -1.0, 0.15))),
     Entry("line", "Pressure along a line", "Pressure in the line of the Shanghai Tower by theory, with its likely "
-          "range, the part due to the weight of the concrete, and the pressure recorded at the pump.",
+          "range, its weight, and the pressure recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
-    Entry("trade", "Error against time", "A trade-off front. Each point is a combination of settings. The line joins "
-          "the combinations that no other one beats in both error and time.",
-          "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
-    Entry("posterior", "What measurements determine", "Viscosities and yield stresses of a slip layer that agree "
-          "with the pressures at two flow rates. Only a narrow band is likely.",
+    Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program; the line joins "
+          "those that no other setting beats.", "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
+    Entry("posterior", "What measurements determine", "Slip layers that agree with the wall stress at two flows. Above "
+          "and right: how likely each viscosity [Pa s/m] and yield stress [Pa] is; lower left: both together, of which "
+          "only a narrow band is likely.",
           "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
-    Entry("migration", "Stones in mortar", "Rigid grains in the mortar of a channel. Mainly the mortar beside the wall "
-          "is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
+    Entry("migration", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid; the mortar beside "
+          "the wall is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
-    Entry("validation", "Predicted against measured", "Blind predictions against measurements, with the likely range "
-          "of each prediction.", "warpcrete validate --quick --out OUT", image("validation.png")),
+    Entry("validation", "Predicted against measured", "Predictions over measurements, with the likely range of each; "
+          "filled points are never used for a fit.", "warpcrete validate --quick --out OUT", image("validation.png")),
     Entry("strokes", "Two strokes with a stop", "Pressure on a piston that stops and starts again.",
           "warpcrete run pipe --unit horizontal --concrete no2 --diameter 0.1 --length 0.25 --ramp 0.02 \\\n"
           "    --strokes 2 --stroke 0.1 --pause 0.3 --out OUT", image("pressure.png")),
@@ -491,19 +493,20 @@ ENTRIES = (
           "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
           "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
-    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open. The plug accelerates.",
+    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open: a plug that becomes faster.",
           REDUCER, lambda folder: None),
     Entry("paraview", "A file for ParaView", "Concrete in a bend, coloured by the pressure without weight, from "
           "`surface.vtkhdf` and `walls.vtkhdf` of the run, drawn by VTK.",
           "warpcrete run part --unit bend-to-vertical --spacing 0.0125 --paraview --out OUT", surface_file),
     Entry("profile", "Plug and slip", "Velocity over the radius of a tube: the concrete moves as a plug and slips on "
-          "the wall, as theory predicts.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
+          "the wall, as theory says.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
-    Entry("study", "A parameter study", "Slump and spread over the yield stress, for two viscosities.",
+    Entry("study", "A parameter study", "Slump and spread over the yield stress (left) and over the viscosity "
+          "(right): each colour is a value of the other, and each marker a quantity.",
           "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
           "    --spacing 0.0125 --out OUT", image("study.png")),
-    Entry("restart", "Pressure after a rest", "Theoretical pressure that restarts the flow in 100 m of pipe, over the "
-          "duration of the rest, for three rates at which concrete stiffens at rest.", RESTART, lambda folder: None),
+    Entry("restart", "Pressure after a rest", "Pressure of 100 m of pipe that starts again, by theory, for three rates "
+          "at which the concrete stiffens at rest.", RESTART, lambda folder: None),
 )  # fmt: skip
 
 
@@ -551,7 +554,8 @@ def save(picture: Any, path: Path) -> None:
         found = Image.open(out).convert("RGB")
     found = found.resize((WIDTH, round(WIDTH * found.height / found.width)), Image.Resampling.LANCZOS)
     for colours in (256, 128, 64, 32, 16):
-        found.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
+        flat = found.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        flat.save(path, optimize=True)
         if path.stat().st_size <= MOST_BYTES:
             return
 
@@ -560,8 +564,8 @@ def page() -> str:
     """Return the page of the gallery."""
     lines = ["# Gallery", "", "What does warpcrete show, and which command shows it?", ""]
     lines += [
-        "Every picture was made by `python notebooks/gallery/make.py` from the command or the lines of Python below "
-        "it. The runs are short and coarse, so the whole gallery takes about ten minutes on two CPU cores.",
+        "Every picture was made by `python notebooks/gallery/make.py` from the command or the lines below it. The runs "
+        "are short and coarse, so that the whole gallery takes some ten minutes on two CPU cores.",
         "",
     ]
     for entry in ENTRIES:
@@ -578,6 +582,7 @@ def main() -> None:
     """Make the pictures that are named, or all of them, and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help="pictures to make (default: all)")
+    parser.add_argument("--again", action="store_true", help="run the commands anew, even if their runs are kept")
     parser.add_argument("--list", action="store_true", help="list the names of all pictures")
     given = parser.parse_args()
     known = {entry.name: entry for entry in ENTRIES}
@@ -588,6 +593,9 @@ def main() -> None:
         if name not in known:
             parser.error(f"{name!r} is not a picture; use one of {', '.join(known)}")
     os.environ.setdefault("PYTHONPATH", str(HERE.parents[1]))
+    for name in given.names or known:
+        if given.again:
+            shutil.rmtree(folder_of(known[name].code), ignore_errors=True)
     for name in given.names or known:
         started = time.perf_counter()
         make(known[name])

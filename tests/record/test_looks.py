@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from matplotlib.figure import Figure
 from pumping import SMALL, TINY
 from test_recordings import columns
 
@@ -15,6 +16,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device.recorder_thread import RecorderThread
 from warpcrete.core.drawing.display import DrawnWall
 from warpcrete.core.drawing.paint import palette_colours
+from warpcrete.core.drawing.style import legend_beside
 from warpcrete.core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES, Frames
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.measure.probes import largest_forces, pair_forces
@@ -213,7 +215,7 @@ def test_stress_along_a_column_at_rest_is_what_stands_on_it(tmp_path):
                  plug="plate", plug_pressure=200.0, flow=5e-6, travel=2e-5, ramp=0.0)  # fmt: skip
     simulation = Simulation(scenes.part_dem(**given), device="cpu", recorders=[RerunRecorder(tmp_path / "run.rrd")])
     run = simulation.run()
-    along, mean = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("along_the_pipe", "mean_normal"))
+    along, mean = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("axial", "mean"))
     assert len(along) == len(mean) == len(run.series["time"])  # as short as this, each row has a frame
     z, mass = simulation.state.bodies.position.numpy()[:, 2], simulation.state.bodies.mass.numpy()
     for number, ((left, stress), (right, _)) in enumerate(zip(along, mean)):
@@ -235,7 +237,7 @@ def test_stress_along_a_pipe_is_shown_where_rows_do_not_have_it(tmp_path):
     run = simulation.run()
     assert run.result["state_hash"] == Simulation(scenes.pipe(**given), device="cpu").run().result["state_hash"]
     assert not run.tables and simulation.sampler.log is None
-    along, mean = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("along_the_pipe", "mean_normal"))
+    along, mean = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("axial", "mean"))
     assert len(along) == len(mean) == len(run.series["time"])
     z, mass = simulation.state.bodies.position.numpy()[:, 2], simulation.state.bodies.mass.numpy()
     for number, ((left, stress), (right, _)) in enumerate(zip(along, mean)):
@@ -413,3 +415,14 @@ def test_a_scale_may_begin_above_zero():
     """Viridis between 3 and 5: its ends, and its middle for 4."""
     values = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
     assert np.array_equal(palette_colours(values, 5.0, 3.0), palette_colours(np.array([0.0, 0.0, 0.5, 1.0, 1.0]), 1.0))
+
+
+def test_a_legend_lists_curves_by_their_ends_with_and_without_error_bars():
+    axes = Figure().add_subplot()
+    for label, end in (("lowest", 1.0), ("highest", 4.0), ("third", 2.0)):
+        axes.errorbar([0, 1], [3.0, end], [0.1, 0.1], label=label)
+    axes.plot([0, 1], [0.0, 3.0], label="second")
+    axes.axvspan(0, 1, label="area")
+    legend_beside(axes)
+    found = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert found == ["highest", "second", "third", "lowest", "area"]

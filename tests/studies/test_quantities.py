@@ -255,7 +255,7 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
     assert set(highest.values()) == {200.0}
 
 
-def test_series_of_a_study_have_colours_of_their_own_and_failed_cases_have_marks(tmp_path):
+def test_lines_of_a_study_have_colours_and_quantities_markers_of_their_own_and_failed_cases_have_marks(tmp_path):
     cases = [
         Case(f"{k}", {"velocity": v, "diameter": d}, {"concrete": "zhan"})
         for k, (v, d) in enumerate([(0.1, 0.1), (0.5, 0.1), (0.1, 0.2), (0.5, 0.2)])
@@ -266,7 +266,8 @@ def test_series_of_a_study_have_colours_of_their_own_and_failed_cases_have_marks
     figure = draw(study)
     axes = figure.axes[0]
     bars = [container.lines[0] for container in axes.containers]
-    assert len({line.get_color() for line in bars}) == len(bars) == 4
+    colours, markers = [line.get_color() for line in bars], [line.get_marker() for line in bars]
+    assert markers == ["o", "s"] * 2 and colours[::2] == colours[1::2] and colours[0] != colours[2]
     (mark,) = [line for line in axes.lines if line.get_label() == "a case failed"]
     assert list(mark.get_xdata()) == [0.5] and figure.get_suptitle() == "pipe, concrete zhan"
 

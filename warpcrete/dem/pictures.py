@@ -149,7 +149,7 @@ def plot_strokes(run: ElementRun) -> Any:
         stood = f"{rest.duration:g} s at rest, yield stress grown by {rest.gained:.4g} Pa"
         axes.axvline(rest.at, color=rgb(SECOND), linewidth=1.4, label=stood)
     axes.set(
-        xlabel="time, the rest left out [s]" if rest else "time without the rest [s]",
+        xlabel="time without the rest [s]" if rest is not None else "time [s]",
         ylabel="pressure on the piston [kPa]",
         ylim=(0, None),
         xlim=(0, time[-1] or 1.0),

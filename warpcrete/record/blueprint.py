@@ -87,7 +87,7 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
     found = [_view(display, noun.capitalize(), whole)]
     contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
-    if display.surface() is not None:
+    if display.has_surface:
         if display.cut is not None:
             found.append(_view(display, "Cut through the middle", [*contents, f"- scene/{noun}"]))
         return found
@@ -107,7 +107,7 @@ def _scenes(display: Display, network: bool) -> list[Any]:
 def _view(display: Display, name: str, contents: list[str], overrides: dict[str, Any] | None = None) -> Any:
     import rerun.blueprint as rrb
 
-    eye, target = display.view(1.2)
+    eye, target = display.view(1.45)
     return rrb.Spatial3DView(
         name=name,
         origin="scene",

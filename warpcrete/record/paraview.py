@@ -32,9 +32,8 @@ class ParaViewRecorder(Recorder):
     for the concrete of flows on a grid. Bodies are points with `radius`, `colour` and the fields of the display; a
     clump appears as its spheres. ParaView shows the bodies as spheres with the filter Glyph (type Sphere, scaled by
     `radius`) or as Point Gaussian. The surface has normals, `colour` and fields. Frames are kept in memory until a
-    checkpoint.
-    Then they are appended to a copy of each file, and the copy replaces the file, so that no file is ever incomplete.
-    Raises :class:`WarpcreteError` if h5py is not installed.
+    checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so that no file is ever
+    incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
     """
 
     expendable = True
@@ -62,7 +61,7 @@ class ParaViewRecorder(Recorder):
         self._files["bodies"] = Poly(self.folder / "bodies.vtkhdf", "Vertices")
         if self._walls:
             self._files["walls"] = Poly(self.folder / "walls.vtkhdf", "Polygons")
-        if self._display.surface() is not None:
+        if self._display.has_surface:
             self._files["surface"] = Poly(self.folder / "surface.vtkhdf", "Polygons")
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")

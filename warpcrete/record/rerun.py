@@ -194,7 +194,7 @@ class RerunRecorder(Recorder):
         rr, display = self._rr, self._display
         assert display is not None
         self._set_time(time, steps)
-        if display.surface() is None:
+        if not display.has_surface:
             spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.packed_colours())
             self._log(f"scene/{display.noun}", spheres)
         else:
@@ -313,7 +313,7 @@ class RerunRecorder(Recorder):
         """Record all data that does not change during the run."""
         rr = self._rr
         self._log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        if display.surface() is None:
+        if not display.has_surface:
             self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
         for number, wall in enumerate(display.walls()):
             mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)

@@ -87,7 +87,7 @@ class UsdRecorder(Recorder):
         stage.SetDefaultPrim(root.GetPrim())
         rigid = display.rigid_bodies()
         path = f"/Run/{display.noun.capitalize()}"
-        if display.surface() is not None:
+        if display.has_surface:
             self._bodies = _Surface(stage, path)
         elif rigid is None:
             self._bodies = _Points(stage, path, display)

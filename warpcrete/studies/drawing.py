@@ -23,8 +23,8 @@ ACROSS = 3  # maximum number of panels in a row of the figure
 def draw(study: Any) -> Any:
     """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter.
 
-    Quantities of the same unit share a panel, and each series has its own colour. Numeric values are joined by lines;
-    words are placed side by side. The legend tells lines with different values of the other varied parameters apart.
+    Quantities of the same unit share a panel. Each quantity has its own marker, and each set of values of the other
+    varied parameters its own colour. Numeric values are joined by lines; words are placed side by side.
     Marks at the bottom show values of the parameter with a failed case or a failed check.
     """
     from matplotlib.figure import Figure
@@ -70,8 +70,7 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
     for row in mine:
         label = ", ".join(_worded(study, n, row[n]) for n in study.varied if n != name and n in row)
         lines.setdefault(label, []).append(row)
-    colours = itertools.cycle(SERIES)
-    for k, (label, part) in enumerate(lines.items()):
+    for (k, (label, part)), colour in zip(enumerate(lines.items()), itertools.cycle(SERIES)):
         part = sorted(part, key=lambda row: row.get(name, 0)) if numeric else part
         # Words have positions 0, 1, 2 ... on the axis. A small offset keeps the lines' error bars apart.
         x = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) + 0.08 * k for row in part]
@@ -80,7 +79,7 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
             scatter = np.nan_to_num([row[f"{each.name}_scatter"] for row in part]) * factor
             series = each.title if len(drawn) > 1 or not label else ""
             axes.errorbar(
-                x, y, scatter, fmt=marker, linestyle="-" if numeric else "none", color=rgb(next(colours)), capsize=3,
+                x, y, scatter, fmt=marker, linestyle="-" if numeric else "none", color=rgb(colour), capsize=3,
                 markersize=5, linewidth=1.4, label=", ".join(filter(None, (series, label))),
             )  # fmt: skip
     if not numeric:

@@ -142,6 +142,8 @@ class Display(ABC):
     """Word for the bodies, such as "particles"; recordings store the bodies under this word."""
     has_network: ClassVar[bool] = False
     """True if there are lines between bodies to draw."""
+    has_surface: ClassVar[bool] = False
+    """True if the surface of the concrete is drawn instead of its bodies."""
 
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         self.simulation = simulation

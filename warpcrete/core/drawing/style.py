@@ -1,4 +1,4 @@
-"""Style of all curves and figures: colours with a fixed meaning, and legends beside the plots."""
+"""Style of most curves and figures: colours with a fixed meaning, and legends beside the plots."""
 
 from __future__ import annotations
 
@@ -60,7 +60,9 @@ def legend_beside(axes: Any, fontsize: float = 8, **settings: Any) -> None:
 
 def _end(handle: Any) -> float:
     """Return the last finite value of a curve, or minus infinity for other items, which sorts them last."""
-    if not hasattr(handle, "get_ydata"):
+    if isinstance(handle, tuple):  # A curve with error bars is a tuple, and its line comes first.
+        handle = handle[0]
+    if not hasattr(handle, "get_ydata") or handle.get_linestyle() == "None":
         return -np.inf
     y = np.asarray(handle.get_ydata(), float)
     y = y[np.isfinite(y)]

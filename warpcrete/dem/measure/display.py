@@ -42,7 +42,7 @@ WEAR_QUANTILE = 0.99
 The largest depth is unsuitable, because single patches are worn far deeper than the rest.
 """
 BONDS = (230, 140, 30)
-ALONG = (("along the pipe", "axial_stress", RUN), ("mean normal", "pressure", SECOND))
+ALONG = (("axial", "axial_stress", RUN), ("mean", "pressure", SECOND))
 """Stresses plotted along the pipe: label, column in the table of the stations (slices of the pipe), and colour."""
 MAX_LINE_RADIUS, MIN_LINE_RATIO = 0.12, 0.04
 """Radii of the lines that show contact forces.

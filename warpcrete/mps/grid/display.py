@@ -26,6 +26,7 @@ class GridDisplay(Display):
     """
 
     noun: ClassVar = "concrete"
+    has_surface: ClassVar = True
 
     @property
     def _layout(self) -> GridLayout:
