@@ -60,11 +60,10 @@ def legend_beside(axes: Any, fontsize: float = 8, **settings: Any) -> None:
 
 def _end(handle: Any) -> float:
     """Return the value at which a curve ends on the right; things that are no curve follow the curves."""
-    if isinstance(handle, tuple):  # a curve with error bars, whose line comes first
-        handle = handle[0]
-    if not hasattr(handle, "get_ydata"):
+    line = getattr(handle, "lines", (handle,))[0]  # A curve with error bars holds its line and its bars.
+    if not hasattr(line, "get_ydata"):
         return -np.inf
-    y = np.asarray(handle.get_ydata(), float)
+    y = np.asarray(line.get_ydata(), float)
     y = y[np.isfinite(y)]
     return float(y[-1]) if len(y) > 1 else -np.inf
 
