@@ -172,7 +172,9 @@ def calls_without_encoding(source: str) -> list[str]:
         opens = (
             name == "open"
             and not binary
-            and not (isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) in ("os", "tarfile", "Image"))
+            and not (
+                isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) in ("os", "tarfile", "Image")
+            )
         )
         if "encoding" not in named and (
             name in ("read_text", "write_text") or opens or named & {"text", "universal_newlines"}
