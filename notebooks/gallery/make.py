@@ -51,7 +51,7 @@ class Entry:
     name: str
     title: str
     says: str
-    """What a reader sees in the picture."""
+    """Caption: one sentence about what the picture shows."""
     code: str
     """Command, or lines of Python that leave a Matplotlib figure in the name `figure`."""
     draw: Callable[[Path], Any]

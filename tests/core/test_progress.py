@@ -38,7 +38,7 @@ def test_a_log_gets_a_line_per_tenth(clock, capsys):
 
 
 def test_a_resumed_run_counts_what_this_process_does(clock, capsys):
-    """From 80 % on, a percent takes 60 s: at 90 % another ten minutes are left."""
+    """Each percent beyond 80 % takes 60 s, so that ten minutes are left at 90 %."""
     bar = ProgressBar()
     for minute in range(21):
         clock.time = 100.0 + 60 * minute

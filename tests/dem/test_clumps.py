@@ -298,7 +298,7 @@ def test_a_body_falls_freely_in_steps_of_many_sizes(start, template):
 
 
 def test_shared_packings_have_the_bits_of_new_ones(device, tmp_path, monkeypatch):
-    """Those that tests hand on to one another, with their report; another seed, precision or law has its own."""
+    """Tests that need the same packing share it, with its report; another seed, precision or law gets its own."""
     scene, shared = scenes.pipe(**TINY | dict(length=0.05)), SharedPackings(tmp_path)
     settings = dict(contact=scene.contact, seed=0, device=find_device(device), precision="float32", progress=None,
                     threads=1)  # fmt: skip

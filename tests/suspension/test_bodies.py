@@ -1,4 +1,4 @@
-"""What rigid spheres cover of a grid, and the reduced equations of mortar and spheres."""
+"""Cells and faces that rigid spheres cover, and the reduced equations of mortar and spheres."""
 
 import numpy as np
 import pytest
