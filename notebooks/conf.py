@@ -7,6 +7,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_site"))
 
 import generated  # noqa: E402
+from commands import CommandLexer  # noqa: E402
 from docstrings import escape, resolve  # noqa: E402
 
 import warpcrete  # noqa: E402
@@ -69,7 +70,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": ["sphinx-version"],
 }
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "gallery/index": []}
 copybutton_prompt_text = r">>> |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -77,6 +78,7 @@ copybutton_prompt_is_regexp = True
 def setup(app):
     """Write the generated pages before Sphinx looks for sources, and prepare docstrings for reStructuredText."""
     generated.write(HERE / "reference" / "generated")
+    app.add_lexer("text", CommandLexer)
     app.connect("autodoc-process-docstring", escape)
     app.connect("missing-reference", resolve)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -157,15 +157,18 @@ def default(field: Field) -> str:
     return f"`{field.default:g}`" if isinstance(field.default, float) else f"`{field.default}`"
 
 
-def parameter_tables(fields: Iterable[Field], prefix: str = "") -> str:
-    """Return tables of parameters, one for each group, with unit, default, allowed values and meaning."""
-    groups: dict[str, list[list[str]]] = {}
+def parameter_tables(fields: Iterable[Field]) -> str:
+    """Return tables of parameters, one for each group."""
+    groups: dict[str, list[Field]] = {}
     for field in fields:
-        meaning = re.sub(r"\s*\[[^\]]+\]", "", field.help, count=1) if field.unit else field.help
-        row = [f"`{prefix}{field.name}`", field.unit.strip() or "-", default(field), rules(field), cell(meaning)]
-        groups.setdefault(field.group.rstrip("."), []).append(row)
-    head = ["parameter", "unit", "default", "allowed", "meaning"]
-    return "\n".join(f"## {title or 'Parameters'}\n\n{table(head, rows)}" for title, rows in groups.items())
+        groups.setdefault(field.group.rstrip("."), []).append(field)
+    return "\n".join(f"## {title or 'Parameters'}\n\n{parameters(members)}" for title, members in groups.items())
+
+
+def parameters(fields: Iterable[Field]) -> str:
+    """Return a table of parameters: the meaning with its unit comes second, where a narrow screen still shows it."""
+    rows = [[f"`{f.name}`", cell(f.help), default(f), rules(f)] for f in fields]
+    return table(["parameter", "meaning", "default", "allowed"], rows)
 
 
 def scene_pages() -> dict[str, str]:
@@ -200,12 +203,8 @@ def law_pages() -> dict[str, str]:
     text += "A parameter `some_name` of a law is the option `--contact-some-name`, and the keyword `some_name` of its "
     text += "class in Python.\n\n"
     for name, law in LAWS.classes.items():
-        fields = declared_fields(law).values()
-        head = ["parameter", "unit", "default", "allowed", "meaning"]
-        rows = [[f"`{f.name}`", f.unit.strip() or "-", default(f), rules(f),
-                 cell(re.sub(r"\s*\[[^\]]+\]", "", f.help, count=1))] for f in fields]  # fmt: skip
         text += f"## {name}\n\nClass `{law.__module__}.{law.__name__}`\n\n{prose(inspect.getdoc(law) or '')}\n\n"
-        text += table(head, rows) + "\n"
+        text += parameters(declared_fields(law).values()) + "\n"
     text += "## Not covered\n\n[A contact law of your own](../../how-to/own-contact-law.md) shows how to write a law."
     text += " The [theory of discrete elements](../../theory/elements.md) derives the forces.\n"
     return {"laws.md": text}

@@ -6,7 +6,8 @@ python notebooks/gallery/make.py --again          runs all commands anew, as aft
 python notebooks/gallery/make.py --list           lists their names
 
 Runs are kept in a folder for temporary files, so that entries with the same command share one run. Scenes are drawn by
-VTK from the USD scene or the VTKHDF files of a run, without a display.
+VTK from the USD scene or the VTKHDF files of a run, without a display. The screenshot of the viewer also needs Vulkan,
+in software if there is no GPU; Debian has it in the package mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ HERE = Path(__file__).resolve().parent
 WORK = Path(tempfile.gettempdir()) / "warpcrete-gallery"
 MADE = ".made"
 """File that marks the folder of a complete run."""
-WIDTH, MOST_BYTES = 760, 60_000
-"""Width of a picture [px], and the largest size of its file."""
+WIDTH, MOST_BYTES = 1200, 120_000
+"""Width of a picture [px], which is sharp on screens with two pixels for each point, and largest size of its file."""
+FIGURE = 7.6
+"""Width of the figure of a drawn scene [in]."""
 BACKGROUND = (1.0, 1.0, 1.0)
 SIDE, MARGIN, HIGHEST = 1800, 25, 5.0
 """Width of a drawn scene before it is cropped [px], margin of the crop [px], and largest height of a figure [in]."""
@@ -79,7 +82,7 @@ def composed(pictures: list[np.ndarray], titles: list[str], caption: str, colour
     from warpcrete.core.drawing.paint import colour_map
 
     high = max(p.shape[0] for p in pictures) / sum(p.shape[1] for p in pictures)
-    figure = Figure(figsize=(WIDTH / 100, min(WIDTH / 100 * high, HIGHEST) + 0.85), layout="constrained")
+    figure = Figure(figsize=(FIGURE, min(FIGURE * high, HIGHEST) + 0.85), layout="constrained")
     every = figure.subplots(1, len(pictures), squeeze=False, width_ratios=[p.shape[1] for p in pictures])[0]
     for axes, picture, title in zip(every, pictures, titles, strict=True):
         axes.imshow(picture, interpolation="antialiased")
@@ -371,6 +374,39 @@ def chains(folder: Path) -> Any:
     return composed([vtk_picture(items, (0.25, -1.0, 0.2))], [""], caption_of(folder), words)
 
 
+def lumps(folder: Path) -> Any:
+    """Draw the largest lumps of aggregates that hydrated bonds join, each in its colour, and other aggregates pale."""
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    from warpcrete.core.drawing.style import SERIES
+
+    bodies, data = last_step(folder / "bodies.vtkhdf"), last_step(folder / "contacts.vtkhdf")
+    centres, radii = vtk_to_numpy(bodies.GetPoints().GetData()), vtk_to_numpy(bodies.GetPointData().GetArray("radius"))
+    number = {tuple(np.round(1e6 * centre)): k for k, centre in enumerate(centres)}
+    ends = vtk_to_numpy(data.GetPoints().GetData())[vtk_to_numpy(data.GetPointData().GetArray("hydrated")) > 0]
+    lump = np.arange(len(centres))
+    pairs = np.array([number[tuple(np.round(1e6 * end))] for end in ends]).reshape(-1, 2)
+    for _ in range(len(centres)):  # Give joined aggregates the smallest number among them, until nothing changes.
+        before = lump.copy()
+        np.minimum.at(lump, pairs[:, 0], before[pairs[:, 1]])
+        np.minimum.at(lump, pairs[:, 1], lump[pairs[:, 0]])
+        if np.array_equal(before, lump):
+            break
+    names, sizes = np.unique(lump, return_counts=True)
+    largest = names[np.argsort(-sizes, kind="stable")[: len(SERIES)]]
+    items: list[Any] = [glass(last_step(folder / "walls.vtkhdf"), 0.12)]
+    shown = (PALE, *SERIES)
+    for colour, chosen in zip(shown, (~np.isin(lump, largest), *(lump == name for name in largest))):
+        radius = radii[chosen] * (PALE_SIZE if colour == PALE else 1.0)
+        items.append((centres[chosen], radius, np.tile(np.array(colour, np.uint8), (chosen.sum(), 1))))
+    counts = ", ".join(map(str, sorted(sizes, reverse=True)[: len(SERIES)]))
+    return composed([vtk_picture(items, (0.3, -1.0, 0.2))], [f"lumps of {counts} aggregates"], caption_of(folder), "")
+
+
+PALE, PALE_SIZE = (205, 205, 200), 0.25
+"""Colour of aggregates outside of the largest lumps, and their drawn radius relative to the true one."""
+
+
 def caption_of(folder: Path) -> str:
     """Return the caption of the scene of a run folder."""
     import warpcrete
@@ -411,13 +447,57 @@ def units(folder: Path) -> Any:
 
 
 def viewer(folder: Path) -> Path:
-    """Take a screenshot of a recording in the Rerun viewer, on a display that exists in memory only."""
-    shot = folder / "viewer.png"
+    """Take a screenshot of the end of a recording in the Rerun viewer, which needs no display for that."""
+    from PIL import Image
+    from rerun.experimental import ViewerClient
+
+    import warpcrete
+
+    shot, port = folder / "viewer.png", "9877"
     program = shutil.which("rerun") or str(Path(sys.executable).parent / "rerun")
-    words = [program, folder / "run.rrd", "--screenshot-to", shot, "--window-size", "1400x900", "--renderer", "vulkan"]
-    display = ["xvfb-run", "-a", "-s", "-screen 0 1400x900x24"]
-    subprocess.run([*display, *map(str, words)], check=True, capture_output=True, timeout=300)
+    words = [
+        program,
+        folder / "run.rrd",
+        "--headless",
+        "--window-size",
+        "1400x900",
+        "--renderer",
+        "vulkan",
+        "--port",
+        port,
+    ]
+    shown = subprocess.Popen([*map(str, words)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        client = _once_there(lambda: ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy"))
+        end = float(warpcrete.load(folder).series["time"][-1])
+        _once_there(lambda: client.set_time("time", duration=end, play_state="paused"))
+        time.sleep(SETTLING)
+        client.save_screenshot(str(shot))
+    finally:
+        shown.terminate()
+        shown.wait(timeout=30)
+    with Image.open(shot) as picture:
+        below = picture.crop((0, MENU, *picture.size))
+    below.save(shot)
     return shot
+
+
+MENU = 37
+"""Height of the viewer's menu, which is not drawn [px]."""
+STARTING, SETTLING = 60.0, 5.0
+"""Longest time in which the viewer starts, and time in which it draws a new state [s]."""
+
+
+def _once_there(action: Callable[[], Any]) -> Any:
+    """Return the result of an action of the viewer, which fails until the viewer has started."""
+    started = time.monotonic()
+    while True:
+        try:
+            return action()
+        except Exception as error:  # The viewer's interface raises several kinds, none of them documented.
+            if time.monotonic() - started > STARTING:
+                raise SystemExit(f"viewer: Rerun did not start within {STARTING:g} s: {error}") from error
+            time.sleep(1)
 
 
 REDUCER = """\
@@ -436,6 +516,7 @@ for rate in (0.1, 0.5, 1.7):
     axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1])); axes.set_xlim(0, 2100)"""
 CONCRETE = "--concrete own --density 2300 --viscosity 30 --yield-stress"
 PIPE = "--diameter 0.1 --length 0.35 --elbow-radius 0.25"
+PIPE_A = "--diameter 0.1 --length 0.35"
 ENTRIES = (
     Entry("units", "Pumping units", "Aggregates in the four units of Zhan et al. (2019), coloured by the largest "
           "contact force on each: a vertical and a horizontal pipe, and two bends.",
@@ -493,6 +574,9 @@ ENTRIES = (
           "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
           "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
+    Entry("lumps", "Hydrated lumps", "Lumps of aggregates that hydrated bonds join, after they were pushed: the eight "
+          "largest in colours, all other aggregates small and pale.",
+          f"warpcrete run pipe --unit A {PIPE_A} --travel 0.05 --hydration 0.1 --network --paraview --out OUT", lumps),
     Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open: a plug that becomes faster.",
           REDUCER, lambda folder: None),
     Entry("paraview", "A file for ParaView", "Concrete in a bend, coloured by the pressure without weight, from "
@@ -552,7 +636,8 @@ def save(picture: Any, path: Path) -> None:
         out = io.BytesIO()
         picture.savefig(out, dpi=100 * 2, format="png")
         found = Image.open(out).convert("RGB")
-    found = found.resize((WIDTH, round(WIDTH * found.height / found.width)), Image.Resampling.LANCZOS)
+    if found.width > WIDTH:
+        found = found.resize((WIDTH, round(WIDTH * found.height / found.width)), Image.Resampling.LANCZOS)
     for colours in (256, 128, 64, 32, 16):
         flat = found.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         flat.save(path, optimize=True)
@@ -596,12 +681,19 @@ def main() -> None:
     for name in given.names or known:
         if given.again:
             shutil.rmtree(folder_of(known[name].code), ignore_errors=True)
+    failures = []
     for name in given.names or known:
         started = time.perf_counter()
-        make(known[name])
+        try:
+            make(known[name])
+        except SystemExit as failure:  # The other pictures are made all the same.
+            failures.append(str(failure))
+            continue
         size = (HERE / f"{name}.png").stat().st_size
         print(f"{name:12} {time.perf_counter() - started:6.1f} s {size / 1e3:6.1f} kB", flush=True)
     (HERE / "index.md").write_text(page(), encoding="utf-8")
+    if failures:
+        raise SystemExit("\n".join(failures))
 
 
 if __name__ == "__main__":

@@ -101,10 +101,12 @@ class ParaViewRecorder(Recorder):
         if display.has_network:
             lines = display.network()
             ends = np.concatenate([each.ends.reshape(-1, 2, 3) for each in lines.values()])
-            bonded = np.repeat([name == "bonds" for name in lines], [len(each.ends) for each in lines.values()])
+            sets = np.repeat(list(lines), [2 * len(each.ends) for each in lines.values()])
             force = np.concatenate([each.forces for each in lines.values()]).astype(np.float32)
             pairs = np.arange(2 * len(ends)).reshape(-1, 2)
-            fields = {"bonded": np.repeat(bonded, 2).astype("u1"), "force": np.repeat(force, 2)}
+            fields = {"bonded": (sets != "contacts").astype("u1"), "force": np.repeat(force, 2)}
+            if "hydrated bonds" in lines:
+                fields["hydrated"] = (sets == "hydrated bonds").astype("u1")
             self._files["contacts"].add(time, ends.reshape(-1, 3), pairs, fields)
         self._frames += 1
 

@@ -25,6 +25,8 @@ from ...core.drawing.paint import Paint, packed, palette_colours, rounded_up
 from ...core.drawing.style import RUN, SECOND, THIRD
 from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
+from ...kernels.dem.bond_parallel import HYDRATED
+from ..engine.bonding import bond_kinds
 from ..engine.pairs import chunks_of, pairs_of
 from ..scene.slices import Stations
 from .probes import largest_forces, listed_forces
@@ -329,14 +331,14 @@ class ElementDisplay(Display):
         return Pose(*(np.take(self.read(f"bodies.{name}"), order, axis=0) for name in names))
 
     def network(self) -> dict[str, Lines]:
-        """Return the contact network as two sets of lines: touching pairs without a bond, and bonds."""
+        """Return the contact network as sets of lines: touching pairs without a bond, bonds, and hydrated bonds."""
         i, j, place, force = self._pair_forces()
         position = self.read("spheres.position")
         reach = position[i, 3] + position[j, 3]
         touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
-        bonded = np.zeros_like(touching)
+        kinds = np.zeros(len(place), int)
         if self.simulation.model.features.bonds:
-            bonded = self.read("pairs.bond")[place] > 0
+            kinds = bond_kinds(self.read("pairs.bond")[place])
 
         def lines(chosen: np.ndarray) -> Lines:
             ends = np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
@@ -344,7 +346,9 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
+        hydrated = kinds == int(HYDRATED)
+        found = {"contacts": lines(touching & (kinds <= 0)), "bonds": lines((kinds > 0) & ~hydrated)}
+        return found | ({"hydrated bonds": lines(hydrated)} if self.simulation.scene.hydration else {})
 
     def bounds(self) -> np.ndarray:
         """Return the lowest and the highest corner of a bounding box [m], shape (2, 3).

@@ -435,10 +435,15 @@ class Scene(Parametrised):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter, concrete and flow in words, for titles of figures and recordings."""
+        """Scene, diameter, concrete and flow in words, for titles of figures and recordings.
+
+        A scene without a pipe has no flow; the sizes of its aggregates stand there instead, if parameters give them.
+        """
         concrete = str(self.parameters.get("concrete") or "")
         if self.pipe is None:
-            return f"{self.name}, concrete {concrete}" if concrete else self.name
+            sizes = [self.parameters.get(name) for name in ("size_min", "size_max")]
+            stones = "aggregates {:g} to {:g} mm".format(*(1e3 * size for size in sizes)) if all(sizes) else ""
+            return ", ".join(filter(None, (self.name, concrete and f"concrete {concrete}", stones)))
         flow = np.pi * self.pipe.radius**2 * self.pipe.velocity
         return pumping_caption(f"{self.name} {self.pipe.name}", self.pipe.radius, concrete, flow)
 

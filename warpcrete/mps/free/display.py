@@ -107,7 +107,7 @@ class FreeDisplay(GridDisplay):
             return "speed [m/s]", 0.0, 0.1 * float(np.sqrt(2 * scene.gravity * height))
         concrete, stress = scene.concrete, scene.concrete.density * scene.gravity * height
         rate = max(stress - concrete.yield_stress, 0.1 * stress) / concrete.viscosity
-        return "rate of shear [1/s]", 0.0, rounded_up(SHOWN_SHEAR * rate)
+        return "shear rate [1/s]", 0.0, rounded_up(SHOWN_SHEAR * rate)
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""

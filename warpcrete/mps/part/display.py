@@ -93,7 +93,7 @@ class PartDisplay(GridDisplay):
         if self.colouring == "pressure":
             return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)
         fastest = 1.5 * scene.velocity * (scene.radius / scene.narrowest) ** 2
-        return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
+        return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("shear rate [1/s]", 0.0, 5.0)
 
     def plots(self) -> tuple[Plot, ...]:
         """Return two plots over time: the pressure at the start of the part, and the friction per metre of pipe.

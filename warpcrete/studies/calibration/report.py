@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import RUN, legend_beside, rgb
+from ...core.inputs.parameters import Field, declared_fields
 from ...core.inputs.yaml_files import yaml_text
 from ...core.run.files import atomic_file, write_json
 from .calibration import Calibration
@@ -26,7 +27,7 @@ def write(found: Calibration, modules: Mapping[str, Any]) -> None:
         return
     write_json(found.folder / "answer.json", answer(found))
     with atomic_file(found.folder / "calibration.png") as partial:
-        draw(found).savefig(partial, dpi=130, format="png")
+        draw(found, modules).savefig(partial, dpi=130, format="png")
     concrete = concrete_of(found, modules)
     if concrete:
         with atomic_file(found.folder / "concrete.yaml") as partial:
@@ -148,7 +149,7 @@ def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any
     return head | ({} if base in (None, "own") else {"base": base}) | rounded
 
 
-def draw(found: Calibration) -> Any:
+def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
     """Return a Matplotlib figure of the posterior: histograms on the diagonal, pairs of parameters below it.
 
     The trials are drawn as points.
@@ -157,6 +158,9 @@ def draw(found: Calibration) -> Any:
 
     assert found.posterior is not None
     task, free = found.task, len(found.task.free)
+    known = {name: field for target in task.targets
+             for name, field in declared_fields(modules[target.scene].scene.parameters).items()}  # fmt: skip
+    titles = [_title(known[each.name]) for each in task.free]
     samples = np.array([[f.value(u) for f, u in zip(task.free, row)] for row in found.posterior.samples])
     trials = np.array([[f.value(u) for f, u in zip(task.free, trial.units)] for trial in found.searched])
     size = max(2.6 * free, 4.5)
@@ -179,15 +183,20 @@ def draw(found: Calibration) -> Any:
                 here.plot(trials[:, column], trials[:, row], "k.", ms=3)
                 here.plot(found.best[across.name], found.best[up.name], "x", color=rgb(RUN), ms=8, mew=2)
                 here.set(ylim=(up.low, up.high), yscale="log" if up.log else "linear",
-                         ylabel=up.name.replace("_", " ") if column == 0 else "")  # fmt: skip
+                         ylabel=titles[row] if column == 0 else "")  # fmt: skip
             here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
-                     xlabel=across.name.replace("_", " ") if row == free - 1 else "")  # fmt: skip
+                     xlabel=titles[column] if row == free - 1 else "")  # fmt: skip
             for axis, of in ((here.xaxis, across), (here.yaxis, up)):
                 if of.log and (axis is here.xaxis or row != column):
                     _few_ticks(axis)
     legend_beside(axes[0][0])
-    figure.suptitle("Posterior of the parameters: dark where a value is likely", fontsize=10)
+    figure.suptitle("posterior of the parameters: dark where values are likely", fontsize=10)
     return figure
+
+
+def _title(field: Field) -> str:
+    """Return the name of a parameter with its unit, as an axis states it."""
+    return field.name.replace("_", " ") + (f" [{field.unit.strip()}]" if field.unit else "")
 
 
 def _few_ticks(axis: Any) -> None:

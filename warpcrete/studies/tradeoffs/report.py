@@ -191,6 +191,8 @@ def draw(trade: Trade) -> Any:
         mine = [(p, p.worst) for p in trade.measured if p.origin == origin and p.worst is not None]
         if mine:
             _series(axes, origin, mine, MARKERS.get(origin, "osv^<>hX"[k % 8]), f"C{k % 10}")
+    if any(p.suspect for p in trade.measured if p.worst is not None):
+        axes.plot([], [], "o", color="0.4", markerfacecolor="white", markersize=6, label="hollow: a check failed")
     best = [(p.cost, 100 * max(p.worst.size, FLOOR)) for p in on_front(trade) if p.worst is not None]
     if best:
         axes.plot(*zip(*best), color="0.5", linewidth=1.0, drawstyle="steps-post", zorder=0, label="front")
@@ -245,5 +247,5 @@ def _name_levels(axes: Any, trade: Trade) -> None:
         x, y = into_figure.transform(at)
         if all(abs(x - u) > 2 * NEAR or abs(y - v) > NEAR for u, v in placed):
             text = trade.label(point).removeprefix(f"{point.origin} ")
-            axes.annotate(text, at, (4, 4), textcoords="offset points", fontsize=6, color="0.35")
+            axes.annotate(text, at, (4, 4), textcoords="offset points", fontsize=7.5, color="0.35")
             placed.append((x, y))

@@ -9,7 +9,7 @@ from ...core.drawing.style import RUN, SECOND, rgb
 from .comparison import Comparison
 from .kinds import KINDS
 
-COLUMNS = 5
+COLUMNS = 3
 """Number of panels in a row of the figure."""
 STYLES = (
     (False, False, {"marker": "o", "color": rgb(SECOND), "markerfacecolor": "white", "label": "others, with band"}),
@@ -36,7 +36,7 @@ def draw(comparisons: Sequence[Comparison]) -> Any:
     shown = {}
     for axes in figure.axes:
         shown |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     return figure
 
 
