@@ -67,7 +67,7 @@ def test_a_run_goes_on_from_its_checkpoint_with_the_same_bits(device, tmp_path):
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"aggregate_fraction": 0.4}, "aggregate_fraction"),
+        ({"aggregate_fraction": 0.6}, "aggregate_fraction"),
         ({"aggregate_fraction": 0.1, "aggregate_smallest": 0.02}, "too coarse: the smallest aggregate, 0.02 m"),
         ({"aggregate_fraction": 0.1, "aggregate_largest": 0.03}, "must be at least 'aggregate_smallest' = 0.04 m"),
         ({"aggregate_fraction": 0.1, "roughness": 0.0}, "roughness"),

@@ -1,6 +1,9 @@
-"""Random placement of spherical aggregates in the concrete without overlaps, for the start of a run."""
+"""Random placement of spherical aggregates without overlaps, for the start of a run."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 
@@ -11,48 +14,179 @@ from ..mps.grid.layout import GridLayout
 from .aggregates import Aggregates
 from .scene import SuspensionScene
 
-TRIES = 50_000
-"""Maximum number of random positions to try for all aggregates before the scene is refused."""
 CLEARANCE = 0.02
-"""Minimum gap of a new sphere to others and to walls at the start, divided by the radius of the new sphere."""
+"""Minimum gap at the start between two spheres, divided by the mean of their radii, and between a sphere and a wall,
+divided by its radius."""
+MARGIN = 0.005
+"""Additional gap that removing the overlaps aims at, so that it ends after a finite number of iterations."""
+ITERATIONS = 1000
+"""Maximum number of iterations in which overlaps are removed."""
+SWEEPS = 100
+"""Number of random moves of each sphere after overlaps have been removed."""
+SHRINK = 0.95
+"""Factor by which the number of spheres is reduced until they fit, to name a volume fraction that does."""
+
+Distance = Callable[[np.ndarray], np.ndarray]
+"""Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
 
 
 def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
     """Return randomly placed spheres with the volume fraction and the diameters of a scene.
-
-    The spheres are placed one after the other, the largest first (random sequential addition).
 
     Raises :class:`warpcrete.SceneError` if not all spheres find a place.
     """
     rng = np.random.default_rng(scene.seed)
     radii = _radii(scene, layout, rng)
     nearest, outline = nearest_wall(layout.room, free_walls(scene)), polygon_distance(scene.outline)
-    low, high = layout.fluid.min(0), layout.fluid.max(0)
+    origin, width = np.array(layout.room.origin), np.array(layout.room.width)
+    top = origin + np.array(layout.room.cells) * width
     mirrors = [(axis, side) for axis, sides in enumerate(layout.room.sides) for side in (0, 1) if sides[side] == MIRROR]
-    top = np.array(layout.room.origin) + np.array(layout.room.cells) * np.array(layout.room.width)
-    centres, tries = np.zeros((0, 3)), 0
-    for radius in radii:
-        while True:
-            tries += 1
-            if tries > TRIES:
-                placed = len(centres)
-                part = float(np.sum(radii[:placed] ** 3) / np.sum(radii**3))
-                refuse(
-                    "aggregate_fraction", scene.aggregate_fraction,
-                    f"is too large: only {placed} of {len(radii)} aggregates found a place",
-                    f"use {0.9 * part * scene.aggregate_fraction:.2g} or less",
-                )  # fmt: skip
-            x = rng.uniform(low, high)
-            room = (1 + CLEARANCE) * radius
-            if len(centres) and np.any(np.linalg.norm(centres - x, axis=1) < room + radii[: len(centres)]):
-                continue
-            if any((x[axis] - layout.room.origin[axis] if side == 0 else top[axis] - x[axis]) < room
-                   for axis, side in mirrors):  # fmt: skip
-                continue
-            if outline(x[None])[0] < -room and nearest(x[None])[0][0] > room:
-                centres = np.vstack([centres, x])
-                break
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        found = np.minimum(nearest(x)[0], -outline(x))
+        for axis, side in mirrors:
+            found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
+        return found
+
+    low, high = layout.fluid.min(0), layout.fluid.max(0)
+    centres = random_places(radii, low, high, distance, rng)
+    if centres is None:
+        whole, fewer = float(np.sum(radii**3)), rng.permutation(radii)
+        while centres is None and len(fewer) > 1:
+            fewer = fewer[: int(SHRINK * len(fewer))]
+            centres = random_places(fewer, low, high, distance, rng)
+        count, part = (0, 0.0) if centres is None else (len(fewer), float(np.sum(fewer**3)) / whole)
+        refuse(
+            "aggregate_fraction", scene.aggregate_fraction,
+            f"is too large: only {count} of {len(radii)} aggregates found a place",
+            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider room",
+        )  # fmt: skip
     return Aggregates(centres, radii, scene.aggregate_density)
+
+
+def random_places(
+    radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator,
+    periodic: bool = False,
+) -> np.ndarray | None:  # fmt: skip
+    """Return random centres of spheres without overlaps, shape (n, 3), or None if the spheres do not fit.
+
+    The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
+    Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
+    of them in narrow gaps. If `periodic`, the room repeats itself along the last axis, from `low` to `high`.
+    """
+    period = high[2] - low[2] if periodic else 0.0
+    centres = _start(radii, low, high, distance, rng)
+    if centres is None or not _separate(centres, radii, distance, period):
+        return None
+    _stir(centres, radii, distance, period, rng)
+    return low + np.where([False, False, periodic], (centres - low) % (period or 1.0), centres - low)
+
+
+def _start(
+    radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator
+) -> np.ndarray | None:
+    """Return random centres of spheres that overlap no walls, but may overlap each other."""
+    centres, left = np.zeros((len(radii), 3)), np.arange(len(radii))
+    for _ in range(ITERATIONS):
+        x = rng.uniform(low, high, (len(left), 3))
+        free = distance(x) > (1 + CLEARANCE) * radii[left]
+        centres[left[free]] = x[free]
+        left = left[~free]
+        if not len(left):
+            return centres
+    return None
+
+
+def _separate(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: float) -> bool:
+    """Push overlapping spheres apart, and return whether no overlap is left."""
+    goal, needed = 1 + 0.5 * CLEARANCE + MARGIN, 1 + 0.5 * CLEARANCE
+    reach = 2 * goal * float(radii.max())
+    for _ in range(ITERATIONS):
+        i, j, d = close_pairs(centres, reach, period)
+        away = np.linalg.norm(d, axis=1)
+        sum = radii[i] + radii[j]
+        room = distance(centres)
+        if np.all(away >= needed * sum) and np.all(room >= (1 + CLEARANCE) * radii):
+            return True
+        push = 0.5 * np.maximum(goal * sum - away, 0.0)[:, None] * d / np.maximum(away, 1e-12 * reach)[:, None]
+        for axis in range(3):
+            centres[:, axis] -= np.bincount(i, push[:, axis], len(radii)) - np.bincount(j, push[:, axis], len(radii))
+        _leave_walls(centres, radii, distance)
+    return False
+
+
+def _leave_walls(centres: np.ndarray, radii: np.ndarray, distance: Distance) -> None:
+    """Move spheres that overlap a wall away from it."""
+    depth = (1 + CLEARANCE + MARGIN) * radii - distance(centres)
+    close = np.flatnonzero(depth > 0)
+    if not len(close):
+        return
+    step = 1e-3 * float(radii.min())
+    shifts = step * np.concatenate([np.eye(3), -np.eye(3)])
+    around = distance((centres[close, None] + shifts).reshape(-1, 3)).reshape(-1, 2, 3)
+    slope = (around[:, 0] - around[:, 1]) / (2 * step)
+    steep = np.linalg.norm(slope, axis=1, keepdims=True)
+    centres[close] += depth[close, None] * slope / np.maximum(steep, 1e-3)
+
+
+def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: float, rng: np.random.Generator) -> None:
+    """Move each sphere several times at random, without overlaps (Metropolis et al. 1953).
+
+    All spheres move at once. A move counts only if the sphere overlaps neither the old nor the new place of any other
+    sphere, so whichever moves count, no overlap results.
+    """
+    count, needed = len(radii), 1 + 0.5 * CLEARANCE
+    size = 0.2 * float(radii.mean())
+    for _ in range(SWEEPS):
+        new = centres + rng.uniform(-size, size, centres.shape)
+        blocked = distance(new) < (1 + CLEARANCE) * radii
+        both = np.concatenate([centres, new])
+        i, j, d = close_pairs(both, 2 * needed * float(radii.max()), period)
+        a, b = i % count, j % count
+        overlap = (np.linalg.norm(d, axis=1) < needed * (radii[a] + radii[b])) & (a != b)
+        # Old places do not overlap, so every overlap blocks the moves to the new places that it involves.
+        for place in (i, j):
+            moved = overlap & (place >= count)
+            blocked[place[moved] - count] = True
+        centres[~blocked] = new[~blocked]
+        # Keep about half of the moves.
+        size = min(size * (1.1 if np.mean(blocked) < 0.5 else 0.9), float(radii.mean()))
+
+
+def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pairs of points closer than `reach`: both indices and the vectors from the first to the second point.
+
+    Each pair occurs once, with the smaller index first. If `period` is above 0, the room repeats itself along the last
+    axis with this length, which must be at least twice `reach`.
+    """
+    count = len(x)
+    origin = np.arange(count)
+    if period > 0:
+        # Copy the points near both ends of the period to the opposite ends.
+        x = x - np.where(np.arange(3) == 2, period * np.floor((x - x.min(0)) / period), 0.0)
+        up, down = (np.flatnonzero(x[:, 2] < x[:, 2].min() + reach), np.flatnonzero(x[:, 2] > x[:, 2].max() - reach))
+        shift = np.array([0.0, 0.0, period])
+        x, origin = np.concatenate([x, x[up] + shift, x[down] - shift]), np.concatenate([origin, up, down])
+    cell = np.floor((x - x.min(0)) / reach).astype(np.int64) + 1
+    shape = cell.max(0) + 2
+    key = np.ravel_multi_index(tuple(cell.T), tuple(shape))
+    order = np.argsort(key, kind="stable")
+    ranked, first, second = key[order], [], []
+    own, own_place = key[:count], np.arange(count)
+    # Cells with consecutive keys are neighbours along the last axis, so nine ranges of keys hold all neighbours.
+    for step in product((-1, 0, 1), repeat=2):
+        middle = own + (step[0] * shape[1] + step[1]) * shape[2]
+        start, end = np.searchsorted(ranked, middle - 1), np.searchsorted(ranked, middle + 1, "right")
+        number = end - start
+        first.append(np.repeat(own_place, number))
+        within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+        second.append(order[within + np.repeat(start, number)])
+    i, j = np.concatenate(first), np.concatenate(second)
+    kept = i < origin[j]
+    i, j = i[kept], j[kept]
+    d = x[j] - x[i]
+    near = np.einsum("ij,ij->i", d, d) < reach**2
+    return i[near], origin[j[near]], d[near]
 
 
 def _radii(scene: SuspensionScene, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
