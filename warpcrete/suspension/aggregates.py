@@ -9,6 +9,7 @@ import numpy as np
 
 from ..core.errors import refuse
 from ..kernels.suspension.bodies import body_structs
+from ..kernels.suspension.leaving import PARKED
 from ..kernels.suspension.pairs import CAPACITY, pair_struct
 from ..mps.common.allocation import allocate
 from ..mps.grid.layout import GridLayout
@@ -49,6 +50,11 @@ class Aggregates:
         return len(self.radius)
 
 
+def is_inside(centres: np.ndarray) -> np.ndarray:
+    """Return a mask of the aggregates that have not left the room entirely; `centres` has the shape (n, 3)."""
+    return np.abs(centres).max(1) < float(PARKED)
+
+
 class BodyState:
     """State of the aggregates on a device: motion, neighbours, and the parts of the grid that they cover."""
 
@@ -66,6 +72,9 @@ class BodyState:
         extra = (aggregates.density - density) * volume
         zero = np.zeros((count, 3))
         self.count, self.radius, self.extra_weight = count, radius, extra[:, None] * gravity
+        self.excess = aggregates.density - density
+        self.low = np.array(layout.room.origin)
+        self.high = self.low + np.array(layout.room.cells) * np.array(layout.room.width)
         self.bodies = allocate(
             structs.Bodies, device, centre=aggregates.centre, spin=count,
             velocity=zero if aggregates.velocity is None else np.asarray(aggregates.velocity, float),
@@ -95,6 +104,26 @@ class BodyState:
         """Restore centres, velocities, spins and orientations of the aggregates from a `state_dict`."""
         for name in STATE_ARRAYS:
             getattr(self.bodies, name).assign(found[name])
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Mask of the aggregates that have not left the room entirely, shape (n,)."""
+        return is_inside(self.bodies.centre.numpy())
+
+    def volume_inside(self, opens: int) -> float:
+        """Return the part of the aggregates' volume that has not left the room through an open side.
+
+        `opens` names the open sides as in :func:`warpcrete.kernels.suspension.leaving.leaving_kernels`.
+        """
+        centre, volume = self.bodies.centre.numpy().astype(float), self.radius**3
+        left = np.zeros(self.count)
+        for side in range(6):
+            if opens >> side & 1:
+                axis = side // 2
+                depth = centre[:, axis] - self.low[axis] if side % 2 == 0 else self.high[axis] - centre[:, axis]
+                h = np.clip(self.radius - depth, 0.0, 2 * self.radius)
+                left += h**2 * (3 * self.radius - h) / 4
+        return float(np.sum(np.maximum(volume - left, 0.0)) / np.sum(volume))
 
     def smallest_gap(self) -> float:
         """Return the smallest gap to a neighbour or wall at the start of the last step, relative to the radius.

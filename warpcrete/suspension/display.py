@@ -9,6 +9,7 @@ import numpy as np
 
 from ..core.drawing.surfaces import Surface
 from ..mps.free.display import FreeDisplay
+from .aggregates import is_inside
 
 STONE = (168, 120, 82)
 """Colour of aggregates."""
@@ -52,8 +53,10 @@ class SuspensionDisplay(FreeDisplay):
 
     def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
         centres = self.read("aggregates.centre").astype(float)
-        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)
-        radii = self.read("aggregates.radius").astype(float)
+        inside = is_inside(centres)
+        centres = centres[inside]
+        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float)[inside], axis=1)
+        radii = self.read("aggregates.radius").astype(float)[inside]
         copies = self._mirrored
         centres = np.concatenate([centres * [a, b, 1.0] for a, b in copies])
         radii, speeds = np.tile(radii, len(copies)), np.tile(speeds, len(copies))

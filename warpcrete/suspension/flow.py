@@ -17,10 +17,11 @@ from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension.blocks import block_kernel
 from ..kernels.suspension.bodies import cover_kernels, motion_kernels, release_kernels
+from ..kernels.suspension.leaving import leaving_kernels
 from ..kernels.suspension.pairs import pair_kernels
 from ..kernels.suspension.strain import strain_kernels
 from ..mps.grid.flow import GridFlow
-from ..mps.grid.geometry import MIRROR, WALL
+from ..mps.grid.geometry import MIRROR, OPEN_SIDE, WALL
 from ..mps.grid.stages import GridStep
 from ..mps.grid.state import GridState
 from .aggregates import Aggregates, BodyState
@@ -53,6 +54,7 @@ class SuspensionStep(GridStep):
             *self._cells(bins.order),
             *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
             *self._cells(gather_kernel(scalar, kind)),
+            *(self._alone(leaving_kernels(scalar, kind).park, count, opens=flow.opens) if flow.opens else []),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
             *self._alone(free.close, slots),
@@ -64,6 +66,8 @@ class SuspensionStep(GridStep):
             *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
                          sides=flow.sides, mirrors=flow.mirrors,
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
+            *(self._alone(leaving_kernels(scalar, kind).weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
+              if flow.opens else []),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -119,6 +123,8 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
+        # The top of a room is an open side as well, but it is above the concrete, so no aggregate leaves there.
+        self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
 

@@ -15,7 +15,7 @@ from .flow import SuspensionFlow
 from .placing import placed_aggregates
 from .scene import SuspensionScene
 
-UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1"}
+UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1", "aggregates_inside": "1"}
 """Units of the columns of the time series that describe the aggregates."""
 DEEPEST = 0.3
 """Overlap of two aggregates, divided by a radius, above which the run stops with an error."""
@@ -51,11 +51,16 @@ class SuspensionSimulation(FreeSimulation):
         """Measure the flow and return the results as a row of the time series."""
         flow = self.flow
         gap = flow.aggregates.smallest_gap() if flow.steps else 0.0
-        return super().measured() | {
+        inside = flow.aggregates.inside
+        heights = flow.aggregates.bodies.centre.numpy()[inside, 2]
+        row = {
             "smallest_gap": min(gap, 1.0),
-            "aggregate_height": float(flow.aggregates.bodies.centre.numpy()[:, 2].mean()),
+            "aggregate_height": float(heights.mean()) if len(heights) else 0.0,
             "coupled_error": flow.coupled.error,
         }
+        if flow.opens:
+            row["aggregates_inside"] = flow.aggregates.volume_inside(flow.opens)
+        return super().measured() | row
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if aggregates overlap so much that the results are no longer meaningful."""

@@ -1,0 +1,84 @@
+"""Aggregates that leave the room through an open side, such as the outlet of a funnel.
+
+The grid contains mortar everywhere, also inside aggregates, so an aggregate adds only its mass minus that of an equal
+volume of mortar. Beyond an open side there is no mortar. The part of an aggregate that has left therefore adds its
+whole mass and weight, until the aggregate has left entirely. It is then parked far away, where it moves no more.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED
+from ..mps.grid.cells import GridKind, grid_parameters_struct
+from ..mps.structs import mps_types
+from .bodies import body_structs
+from .pairs import pair_struct
+
+PARKED = wp.constant(1.0e3)
+"""Minimum distance of parked aggregates from the room [m]."""
+
+
+@functools.cache
+def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
+    """Build the kernels `weigh` and `park`, each with one task per aggregate.
+
+    `opens` has the bit 2 axis + 1 set if the upper side of the room along this axis is open, and the bit 2 axis for the
+    lower side. `excess` is the density of the aggregates minus that of the mortar [kg/m3].
+    """
+    vec = mps_types(scalar, 3).vec
+    Grid = grid_parameters_struct(scalar, 3)
+    Bodies = body_structs(scalar).Bodies
+    Pairs = pair_struct(scalar)
+
+    @wp.func
+    def beyond(g: Grid, bodies: Bodies, b: wp.int32, side: wp.int32) -> scalar:
+        """Return how far an aggregate reaches beyond a side of the room [m], at most its diameter."""
+        axis = side / 2
+        inside = bodies.centre[b][axis] - g.origin[axis]
+        if side % 2 == 1:
+            inside = scalar(g.n[axis]) * g.width[axis] - inside
+        return wp.clamp(bodies.radius[b] - inside, scalar(0.0), scalar(2.0) * bodies.radius[b])
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def weigh(
+        g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, pairs: Pairs, opens: wp.int32, excess: scalar
+    ):  # fmt: skip
+        """Compute the mass and weight that aggregates add to the mortar; parked aggregates have no neighbours."""
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        radius = bodies.radius[b]
+        volume = scalar(4.0 / 3.0 * wp.pi) * radius * radius * radius
+        left = scalar(0.0)
+        for side in range(6):
+            if (opens >> side) % 2 == 1:
+                h = beyond(g, bodies, b, side)
+                left += scalar(wp.pi / 3.0) * h * h * (scalar(3.0) * radius - h)
+        left = wp.min(left, volume)
+        extra = excess * volume + g.density * left
+        bodies.extra_mass[b] = extra
+        bodies.extra_inertia[b] = scalar(0.4) * extra * radius * radius
+        bodies.force[b] = extra * g.gravity
+        if left == volume:
+            bodies.force[b] = vec()
+            pairs.count[b] = 0
+            pairs.smallest_gap[b] = scalar(1.0e30)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def park(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, opens: wp.int32):
+        """Move aggregates that have left the room entirely far away, at a distance from each other, and stop them."""
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        for side in range(6):
+            if (opens >> side) % 2 == 1 and beyond(g, bodies, b, side) == scalar(2.0) * bodies.radius[b]:
+                axis = side / 2
+                x = bodies.centre[b]
+                x[axis] = wp.where(side % 2 == 0, scalar(-1.0), scalar(1.0)) * (scalar(PARKED) + scalar(b))
+                bodies.centre[b] = x
+                bodies.velocity[b] = vec()
+                bodies.spin[b] = vec()
+
+    return SimpleNamespace(weigh=weigh, park=park)
