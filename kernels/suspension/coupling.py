@@ -17,14 +17,19 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from ..common.control import HALTED
 from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from ..mps.grid.places import grid_functions
-from .bodies import body_structs
+from ..mps.structs import row_place
+from .bodies import FULL, body_structs
 from .vectors import share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Pressure in the preconditioner that a divergence of the velocity causes, divided by viscosity and divergence."""
+"""Pressure in the norm of residuals that a divergence of the velocity causes, divided by viscosity and divergence."""
+YIELDING = wp.constant(0.4)
+"""Part of the pressure in the preconditioner that depends on the cell alone: the factor before 1 / (D a^-1 D^T), where
+a is the diagonal of the viscous matrix. It was fitted to the number of iterations in eight flows."""
 
 
 @functools.cache
@@ -34,9 +39,10 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     - `start` sets the residual from the forces and inflows at the start of the step.
     - `pressure_force` computes the forces of a pressure field on the faces.
     - `inflow` computes the net inflow into the cells that a change of the velocities causes.
-    - `request` sets the right-hand side of a pressure solve whose solution removes the net inflow of the residual.
-    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus the net
-      inflow per volume times the viscosity (Cahouet & Chabard 1988).
+    - `resist` sets the matrix of the preconditioner's pressure solve.
+    - `request` sets the right-hand side of this pressure solve, whose solution removes the net inflow of the residual.
+    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus a multiple
+      of the net inflow (Cahouet & Chabard 1988).
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -47,7 +53,7 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Matrix, Solve = systems.Matrix, systems.Solve
     Vector = vector_struct(scalar)
     f = grid_functions(scalar, of)
-    own = share_functions(serial)
+    own, entry = share_functions(serial), row_place(serial)
 
     @wp.kernel(enable_backward=False, module="unique")
     def start(
@@ -99,6 +105,51 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         result[number] = sign * into
 
     @wp.kernel(enable_backward=False, module="unique")
+    def resist(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, cover: Cover, matrix: Matrix,
+        pressures: Matrix, drag: scalar, yielding: wp.array(dtype=scalar),
+    ):  # fmt: skip
+        """Set a cell's row of the matrix `pressures` of the pressure solve, and its entry of `yielding`.
+
+        A pressure gradient that changes slowly in space accelerates mortar, and drives it past aggregates and walls.
+        The resistance of a face is therefore its inertia plus the part `drag` of its viscous resistance, the rest of
+        the diagonal of the viscous matrix. `yielding` is the pressure per net inflow if all other velocities are
+        fixed, times YIELDING. It is 0 for cells all faces of which move with aggregates, as their pressure has no
+        effect.
+        """
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = f.cell(g, number)
+        diagonal = scalar(0.0)
+        compliance = scalar(0.0)
+        count = wp.int32(0)
+        if mesh.liquid[number] != 0:
+            for axis in range(3):
+                for side in range(2):
+                    face = f.moved(c, axis, side)
+                    r = f.at(g, face) + axis * g.slots
+                    if mesh.kind[r] == LIQUID:
+                        area = f.open_area(g, geometry, face, axis)
+                        inertia = g.density * mesh.volume[r] / scalar(mesh.clock[DT])
+                        viscous = wp.max(matrix.diagonal[r] - inertia, scalar(0.0))
+                        ease = area * area / (mesh.volume[r] * (scalar(1.0) + drag * viscous / inertia))
+                        diagonal += ease
+                        next = f.at(g, f.moved(c, axis, 2 * side - 1))
+                        if mesh.liquid[next] != 0:
+                            place = entry(number, count, pressures.rows, pressures.near_capacity)
+                            pressures.near[place] = next
+                            pressures.coefficient[place] = ease
+                            count += 1
+                        if cover.owner[r] == 0:
+                            if cover.claims[r] == 0 and cover.touches[r] == 1:
+                                area *= scalar(1.0) - scalar(cover.covered[r]) / scalar(FULL)
+                            compliance += area * area / matrix.diagonal[r]
+        pressures.near_count[number] = count
+        pressures.diagonal[number] = diagonal
+        yielding[number] = wp.where(compliance > scalar(0.0), scalar(YIELDING) / compliance, scalar(0.0))
+
+    @wp.kernel(enable_backward=False, module="unique")
     def request(g: Grid, mesh: Fields, inflow: Vector, projection: Solve):
         """Set the right-hand side of a pressure solve from the net inflow into the cells."""
         number = wp.tid()
@@ -106,14 +157,18 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         projection.residual[number] = g.density / scalar(mesh.clock[DT]) * inflow.cells[number]
 
     @wp.kernel(enable_backward=False, module="unique")
-    def press(g: Grid, mesh: Fields, cut: Fields, residual: Vector, solved: wp.array(dtype=scalar), result: Vector):
+    def press(
+        mesh: Fields, residual: Vector, solved: wp.array(dtype=scalar), yielding: wp.array(dtype=scalar), result: Vector
+    ):
         number = wp.tid()
         value = scalar(0.0)
         if mesh.liquid[number] != 0:
-            value = solved[number] + scalar(COMPRESSION) * cut.in_cell[number] * residual.cells[number] / f.block(g)
+            value = solved[number] + yielding[number] * residual.cells[number]
         result.cells[number] = value
 
-    return SimpleNamespace(start=start, pressure_force=pressure_force, inflow=inflow, request=request, press=press)
+    return SimpleNamespace(
+        start=start, pressure_force=pressure_force, inflow=inflow, resist=resist, request=request, press=press
+    )
 
 
 @functools.cache

@@ -75,6 +75,7 @@ class CoupledSolve:
         self.solution, self.part = self._vector(), self._vector()
         self.tried: list[tuple[Any, Any]] = []
         self.inflow = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
+        self.yielding = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self._stages: dict[Any, Stage] = {}
         self.outer = 0
@@ -104,7 +105,7 @@ class CoupledSolve:
     def _arrays(self) -> dict[str, Any]:
         flow = self.flow
         return flow.kernel_arrays | {
-            "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
+            "tasks": self.tasks, "yielding": self.yielding, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
         }  # fmt: skip
 
     def _sum(self, slot: int) -> None:
