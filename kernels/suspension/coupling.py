@@ -23,7 +23,7 @@ from ..mps.grid.levels import system_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import row_place
 from .bodies import FULL, body_structs
-from .vectors import share_functions, vector_struct
+from .vectors import range_functions, share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
 """Pressure in the norm of residuals that a divergence of the velocity causes, divided by viscosity and divergence."""
@@ -175,9 +175,15 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels of the method of generalised conjugate residuals.
 
-    - `inner` computes partial sums of the weighted inner product of two vectors.
-    - `scale_of` computes partial sums of the squared norm of the flow's momentum, with which residuals are compared.
-    - `add` adds a multiple of a vector to another one.
+    They run with `tasks` tasks for faces and cells and one more task for each aggregate. Partial sums of the inner
+    product number k begin at index k times the number of tasks. `many` holds `count` vectors one after the other.
+
+    - `weigh` multiplies a vector by the weights of the inner product of two vectors.
+    - `products` computes partial sums of the inner products of a weighted vector and each of several vectors.
+    - `combine` subtracts multiples of several vectors from a vector.
+    - `advance` adds a multiple of a search direction to the solution, and subtracts that of its effect from the
+      residual. It then computes partial sums of two squared norms: of the residual, and of the flow's momentum, with
+      which residuals are compared.
     - `finish` adds the solution to the velocities and pressures of the flow.
     """
     Grid = grid_parameters_struct(scalar, 3)
@@ -186,63 +192,120 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Fields = grid_structs(scalar, 3).Fields
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
     f = grid_functions(scalar, of)
-    own = share_functions(serial)
+    own, ranges = share_functions(serial), range_functions(scalar, serial)
 
     @wp.func
-    def cell_weight(g: Grid, cut: Fields, c: wp.int32) -> scalar:
+    def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32) -> scalar:
         """Return the weight of a cell's net inflow in inner products: the pressure that removes a unit of inflow."""
         inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
-        return (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g)
+        return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def inner(
+    def weigh(
         g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
-        one: Vector, two: Vector, partial: wp.array(dtype=wp.float64),
+        one: Vector, weighted: Vector,
     ):  # fmt: skip
         task = wp.tid()
-        sum = wp.float64(0.0)
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
+                value = scalar(0.0)
                 if matrix.free[r] == 0 and cover.owner[r] == 0:
-                    sum += wp.float64(one.faces[r] / matrix.diagonal[r] * two.faces[r])
+                    value = one.faces[r] / matrix.diagonal[r]
+                weighted.faces[r] = value
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
-                if mesh.liquid[c] != 0:
-                    sum += wp.float64(one.cells[c] * cell_weight(g, cut, c) * two.cells[c])
+                weighted.cells[c] = one.cells[c] * cell_weight(g, mesh, cut, c)
         else:
             b = task - tasks
-            sum = wp.float64(wp.dot(one.linear[b], bodies.mobility[b] * two.linear[b]))
-            sum += wp.float64(wp.dot(one.angular[b], bodies.spin_mobility[b] * two.angular[b]))
-        partial[task] = sum
+            weighted.linear[b] = bodies.mobility[b] * one.linear[b]
+            weighted.angular[b] = bodies.spin_mobility[b] * one.angular[b]
 
     @wp.kernel(enable_backward=False, module="unique")
-    def scale_of(
-        g: Grid, tasks: wp.int32, cover: Cover, matrix: Matrix, mesh: Fields, change: Vector,
+    def products(
+        g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, slot: wp.int32, weighted: Vector, many: Vector,
         partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
-        sum = wp.float64(0.0)
+        rows = 3 * g.slots
+        aggregates = bodies.centre.shape[0]
+        for k in range(count):
+            place = (slot + k) * (tasks + aggregates) + task
+            if task < tasks:
+                partial[place] = ranges.dot(
+                    weighted.faces, many.faces, k * rows, own.first(task, tasks, rows), own.end(task, tasks, rows),
+                    tasks,
+                ) + ranges.dot(
+                    weighted.cells, many.cells, k * g.slots, own.first(task, tasks, g.slots),
+                    own.end(task, tasks, g.slots), tasks,
+                )  # fmt: skip
+            else:
+                b = task - tasks
+                partial[place] = wp.float64(wp.dot(weighted.linear[b], many.linear[k * aggregates + b])) + wp.float64(
+                    wp.dot(weighted.angular[b], many.angular[k * aggregates + b])
+                )
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def combine(
+        g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, factors: wp.array(dtype=wp.float64), many: Vector,
+        result: Vector,
+    ):  # fmt: skip
+        task = wp.tid()
+        rows = 3 * g.slots
+        aggregates = bodies.centre.shape[0]
+        for k in range(count):
+            factor = -scalar(factors[k])
+            if task < tasks:
+                ranges.add(
+                    factor, many.faces, k * rows, result.faces, own.first(task, tasks, rows),
+                    own.end(task, tasks, rows), tasks,
+                )  # fmt: skip
+                ranges.add(
+                    factor, many.cells, k * g.slots, result.cells, own.first(task, tasks, g.slots),
+                    own.end(task, tasks, g.slots), tasks,
+                )  # fmt: skip
+            else:
+                b = task - tasks
+                result.linear[b] = result.linear[b] + factor * many.linear[k * aggregates + b]
+                result.angular[b] = result.angular[b] + factor * many.angular[k * aggregates + b]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def advance(
+        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
+        factor: scalar, change: Vector, effect: Vector, solution: Vector, residual: Vector,
+        partial: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        task = wp.tid()
+        left = wp.float64(0.0)
+        whole = wp.float64(0.0)
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 if matrix.free[r] == 0:
-                    u = mesh.velocity[r] + change.faces[r]
-                    sum += wp.float64(matrix.diagonal[r] * u * u)
-        partial[task] = sum
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def add(g: Grid, tasks: wp.int32, factor: scalar, one: Vector, result: Vector):
-        task = wp.tid()
-        if task < tasks:
-            rows = 3 * g.slots
-            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-                result.faces[r] = result.faces[r] + factor * one.faces[r]
+                    x = solution.faces[r] + factor * change.faces[r]
+                    solution.faces[r] = x
+                    u = mesh.velocity[r] + x
+                    whole += wp.float64(matrix.diagonal[r] * u * u)
+                    if cover.owner[r] == 0:
+                        rest = residual.faces[r] - factor * effect.faces[r]
+                        residual.faces[r] = rest
+                        left += wp.float64(rest / matrix.diagonal[r] * rest)
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
-                result.cells[c] = result.cells[c] + factor * one.cells[c]
+                solution.cells[c] = solution.cells[c] + factor * change.cells[c]
+                rest = residual.cells[c] - factor * effect.cells[c]
+                residual.cells[c] = rest
+                left += wp.float64(rest * cell_weight(g, mesh, cut, c) * rest)
         else:
             b = task - tasks
-            result.linear[b] = result.linear[b] + factor * one.linear[b]
-            result.angular[b] = result.angular[b] + factor * one.angular[b]
+            solution.linear[b] = solution.linear[b] + factor * change.linear[b]
+            solution.angular[b] = solution.angular[b] + factor * change.angular[b]
+            force = residual.linear[b] - factor * effect.linear[b]
+            torque = residual.angular[b] - factor * effect.angular[b]
+            residual.linear[b] = force
+            residual.angular[b] = torque
+            left = wp.float64(wp.dot(force, bodies.mobility[b] * force))
+            left += wp.float64(wp.dot(torque, bodies.spin_mobility[b] * torque))
+        partial[task] = left
+        partial[tasks + bodies.centre.shape[0] + task] = whole
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(g: Grid, tasks: wp.int32, matrix: Matrix, solution: Vector, mesh: Fields, bodies: Bodies):
@@ -259,4 +322,4 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             bodies.velocity[b] = bodies.velocity[b] + solution.linear[b]
             bodies.spin[b] = bodies.spin[b] + solution.angular[b]
 
-    return SimpleNamespace(inner=inner, scale_of=scale_of, add=add, finish=finish)
+    return SimpleNamespace(weigh=weigh, products=products, combine=combine, advance=advance, finish=finish)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.reductions import total
+from ..common.reductions import BLOCK, total
 from ..common.types import types
 
 # Indices into the array of inner products in a solve by conjugate gradients.
@@ -59,21 +59,73 @@ def share_functions(serial: bool) -> SimpleNamespace:
 
 @functools.cache
 def sum_kernel(serial: bool):
-    """Build the kernel that adds up partial sums; on a GPU it runs in one block."""
+    """Build the kernel that adds up the `count` partial sums of each of several inner products.
+
+    The first sum is stored at the index `slot`. The kernel runs with one task for each sum, or one block on a GPU.
+    """
 
     @wp.kernel(enable_backward=False, module="unique")
     def add_up(count: wp.int32, slot: wp.int32, partial: wp.array(dtype=wp.float64), sums: wp.array(dtype=wp.float64)):
         if wp.static(serial):
+            part = wp.tid()
             sum = wp.float64(0.0)
-            for k in range(count):
+            for k in range(part * count, (part + 1) * count):
                 sum += partial[k]
-            sums[slot] = sum
+            sums[slot + part] = sum
         else:
-            sum = total(wp.tid(), partial, 0, count)
-            if wp.tid() == 0:
-                sums[slot] = sum
+            part = wp.tid() / BLOCK
+            sum = total(wp.tid(), partial, part * count, count)
+            if wp.tid() % BLOCK == 0:
+                sums[slot + part] = sum
 
     return add_up
+
+
+DOT = """
+    const SCALAR* __restrict x = one.data;
+    const SCALAR* __restrict y = many.data + offset;
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+    int i = first;
+    for (; i + 3 * STRIDE < end; i += 4 * STRIDE) {
+        a += double(x[i]) * double(y[i]);
+        b += double(x[i + STRIDE]) * double(y[i + STRIDE]);
+        c += double(x[i + 2 * STRIDE]) * double(y[i + 2 * STRIDE]);
+        d += double(x[i + 3 * STRIDE]) * double(y[i + 3 * STRIDE]);
+    }
+    for (; i < end; i += STRIDE)
+        a += double(x[i]) * double(y[i]);
+    return (a + b) + (c + d);
+"""
+ADD = """
+    const SCALAR* __restrict x = many.data + offset;
+    SCALAR* __restrict y = result.data;
+    for (int i = first; i < end; i += STRIDE)
+        y[i] += factor * x[i];
+"""
+
+
+@functools.cache
+def range_functions(scalar, serial: bool) -> SimpleNamespace:
+    """Build functions for a range of the entries of two arrays; `many` contains several vectors one after the other.
+
+    `dot` returns the inner product of the entries of `one` and those of `many`. `add` adds a multiple of the entries of
+    `many` to `result`. The vector in `many` begins at the index `offset`.
+    """
+    name, stride = "double" if scalar is wp.float64 else "float", "1" if serial else "stride"
+
+    @wp.func_native(DOT.replace("SCALAR", name).replace("STRIDE", stride))
+    def dot(
+        one: wp.array(dtype=scalar), many: wp.array(dtype=scalar), offset: wp.int32, first: wp.int32, end: wp.int32,
+        stride: wp.int32,
+    ) -> wp.float64: ...  # fmt: skip
+
+    @wp.func_native(ADD.replace("SCALAR", name).replace("STRIDE", stride))
+    def add(
+        factor: scalar, many: wp.array(dtype=scalar), offset: wp.int32, result: wp.array(dtype=scalar),
+        first: wp.int32, end: wp.int32, stride: wp.int32,
+    ): ...  # fmt: skip
+
+    return SimpleNamespace(dot=dot, add=add)
 
 
 @functools.cache

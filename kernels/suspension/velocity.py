@@ -35,23 +35,25 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
     body, vec3 = body_functions(scalar, of), types(scalar).vec3
 
     @wp.func
-    def give(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, x: Vector):
+    def give(g: Grid, cover: Cover, b: wp.int32, x: Vector):
         """Set the velocities in `x` of the faces that move with an aggregate, from its velocity and spin in `x`."""
         for k in range(cover.count[b]):
-            r = cover.faces[cover.first[b] + k]
-            x.faces[r] = body.carried(x.linear[b], x.angular[b], body.lever(g, bodies, b, r), r / g.slots)
+            place = cover.first[b] + k
+            r = cover.faces[place]
+            x.faces[r] = body.carried(x.linear[b], x.angular[b], cover.lever[place], r / g.slots)
 
     @wp.func
-    def resultant(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
+    def resultant(g: Grid, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
         """Return the total force on the faces that move with an aggregate, and its torque about the centre."""
         force = vec3()
         torque = vec3()
         for k in range(cover.count[b]):
-            r = cover.faces[cover.first[b] + k]
+            place = cover.first[b] + k
+            r = cover.faces[place]
             e = vec3()
             e[r / g.slots] = forces[r]
             force += e
-            torque += wp.cross(body.lever(g, bodies, b, r), e)
+            torque += wp.cross(cover.lever[place], e)
         return force, torque
 
     @wp.func
@@ -111,13 +113,13 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             solution.angular[b] = vec3()
             direction.linear[b] = bodies.mobility[b] * residual.linear[b]
             direction.angular[b] = bodies.spin_mobility[b] * residual.angular[b]
-            v.give(g, bodies, cover, b, direction)
+            v.give(g, cover, b, direction)
             sum = v.pair(direction, residual, b)
         partial[task] = sum
 
     @wp.kernel(enable_backward=False, module="unique")
     def turn(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, direction: Vector, result: Vector,
+        g: Grid, tasks: wp.int32, cover: Cover, matrix: Matrix, direction: Vector, result: Vector,
         sums: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
@@ -133,7 +135,7 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             b = task - tasks
             direction.linear[b] = result.linear[b] + beta * direction.linear[b]
             direction.angular[b] = result.angular[b] + beta * direction.angular[b]
-            v.give(g, bodies, cover, b, direction)
+            v.give(g, cover, b, direction)
 
     @wp.kernel(enable_backward=False, module="unique")
     def multiply(
@@ -169,7 +171,7 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     ):  # fmt: skip
         b = wp.tid()
         dt = scalar(mesh.clock[DT])
-        force, torque = v.resultant(g, bodies, cover, b, result.faces)
+        force, torque = v.resultant(g, cover, b, result.faces)
         force += bodies.extra_mass[b] / dt * direction.linear[b] + between(pairs, direction.linear, b)
         result.linear[b] = force
         result.angular[b] = torque + bodies.extra_inertia[b] / dt * direction.angular[b]
@@ -250,19 +252,19 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     vec3 = types(scalar).vec3
 
     @wp.kernel(enable_backward=False, module="unique")
-    def spread(g: Grid, bodies: Bodies, cover: Cover, x: Vector):
-        v.give(g, bodies, cover, wp.tid(), x)
+    def spread(g: Grid, cover: Cover, x: Vector):
+        v.give(g, cover, wp.tid(), x)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def reduce(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
+    def reduce(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the forces on the faces that move with each aggregate to its force and torque."""
         b = wp.tid()
-        force, torque = v.resultant(g, bodies, cover, b, forces)
+        force, torque = v.resultant(g, cover, b, forces)
         result.linear[b] = result.linear[b] + factor * force
         result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
-    def push(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
+    def push(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the pressure forces on the covered parts of faces to the forces on each aggregate.
 
         The mortar bears only the force on the uncovered part of a face, so the kernel subtracts the covered part there.
@@ -276,7 +278,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
             e = vec3()
             e[r / g.slots] = cover.part[place] * forces[r]
             force += e
-            torque += wp.cross(body.lever(g, bodies, b, r), e)
+            torque += wp.cross(cover.lever[place], e)
             if k >= cover.count[b]:
                 # The force on this face already contains the whole pressure force, so subtract the covered part.
                 result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
@@ -284,7 +286,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
         result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
-    def blend(g: Grid, bodies: Bodies, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
+    def blend(g: Grid, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
         """Replace the mortar velocities in `flow` by the mean velocities of partly covered faces.
 
         The mean of the velocities of mortar and aggregate is weighted by the area of the face that each of them has.
@@ -293,7 +295,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
         for k in range(cover.count[b], cover.touched[b]):
             place = cover.first[b] + k
             r = cover.faces[place]
-            own = body.carried(x.linear[b], x.angular[b], body.lever(g, bodies, b, r), r / g.slots)
+            own = body.carried(x.linear[b], x.angular[b], cover.lever[place], r / g.slots)
             flow[r] = flow[r] + cover.part[place] * (own - flow[r])
 
     return SimpleNamespace(spread=spread, reduce=reduce, push=push, blend=blend)
