@@ -18,6 +18,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import HALTED
+from ..common.types import cpu_flags
 from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from ..mps.grid.places import grid_functions
@@ -36,7 +37,8 @@ a is the diagonal of the viscous matrix. It was fitted to the number of iteratio
 def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that compute residuals, and the pressure in the preconditioner.
 
-    - `start` sets the residual from the forces and inflows at the start of the step.
+    - `start` sets the residual from the forces and inflows at the start of the step. It also sets `inverse`, the inverse
+      diagonal of the viscous matrix, which is 0 for faces whose velocities are not unknowns.
     - `pressure_force` computes the forces of a pressure field on the faces.
     - `inflow` computes the net inflow into the cells that a change of the velocities causes.
     - `resist` sets the matrix of the preconditioner's pressure solve.
@@ -58,13 +60,17 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, viscous: Solve, projection: Solve,
-        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector,
+        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector, inverse: wp.array(dtype=scalar),
     ):  # fmt: skip
         task = wp.tid()
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 residual.faces[r] = wp.where(matrix.free[r] == 0, viscous.residual[r], scalar(0.0))
+                value = scalar(0.0)
+                if matrix.free[r] == 0 and cover.owner[r] == 0:
+                    value = scalar(1.0) / matrix.diagonal[r]
+                inverse[r] = value
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 if again == 0:
                     # Keep the inflow for a repeated solve of the step, because pressure solves overwrite this residual.
@@ -200,19 +206,16 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
         return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def weigh(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
+        g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), mesh: Fields, cut: Fields,
         one: Vector, weighted: Vector,
     ):  # fmt: skip
         task = wp.tid()
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-                value = scalar(0.0)
-                if matrix.free[r] == 0 and cover.owner[r] == 0:
-                    value = one.faces[r] / matrix.diagonal[r]
-                weighted.faces[r] = value
+                weighted.faces[r] = inverse[r] * one.faces[r]
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 weighted.cells[c] = one.cells[c] * cell_weight(g, mesh, cut, c)
         else:
@@ -220,7 +223,7 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             weighted.linear[b] = bodies.mobility[b] * one.linear[b]
             weighted.angular[b] = bodies.spin_mobility[b] * one.angular[b]
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def products(
         g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, slot: wp.int32, weighted: Vector, many: Vector,
         partial: wp.array(dtype=wp.float64),
@@ -244,7 +247,7 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     wp.dot(weighted.angular[b], many.angular[k * aggregates + b])
                 )
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def combine(
         g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, factors: wp.array(dtype=wp.float64), many: Vector,
         result: Vector,
@@ -268,10 +271,10 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 result.linear[b] = result.linear[b] + factor * many.linear[k * aggregates + b]
                 result.angular[b] = result.angular[b] + factor * many.angular[k * aggregates + b]
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def advance(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
-        factor: scalar, change: Vector, effect: Vector, solution: Vector, residual: Vector,
+        g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), matrix: Matrix, mesh: Fields,
+        cut: Fields, factor: scalar, change: Vector, effect: Vector, solution: Vector, residual: Vector,
         partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
@@ -285,10 +288,9 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     solution.faces[r] = x
                     u = mesh.velocity[r] + x
                     whole += wp.float64(matrix.diagonal[r] * u * u)
-                    if cover.owner[r] == 0:
-                        rest = residual.faces[r] - factor * effect.faces[r]
-                        residual.faces[r] = rest
-                        left += wp.float64(rest / matrix.diagonal[r] * rest)
+                    rest = residual.faces[r] - factor * effect.faces[r]
+                    residual.faces[r] = rest
+                    left += wp.float64(inverse[r] * rest * rest)
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 solution.cells[c] = solution.cells[c] + factor * change.cells[c]
                 rest = residual.cells[c] - factor * effect.cells[c]

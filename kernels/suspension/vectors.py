@@ -102,30 +102,65 @@ ADD = """
     for (int i = first; i < end; i += STRIDE)
         y[i] += factor * x[i];
 """
+MOVE = """
+    const SCALAR* __restrict p = direction.data;
+    const SCALAR* __restrict s = inverse.data;
+    SCALAR* __restrict x = solution.data;
+    SCALAR* __restrict r = residual.data;
+    SCALAR* __restrict q = product.data;
+    for (int i = first; i < end; i += STRIDE) {
+        x[i] += alpha * p[i];
+        const SCALAR left = r[i] - alpha * q[i];
+        r[i] = left;
+        q[i] = s[i] * left;
+    }
+"""
+TURN = """
+    const SCALAR* __restrict z = product.data;
+    const SCALAR* __restrict s = inverse.data;
+    SCALAR* __restrict p = direction.data;
+    for (int i = first; i < end; i += STRIDE)
+        if (s[i] != 0)
+            p[i] = z[i] + beta * p[i];
+"""
 
 
 @functools.cache
 def range_functions(scalar, serial: bool) -> SimpleNamespace:
-    """Build functions for a range of the entries of two arrays; `many` contains several vectors one after the other.
+    """Build functions for a range of the entries of arrays.
 
-    `dot` returns the inner product of the entries of `one` and those of `many`. `add` adds a multiple of the entries of
-    `many` to `result`. The vector in `many` begins at the index `offset`.
+    - `dot` returns the inner product of `one` and of the vector that begins at the index `offset` of `many`.
+    - `add` adds a multiple of the vector that begins at the index `offset` of `many` to `result`.
+    - `move` moves a solution by `alpha` along a search direction, updates the residual, and multiplies it by `inverse`.
+      It replaces `product`, the product of matrix and direction, by the result.
+    - `turn` computes the next search direction where `inverse` is not 0.
     """
     name, stride = "double" if scalar is wp.float64 else "float", "1" if serial else "stride"
+    array, integer = wp.array(dtype=scalar), wp.int32
 
-    @wp.func_native(DOT.replace("SCALAR", name).replace("STRIDE", stride))
-    def dot(
-        one: wp.array(dtype=scalar), many: wp.array(dtype=scalar), offset: wp.int32, first: wp.int32, end: wp.int32,
-        stride: wp.int32,
-    ) -> wp.float64: ...  # fmt: skip
+    def source(text: str) -> str:
+        return text.replace("SCALAR", name).replace("STRIDE", stride)
 
-    @wp.func_native(ADD.replace("SCALAR", name).replace("STRIDE", stride))
+    @wp.func_native(source(DOT))
+    def dot(one: array, many: array, offset: integer, first: integer, end: integer, stride: integer) -> wp.float64: ...
+
+    @wp.func_native(source(ADD))
     def add(
-        factor: scalar, many: wp.array(dtype=scalar), offset: wp.int32, result: wp.array(dtype=scalar),
-        first: wp.int32, end: wp.int32, stride: wp.int32,
+        factor: scalar, many: array, offset: integer, result: array, first: integer, end: integer, stride: integer
+    ): ...
+
+    @wp.func_native(source(MOVE))
+    def move(
+        alpha: scalar, direction: array, inverse: array, solution: array, residual: array, product: array,
+        first: integer, end: integer, stride: integer,
     ): ...  # fmt: skip
 
-    return SimpleNamespace(dot=dot, add=add)
+    @wp.func_native(source(TURN))
+    def turn(
+        beta: scalar, product: array, inverse: array, direction: array, first: integer, end: integer, stride: integer
+    ): ...
+
+    return SimpleNamespace(dot=dot, add=add, move=move, turn=turn)
 
 
 @functools.cache

@@ -80,6 +80,7 @@ class CoupledSolve:
         self.solution, self.weighted = self._vector(), self._vector()
         self.inflow = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
         self.yielding = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
+        self.inverse = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self._stages: dict[Any, Stage] = {}
         self.outer = 0
@@ -106,7 +107,8 @@ class CoupledSolve:
     def _arrays(self) -> dict[str, Any]:
         flow = self.flow
         return flow.kernel_arrays | {
-            "tasks": self.tasks, "factors": self.factors, "yielding": self.yielding, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
+            "tasks": self.tasks, "factors": self.factors, "inverse": self.inverse,
+            "yielding": self.yielding, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
         }  # fmt: skip
 
     def _sum(self, slot: int, sums: int = 1) -> None:
