@@ -82,6 +82,8 @@ def body_structs(scalar) -> SimpleNamespace:
         # Fraction of each face in `faces` through which the flow has the velocity of the aggregate. It is 1 for faces
         # that move with the aggregate.
         part: wp.array(dtype=scalar)
+        # Vector from the centre of the aggregate to the centre of each face in `faces` [m].
+        lever: wp.array(dtype=vec3)
 
     return SimpleNamespace(Bodies=Bodies, Cover=Cover)
 
@@ -271,6 +273,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         if cover.owner[r] == b + 1:
                             cover.faces[cover.first[b] + count] = r
                             cover.part[cover.first[b] + count] = scalar(1.0)
+                            cover.lever[cover.first[b] + count] = f.lever(g, bodies, b, r)
                             count += 1
         cover.count[b] = count
         for k in range(low[2], high[2] + 1):
@@ -283,6 +286,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
                             cover.faces[cover.first[b] + count] = r
                             cover.part[cover.first[b] + count] = scalar(cover.covered[r]) / scalar(FULL)
+                            cover.lever[cover.first[b] + count] = f.lever(g, bodies, b, r)
                             count += 1
         cover.touched[b] = count
 
@@ -414,8 +418,9 @@ def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
             return
         b = wp.tid()
         for k in range(cover.count[b]):
-            r = cover.faces[cover.first[b] + k]
-            mesh.velocity[r] = f.carried(bodies.velocity[b], bodies.spin[b], f.lever(g, bodies, b, r), r / g.slots)
+            place = cover.first[b] + k
+            r = cover.faces[place]
+            mesh.velocity[r] = f.carried(bodies.velocity[b], bodies.spin[b], cover.lever[place], r / g.slots)
 
     @wp.kernel(enable_backward=False, module="unique")
     def move(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies):

@@ -17,26 +17,34 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from ..common.control import HALTED
+from ..common.types import cpu_flags
 from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from ..mps.grid.places import grid_functions
-from .bodies import body_structs
-from .vectors import share_functions, vector_struct
+from ..mps.structs import row_place
+from .bodies import FULL, body_structs
+from .vectors import range_functions, share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Pressure in the preconditioner that a divergence of the velocity causes, divided by viscosity and divergence."""
+"""Pressure in the norm of residuals that a divergence of the velocity causes, divided by viscosity and divergence."""
+YIELDING = wp.constant(0.4)
+"""Part of the pressure in the preconditioner that depends on the cell alone: the factor before 1 / (D a^-1 D^T), where
+a is the diagonal of the viscous matrix. It was fitted to the number of iterations in eight flows."""
 
 
 @functools.cache
 def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that compute residuals, and the pressure in the preconditioner.
 
-    - `start` sets the residual from the forces and inflows at the start of the step.
+    - `start` sets the residual from the forces and inflows at the start of the step. It also sets `inverse`, the inverse
+      diagonal of the viscous matrix, which is 0 for faces whose velocities are not unknowns.
     - `pressure_force` computes the forces of a pressure field on the faces.
     - `inflow` computes the net inflow into the cells that a change of the velocities causes.
-    - `request` sets the right-hand side of a pressure solve whose solution removes the net inflow of the residual.
-    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus the net
-      inflow per volume times the viscosity (Cahouet & Chabard 1988).
+    - `resist` sets the matrix of the preconditioner's pressure solve.
+    - `request` sets the right-hand side of this pressure solve, whose solution removes the net inflow of the residual.
+    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus a multiple
+      of the net inflow (Cahouet & Chabard 1988).
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -47,18 +55,22 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Matrix, Solve = systems.Matrix, systems.Solve
     Vector = vector_struct(scalar)
     f = grid_functions(scalar, of)
-    own = share_functions(serial)
+    own, entry = share_functions(serial), row_place(serial)
 
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, viscous: Solve, projection: Solve,
-        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector,
+        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector, inverse: wp.array(dtype=scalar),
     ):  # fmt: skip
         task = wp.tid()
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 residual.faces[r] = wp.where(matrix.free[r] == 0, viscous.residual[r], scalar(0.0))
+                value = scalar(0.0)
+                if matrix.free[r] == 0 and cover.owner[r] == 0:
+                    value = scalar(1.0) / matrix.diagonal[r]
+                inverse[r] = value
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 if again == 0:
                     # Keep the inflow for a repeated solve of the step, because pressure solves overwrite this residual.
@@ -99,6 +111,51 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         result[number] = sign * into
 
     @wp.kernel(enable_backward=False, module="unique")
+    def resist(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, cover: Cover, matrix: Matrix,
+        pressures: Matrix, drag: scalar, yielding: wp.array(dtype=scalar),
+    ):  # fmt: skip
+        """Set a cell's row of the matrix `pressures` of the pressure solve, and its entry of `yielding`.
+
+        A pressure gradient that changes slowly in space accelerates mortar, and drives it past aggregates and walls.
+        The resistance of a face is therefore its inertia plus the part `drag` of its viscous resistance, the rest of
+        the diagonal of the viscous matrix. `yielding` is the pressure per net inflow if all other velocities are
+        fixed, times YIELDING. It is 0 for cells all faces of which move with aggregates, as their pressure has no
+        effect.
+        """
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = f.cell(g, number)
+        diagonal = scalar(0.0)
+        compliance = scalar(0.0)
+        count = wp.int32(0)
+        if mesh.liquid[number] != 0:
+            for axis in range(3):
+                for side in range(2):
+                    face = f.moved(c, axis, side)
+                    r = f.at(g, face) + axis * g.slots
+                    if mesh.kind[r] == LIQUID:
+                        area = f.open_area(g, geometry, face, axis)
+                        inertia = g.density * mesh.volume[r] / scalar(mesh.clock[DT])
+                        viscous = wp.max(matrix.diagonal[r] - inertia, scalar(0.0))
+                        ease = area * area / (mesh.volume[r] * (scalar(1.0) + drag * viscous / inertia))
+                        diagonal += ease
+                        next = f.at(g, f.moved(c, axis, 2 * side - 1))
+                        if mesh.liquid[next] != 0:
+                            place = entry(number, count, pressures.rows, pressures.near_capacity)
+                            pressures.near[place] = next
+                            pressures.coefficient[place] = ease
+                            count += 1
+                        if cover.owner[r] == 0:
+                            if cover.claims[r] == 0 and cover.touches[r] == 1:
+                                area *= scalar(1.0) - scalar(cover.covered[r]) / scalar(FULL)
+                            compliance += area * area / matrix.diagonal[r]
+        pressures.near_count[number] = count
+        pressures.diagonal[number] = diagonal
+        yielding[number] = wp.where(compliance > scalar(0.0), scalar(YIELDING) / compliance, scalar(0.0))
+
+    @wp.kernel(enable_backward=False, module="unique")
     def request(g: Grid, mesh: Fields, inflow: Vector, projection: Solve):
         """Set the right-hand side of a pressure solve from the net inflow into the cells."""
         number = wp.tid()
@@ -106,23 +163,33 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         projection.residual[number] = g.density / scalar(mesh.clock[DT]) * inflow.cells[number]
 
     @wp.kernel(enable_backward=False, module="unique")
-    def press(g: Grid, mesh: Fields, cut: Fields, residual: Vector, solved: wp.array(dtype=scalar), result: Vector):
+    def press(
+        mesh: Fields, residual: Vector, solved: wp.array(dtype=scalar), yielding: wp.array(dtype=scalar), result: Vector
+    ):
         number = wp.tid()
         value = scalar(0.0)
         if mesh.liquid[number] != 0:
-            value = solved[number] + scalar(COMPRESSION) * cut.in_cell[number] * residual.cells[number] / f.block(g)
+            value = solved[number] + yielding[number] * residual.cells[number]
         result.cells[number] = value
 
-    return SimpleNamespace(start=start, pressure_force=pressure_force, inflow=inflow, request=request, press=press)
+    return SimpleNamespace(
+        start=start, pressure_force=pressure_force, inflow=inflow, resist=resist, request=request, press=press
+    )
 
 
 @functools.cache
 def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels of the method of generalised conjugate residuals.
 
-    - `inner` computes partial sums of the weighted inner product of two vectors.
-    - `scale_of` computes partial sums of the squared norm of the flow's momentum, with which residuals are compared.
-    - `add` adds a multiple of a vector to another one.
+    They run with `tasks` tasks for faces and cells and one more task for each aggregate. Partial sums of the inner
+    product number k begin at index k times the number of tasks. `many` holds `count` vectors one after the other.
+
+    - `weigh` multiplies a vector by the weights of the inner product of two vectors.
+    - `products` computes partial sums of the inner products of a weighted vector and each of several vectors.
+    - `combine` subtracts multiples of several vectors from a vector.
+    - `advance` adds a multiple of a search direction to the solution, and subtracts that of its effect from the
+      residual. It then computes partial sums of two squared norms: of the residual, and of the flow's momentum, with
+      which residuals are compared.
     - `finish` adds the solution to the velocities and pressures of the flow.
     """
     Grid = grid_parameters_struct(scalar, 3)
@@ -131,63 +198,116 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Fields = grid_structs(scalar, 3).Fields
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
     f = grid_functions(scalar, of)
-    own = share_functions(serial)
+    own, ranges = share_functions(serial), range_functions(scalar, serial)
 
     @wp.func
-    def cell_weight(g: Grid, cut: Fields, c: wp.int32) -> scalar:
+    def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32) -> scalar:
         """Return the weight of a cell's net inflow in inner products: the pressure that removes a unit of inflow."""
         inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
-        return (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g)
+        return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def inner(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, mesh: Fields, cut: Fields,
-        one: Vector, two: Vector, partial: wp.array(dtype=wp.float64),
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
+    def weigh(
+        g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), mesh: Fields, cut: Fields,
+        one: Vector, weighted: Vector,
     ):  # fmt: skip
         task = wp.tid()
-        sum = wp.float64(0.0)
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-                if matrix.free[r] == 0 and cover.owner[r] == 0:
-                    sum += wp.float64(one.faces[r] / matrix.diagonal[r] * two.faces[r])
+                weighted.faces[r] = inverse[r] * one.faces[r]
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
-                if mesh.liquid[c] != 0:
-                    sum += wp.float64(one.cells[c] * cell_weight(g, cut, c) * two.cells[c])
+                weighted.cells[c] = one.cells[c] * cell_weight(g, mesh, cut, c)
         else:
             b = task - tasks
-            sum = wp.float64(wp.dot(one.linear[b], bodies.mobility[b] * two.linear[b]))
-            sum += wp.float64(wp.dot(one.angular[b], bodies.spin_mobility[b] * two.angular[b]))
-        partial[task] = sum
+            weighted.linear[b] = bodies.mobility[b] * one.linear[b]
+            weighted.angular[b] = bodies.spin_mobility[b] * one.angular[b]
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def scale_of(
-        g: Grid, tasks: wp.int32, cover: Cover, matrix: Matrix, mesh: Fields, change: Vector,
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
+    def products(
+        g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, slot: wp.int32, weighted: Vector, many: Vector,
         partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
-        sum = wp.float64(0.0)
+        rows = 3 * g.slots
+        aggregates = bodies.centre.shape[0]
+        for k in range(count):
+            place = (slot + k) * (tasks + aggregates) + task
+            if task < tasks:
+                partial[place] = ranges.dot(
+                    weighted.faces, many.faces, k * rows, own.first(task, tasks, rows), own.end(task, tasks, rows),
+                    tasks,
+                ) + ranges.dot(
+                    weighted.cells, many.cells, k * g.slots, own.first(task, tasks, g.slots),
+                    own.end(task, tasks, g.slots), tasks,
+                )  # fmt: skip
+            else:
+                b = task - tasks
+                partial[place] = wp.float64(wp.dot(weighted.linear[b], many.linear[k * aggregates + b])) + wp.float64(
+                    wp.dot(weighted.angular[b], many.angular[k * aggregates + b])
+                )
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
+    def combine(
+        g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, factors: wp.array(dtype=wp.float64), many: Vector,
+        result: Vector,
+    ):  # fmt: skip
+        task = wp.tid()
+        rows = 3 * g.slots
+        aggregates = bodies.centre.shape[0]
+        for k in range(count):
+            factor = -scalar(factors[k])
+            if task < tasks:
+                ranges.add(
+                    factor, many.faces, k * rows, result.faces, own.first(task, tasks, rows),
+                    own.end(task, tasks, rows), tasks,
+                )  # fmt: skip
+                ranges.add(
+                    factor, many.cells, k * g.slots, result.cells, own.first(task, tasks, g.slots),
+                    own.end(task, tasks, g.slots), tasks,
+                )  # fmt: skip
+            else:
+                b = task - tasks
+                result.linear[b] = result.linear[b] + factor * many.linear[k * aggregates + b]
+                result.angular[b] = result.angular[b] + factor * many.angular[k * aggregates + b]
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
+    def advance(
+        g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), matrix: Matrix, mesh: Fields,
+        cut: Fields, factor: scalar, change: Vector, effect: Vector, solution: Vector, residual: Vector,
+        partial: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        task = wp.tid()
+        left = wp.float64(0.0)
+        whole = wp.float64(0.0)
         if task < tasks:
             rows = 3 * g.slots
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 if matrix.free[r] == 0:
-                    u = mesh.velocity[r] + change.faces[r]
-                    sum += wp.float64(matrix.diagonal[r] * u * u)
-        partial[task] = sum
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def add(g: Grid, tasks: wp.int32, factor: scalar, one: Vector, result: Vector):
-        task = wp.tid()
-        if task < tasks:
-            rows = 3 * g.slots
-            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-                result.faces[r] = result.faces[r] + factor * one.faces[r]
+                    x = solution.faces[r] + factor * change.faces[r]
+                    solution.faces[r] = x
+                    u = mesh.velocity[r] + x
+                    whole += wp.float64(matrix.diagonal[r] * u * u)
+                    rest = residual.faces[r] - factor * effect.faces[r]
+                    residual.faces[r] = rest
+                    left += wp.float64(inverse[r] * rest * rest)
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
-                result.cells[c] = result.cells[c] + factor * one.cells[c]
+                solution.cells[c] = solution.cells[c] + factor * change.cells[c]
+                rest = residual.cells[c] - factor * effect.cells[c]
+                residual.cells[c] = rest
+                left += wp.float64(rest * cell_weight(g, mesh, cut, c) * rest)
         else:
             b = task - tasks
-            result.linear[b] = result.linear[b] + factor * one.linear[b]
-            result.angular[b] = result.angular[b] + factor * one.angular[b]
+            solution.linear[b] = solution.linear[b] + factor * change.linear[b]
+            solution.angular[b] = solution.angular[b] + factor * change.angular[b]
+            force = residual.linear[b] - factor * effect.linear[b]
+            torque = residual.angular[b] - factor * effect.angular[b]
+            residual.linear[b] = force
+            residual.angular[b] = torque
+            left = wp.float64(wp.dot(force, bodies.mobility[b] * force))
+            left += wp.float64(wp.dot(torque, bodies.spin_mobility[b] * torque))
+        partial[task] = left
+        partial[tasks + bodies.centre.shape[0] + task] = whole
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(g: Grid, tasks: wp.int32, matrix: Matrix, solution: Vector, mesh: Fields, bodies: Bodies):
@@ -204,4 +324,4 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             bodies.velocity[b] = bodies.velocity[b] + solution.linear[b]
             bodies.spin[b] = bodies.spin[b] + solution.angular[b]
 
-    return SimpleNamespace(inner=inner, scale_of=scale_of, add=add, finish=finish)
+    return SimpleNamespace(weigh=weigh, products=products, combine=combine, advance=advance, finish=finish)

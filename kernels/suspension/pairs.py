@@ -22,6 +22,8 @@ CAPACITY = wp.constant(48)
 """Maximum number of neighbours of an aggregate, including walls."""
 WALL = wp.constant(-1)
 """Value that is stored instead of a neighbour's index if the neighbour is a wall."""
+NEW = wp.constant(2)
+"""Value that marks neighbours which the last coupled solve has made touch."""
 HOLD = wp.constant(300.0)
 """Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
@@ -48,7 +50,8 @@ def pair_struct(scalar):
         still: wp.array(dtype=scalar)  # Velocity of a wall along the normal [m/s]; 0 for an aggregate.
         lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
-        touching: wp.array(dtype=wp.int32)  # 1 if the neighbours touch in this step, else 0.
+        # 1 if the neighbours touch in this step, NEW if the last solve has found this contact, else 0.
+        touching: wp.array(dtype=wp.int32)
         # The next array has one entry for each aggregate, shape (n,). The other two have a single entry.
         smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the radius.
         full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
@@ -195,13 +198,14 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `find`, `load` and `touch`, each with one task per aggregate.
+    """Build the kernels `find`, `load`, `touch` and `stiffen`, each with one task per aggregate.
 
     - `find` finds the neighbours of each aggregate.
     - `load` adds the forces between neighbours at the start of the step to the forces on the aggregates. Contacts
       remove an overlap within the time `longest`, the maximum time step. In a shorter step, removing the whole overlap
       would fling the aggregates apart.
     - `touch` finds pairs that would overlap at the end of the step, and marks them as touching.
+    - `stiffen` adds the forces of these new contacts to the effects of `count` changes of the velocities.
     """
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)
@@ -308,13 +312,32 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         dt = scalar(mesh.clock[DT])
         for k in range(pairs.count[b]):
             place = b * CAPACITY + k
+            pairs.touching[place] = wp.min(pairs.touching[place], 1)
             relative = bodies.velocity[b] + change[b]
             o = pairs.other[place]
             if o != WALL:
                 relative = relative - (bodies.velocity[o] + change[o])
             approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
             if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
-                pairs.touching[place] = 1
+                pairs.touching[place] = NEW
                 pairs.changed[0] = 1
 
-    return SimpleNamespace(find=find, load=load, touch=touch)
+    @wp.kernel(enable_backward=False, module="unique")
+    def stiffen(
+        bodies: Bodies, pairs: Pairs, count: wp.int32, change: wp.array(dtype=vec), effect: wp.array(dtype=vec)
+    ):
+        b = wp.tid()
+        aggregates = bodies.centre.shape[0]
+        for k in range(pairs.count[b]):
+            place = b * CAPACITY + k
+            if pairs.touching[place] == NEW:
+                n = pairs.normal[place]
+                o = pairs.other[place]
+                for number in range(count):
+                    relative = change[number * aggregates + b]
+                    if o != WALL:
+                        relative = relative - change[number * aggregates + o]
+                    own = number * aggregates + b
+                    effect[own] = effect[own] + pairs.hold[place] * wp.dot(relative, n) * n
+
+    return SimpleNamespace(find=find, load=load, touch=touch, stiffen=stiffen)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.reductions import total
+from ..common.reductions import BLOCK, total
 from ..common.types import types
 
 # Indices into the array of inner products in a solve by conjugate gradients.
@@ -59,21 +59,108 @@ def share_functions(serial: bool) -> SimpleNamespace:
 
 @functools.cache
 def sum_kernel(serial: bool):
-    """Build the kernel that adds up partial sums; on a GPU it runs in one block."""
+    """Build the kernel that adds up the `count` partial sums of each of several inner products.
+
+    The first sum is stored at the index `slot`. The kernel runs with one task for each sum, or one block on a GPU.
+    """
 
     @wp.kernel(enable_backward=False, module="unique")
     def add_up(count: wp.int32, slot: wp.int32, partial: wp.array(dtype=wp.float64), sums: wp.array(dtype=wp.float64)):
         if wp.static(serial):
+            part = wp.tid()
             sum = wp.float64(0.0)
-            for k in range(count):
+            for k in range(part * count, (part + 1) * count):
                 sum += partial[k]
-            sums[slot] = sum
+            sums[slot + part] = sum
         else:
-            sum = total(wp.tid(), partial, 0, count)
-            if wp.tid() == 0:
-                sums[slot] = sum
+            part = wp.tid() / BLOCK
+            sum = total(wp.tid(), partial, part * count, count)
+            if wp.tid() % BLOCK == 0:
+                sums[slot + part] = sum
 
     return add_up
+
+
+DOT = """
+    const SCALAR* __restrict x = one.data;
+    const SCALAR* __restrict y = many.data + offset;
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+    int i = first;
+    for (; i + 3 * STRIDE < end; i += 4 * STRIDE) {
+        a += double(x[i]) * double(y[i]);
+        b += double(x[i + STRIDE]) * double(y[i + STRIDE]);
+        c += double(x[i + 2 * STRIDE]) * double(y[i + 2 * STRIDE]);
+        d += double(x[i + 3 * STRIDE]) * double(y[i + 3 * STRIDE]);
+    }
+    for (; i < end; i += STRIDE)
+        a += double(x[i]) * double(y[i]);
+    return (a + b) + (c + d);
+"""
+ADD = """
+    const SCALAR* __restrict x = many.data + offset;
+    SCALAR* __restrict y = result.data;
+    for (int i = first; i < end; i += STRIDE)
+        y[i] += factor * x[i];
+"""
+MOVE = """
+    const SCALAR* __restrict p = direction.data;
+    const SCALAR* __restrict s = inverse.data;
+    SCALAR* __restrict x = solution.data;
+    SCALAR* __restrict r = residual.data;
+    SCALAR* __restrict q = product.data;
+    for (int i = first; i < end; i += STRIDE) {
+        x[i] += alpha * p[i];
+        const SCALAR left = r[i] - alpha * q[i];
+        r[i] = left;
+        q[i] = s[i] * left;
+    }
+"""
+TURN = """
+    const SCALAR* __restrict z = product.data;
+    const SCALAR* __restrict s = inverse.data;
+    SCALAR* __restrict p = direction.data;
+    for (int i = first; i < end; i += STRIDE)
+        if (s[i] != 0)
+            p[i] = z[i] + beta * p[i];
+"""
+
+
+@functools.cache
+def range_functions(scalar, serial: bool) -> SimpleNamespace:
+    """Build functions for a range of the entries of arrays.
+
+    - `dot` returns the inner product of `one` and of the vector that begins at the index `offset` of `many`.
+    - `add` adds a multiple of the vector that begins at the index `offset` of `many` to `result`.
+    - `move` moves a solution by `alpha` along a search direction, updates the residual, and multiplies it by `inverse`.
+      It replaces `product`, the product of matrix and direction, by the result.
+    - `turn` computes the next search direction where `inverse` is not 0.
+    """
+    name, stride = "double" if scalar is wp.float64 else "float", "1" if serial else "stride"
+    array, integer = wp.array(dtype=scalar), wp.int32
+
+    def source(text: str) -> str:
+        return text.replace("SCALAR", name).replace("STRIDE", stride)
+
+    @wp.func_native(source(DOT))
+    def dot(one: array, many: array, offset: integer, first: integer, end: integer, stride: integer) -> wp.float64: ...
+
+    @wp.func_native(source(ADD))
+    def add(
+        factor: scalar, many: array, offset: integer, result: array, first: integer, end: integer, stride: integer
+    ): ...
+
+    @wp.func_native(source(MOVE))
+    def move(
+        alpha: scalar, direction: array, inverse: array, solution: array, residual: array, product: array,
+        first: integer, end: integer, stride: integer,
+    ): ...  # fmt: skip
+
+    @wp.func_native(source(TURN))
+    def turn(
+        beta: scalar, product: array, inverse: array, direction: array, first: integer, end: integer, stride: integer
+    ): ...
+
+    return SimpleNamespace(dot=dot, add=add, move=move, turn=turn)
 
 
 @functools.cache

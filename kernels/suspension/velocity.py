@@ -11,12 +11,46 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.rows import entry_product, row_product
-from ..common.types import types
+from ..common.types import cpu_flags, types
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from .bodies import body_functions, body_structs
 from .pairs import pair_functions, pair_struct
-from .vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, share_functions, vector_struct
+from .vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, range_functions, share_functions, vector_struct
+
+GIVE = """
+    for (int k = first; k < end; ++k) {
+        const int r = faces.data[k];
+        const wp::vec_t<3, SCALAR> d = lever.data[k];
+        result.data[r] = r < slots ? velocity[0] + spin[1] * d[2] - spin[2] * d[1]
+            : r < 2 * slots ? velocity[1] + spin[2] * d[0] - spin[0] * d[2]
+                            : velocity[2] + spin[0] * d[1] - spin[1] * d[0];
+    }
+"""
+RESULTANT = """
+    wp::vec_t<6, SCALAR> sum = {};
+    for (int k = first; k < end; ++k) {
+        const int r = faces.data[k];
+        const SCALAR f = forces.data[r];
+        const wp::vec_t<3, SCALAR> d = lever.data[k];
+        if (r < slots) {
+            sum[0] += f;
+            sum[4] += d[2] * f;
+            sum[5] -= d[1] * f;
+        } else if (r < 2 * slots) {
+            sum[1] += f;
+            sum[3] -= d[2] * f;
+            sum[5] += d[0] * f;
+        } else {
+            sum[2] += f;
+            sum[3] += d[1] * f;
+            sum[4] -= d[0] * f;
+        }
+    }
+    return sum;
+"""
+"""C++ sources for the faces `first` to `end` - 1 of the list `faces`, which all move with one aggregate. The faces of an
+axis have the indices from axis * slots on."""
 
 
 @functools.cache
@@ -26,44 +60,44 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
     - `give` sets the velocities of the faces that move with an aggregate.
     - `resultant` adds up the forces on these faces.
     - `pair` returns an aggregate's contribution to the inner product of two vectors.
-    - `is_mortar` returns whether the velocity of a face is an unknown.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
-    body, vec3 = body_functions(scalar, of), types(scalar).vec3
+    vec3, vec6 = types(scalar).vec3, wp.types.vector(6, scalar)
+    name = "double" if scalar is wp.float64 else "float"
+
+    @wp.func_native(GIVE.replace("SCALAR", name))
+    def give_range(
+        velocity: vec3, spin: vec3, slots: wp.int32, first: wp.int32, end: wp.int32, faces: wp.array(dtype=wp.int32),
+        lever: wp.array(dtype=vec3), result: wp.array(dtype=scalar),
+    ): ...  # fmt: skip
+
+    @wp.func_native(RESULTANT.replace("SCALAR", name))
+    def resultant_range(
+        slots: wp.int32, first: wp.int32, end: wp.int32, faces: wp.array(dtype=wp.int32), lever: wp.array(dtype=vec3),
+        forces: wp.array(dtype=scalar),
+    ) -> vec6: ...  # fmt: skip
 
     @wp.func
-    def give(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, x: Vector):
+    def give(g: Grid, cover: Cover, b: wp.int32, x: Vector):
         """Set the velocities in `x` of the faces that move with an aggregate, from its velocity and spin in `x`."""
-        for k in range(cover.count[b]):
-            r = cover.faces[cover.first[b] + k]
-            x.faces[r] = body.carried(x.linear[b], x.angular[b], body.lever(g, bodies, b, r), r / g.slots)
+        first = cover.first[b]
+        give_range(x.linear[b], x.angular[b], g.slots, first, first + cover.count[b], cover.faces, cover.lever, x.faces)
 
     @wp.func
-    def resultant(g: Grid, bodies: Bodies, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
+    def resultant(g: Grid, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
         """Return the total force on the faces that move with an aggregate, and its torque about the centre."""
-        force = vec3()
-        torque = vec3()
-        for k in range(cover.count[b]):
-            r = cover.faces[cover.first[b] + k]
-            e = vec3()
-            e[r / g.slots] = forces[r]
-            force += e
-            torque += wp.cross(body.lever(g, bodies, b, r), e)
-        return force, torque
+        first = cover.first[b]
+        both = resultant_range(g.slots, first, first + cover.count[b], cover.faces, cover.lever, forces)
+        return vec3(both[0], both[1], both[2]), vec3(both[3], both[4], both[5])
 
     @wp.func
     def pair(x: Vector, y: Vector, b: wp.int32) -> wp.float64:
         return wp.float64(wp.dot(x.linear[b], y.linear[b])) + wp.float64(wp.dot(x.angular[b], y.angular[b]))
 
-    @wp.func
-    def is_mortar(matrix: Matrix, cover: Cover, r: wp.int32) -> wp.bool:
-        """Return whether the velocity of a face is an unknown, so that the face does not move with an aggregate."""
-        return matrix.free[r] == 0 and cover.owner[r] == 0
-
-    return SimpleNamespace(give=give, resultant=resultant, pair=pair, is_mortar=is_mortar)
+    return SimpleNamespace(give=give, resultant=resultant, pair=pair)
 
 
 @functools.cache
@@ -81,7 +115,7 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
-    own = share_functions(serial)
+    own, ranges = share_functions(serial), range_functions(scalar, serial)
     Fields = grid_structs(scalar, 3).Fields
     v = velocity_functions(scalar, of)
     Pairs, between = pair_struct(scalar), pair_functions(scalar, of).between
@@ -90,8 +124,8 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def begin(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, solution: Vector, residual: Vector,
-        direction: Vector, partial: wp.array(dtype=wp.float64),
+        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, inverse: wp.array(dtype=scalar), solution: Vector,
+        residual: Vector, direction: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
         rows = 3 * g.slots
@@ -99,25 +133,23 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         if task < tasks:
             for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
                 solution.faces[r] = scalar(0.0)
-                if v.is_mortar(matrix, cover, r):
-                    z = residual.faces[r] / matrix.diagonal[r]
+                if cover.owner[r] == 0:
+                    z = inverse[r] * residual.faces[r]
                     direction.faces[r] = z
                     sum += wp.float64(z * residual.faces[r])
-                elif matrix.free[r] != 0:
-                    direction.faces[r] = scalar(0.0)
         else:
             b = task - tasks
             solution.linear[b] = vec3()
             solution.angular[b] = vec3()
             direction.linear[b] = bodies.mobility[b] * residual.linear[b]
             direction.angular[b] = bodies.spin_mobility[b] * residual.angular[b]
-            v.give(g, bodies, cover, b, direction)
+            v.give(g, cover, b, direction)
             sum = v.pair(direction, residual, b)
         partial[task] = sum
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def turn(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, direction: Vector, result: Vector,
+        g: Grid, tasks: wp.int32, cover: Cover, inverse: wp.array(dtype=scalar), direction: Vector, result: Vector,
         sums: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
@@ -126,16 +158,17 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         if sums[RZ] > wp.float64(0.0):
             beta = scalar(sums[RZ_AFTER] / sums[RZ])
         if task < tasks:
-            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-                if v.is_mortar(matrix, cover, r):
-                    direction.faces[r] = result.faces[r] + beta * direction.faces[r]
+            ranges.turn(
+                beta, result.faces, inverse, direction.faces, own.first(task, tasks, rows), own.end(task, tasks, rows),
+                tasks,
+            )  # fmt: skip
         else:
             b = task - tasks
             direction.linear[b] = result.linear[b] + beta * direction.linear[b]
             direction.angular[b] = result.angular[b] + beta * direction.angular[b]
-            v.give(g, bodies, cover, b, direction)
+            v.give(g, cover, b, direction)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def multiply(
         g: Grid, tasks: wp.int32, cover: Cover, matrix: Matrix, direction: Vector, result: Vector,
         partial: wp.array(dtype=wp.float64),
@@ -162,14 +195,14 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 result.faces[r] = scalar(0.0)
         partial[task] = sum
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def gather(
         g: Grid, tasks: wp.int32, mesh: Fields, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
         result: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         b = wp.tid()
         dt = scalar(mesh.clock[DT])
-        force, torque = v.resultant(g, bodies, cover, b, result.faces)
+        force, torque = v.resultant(g, cover, b, result.faces)
         force += bodies.extra_mass[b] / dt * direction.linear[b] + between(pairs, direction.linear, b)
         result.linear[b] = force
         result.angular[b] = torque + bodies.extra_inertia[b] / dt * direction.angular[b]
@@ -185,12 +218,12 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
-    own = share_functions(serial)
+    own, ranges = share_functions(serial), range_functions(scalar, serial)
     v = velocity_functions(scalar, of)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def update(
-        g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, solution: Vector, residual: Vector,
+        g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), solution: Vector, residual: Vector,
         direction: Vector, result: Vector, sums: wp.array(dtype=wp.float64), partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
@@ -200,15 +233,11 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         if sums[PQ] > wp.float64(0.0):
             alpha = scalar(sums[RZ] / sums[PQ])
         if task < tasks:
-            for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-                if matrix.free[r] == 0:
-                    solution.faces[r] = solution.faces[r] + alpha * direction.faces[r]
-                    if cover.owner[r] == 0:
-                        left = residual.faces[r] - alpha * result.faces[r]
-                        residual.faces[r] = left
-                        z = left / matrix.diagonal[r]
-                        result.faces[r] = z
-                        sum += wp.float64(z * left)
+            first, end = own.first(task, tasks, rows), own.end(task, tasks, rows)
+            ranges.move(
+                alpha, direction.faces, inverse, solution.faces, residual.faces, result.faces, first, end, tasks
+            )  # fmt: skip
+            sum = ranges.dot(result.faces, residual.faces, 0, first, end, tasks)
         else:
             b = task - tasks
             solution.linear[b] = solution.linear[b] + alpha * direction.linear[b]
@@ -250,19 +279,19 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     vec3 = types(scalar).vec3
 
     @wp.kernel(enable_backward=False, module="unique")
-    def spread(g: Grid, bodies: Bodies, cover: Cover, x: Vector):
-        v.give(g, bodies, cover, wp.tid(), x)
+    def spread(g: Grid, cover: Cover, x: Vector):
+        v.give(g, cover, wp.tid(), x)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def reduce(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
+    def reduce(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the forces on the faces that move with each aggregate to its force and torque."""
         b = wp.tid()
-        force, torque = v.resultant(g, bodies, cover, b, forces)
+        force, torque = v.resultant(g, cover, b, forces)
         result.linear[b] = result.linear[b] + factor * force
         result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
-    def push(g: Grid, bodies: Bodies, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
+    def push(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the pressure forces on the covered parts of faces to the forces on each aggregate.
 
         The mortar bears only the force on the uncovered part of a face, so the kernel subtracts the covered part there.
@@ -276,7 +305,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
             e = vec3()
             e[r / g.slots] = cover.part[place] * forces[r]
             force += e
-            torque += wp.cross(body.lever(g, bodies, b, r), e)
+            torque += wp.cross(cover.lever[place], e)
             if k >= cover.count[b]:
                 # The force on this face already contains the whole pressure force, so subtract the covered part.
                 result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
@@ -284,7 +313,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
         result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
-    def blend(g: Grid, bodies: Bodies, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
+    def blend(g: Grid, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
         """Replace the mortar velocities in `flow` by the mean velocities of partly covered faces.
 
         The mean of the velocities of mortar and aggregate is weighted by the area of the face that each of them has.
@@ -293,7 +322,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
         for k in range(cover.count[b], cover.touched[b]):
             place = cover.first[b] + k
             r = cover.faces[place]
-            own = body.carried(x.linear[b], x.angular[b], body.lever(g, bodies, b, r), r / g.slots)
+            own = body.carried(x.linear[b], x.angular[b], cover.lever[place], r / g.slots)
             flow[r] = flow[r] + cover.part[place] * (own - flow[r])
 
     return SimpleNamespace(spread=spread, reduce=reduce, push=push, blend=blend)

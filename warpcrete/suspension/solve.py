@@ -21,9 +21,9 @@ from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.grid.cells import DT
 from ..kernels.suspension.coupling import algebra_kernels, residual_kernels
 from ..kernels.suspension.pairs import CAPACITY, pair_kernels
-from ..kernels.suspension.vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, SUMS, add_kernel, sum_kernel, vector_struct
+from ..kernels.suspension.vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, SUMS, add_kernel, sum_kernel
 from ..kernels.suspension.velocity import force_kernels, search_kernels, update_kernels
-from ..mps.common.allocation import allocate
+from .directions import CHUNK, Directions
 
 CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
@@ -32,8 +32,8 @@ NEGLIGIBLE = 0.1
 """Fraction of the tolerance of the coupled solve below which a pressure solve need not reduce its residual."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
-CHECKED = 5
-"""Number of iterations of a viscous solve between two convergence checks, for which the device must wait."""
+CHECKED = {"cpu": 1, "gpu": 5}
+"""Number of iterations of a viscous solve between two convergence checks, for which a GPU must wait."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class CoupledSolve:
         self.flow, self.tolerances = flow, tolerances
         self.device, self.scalar = flow.device, flow.scalar
         serial = not flow.parallel
-        self.tasks = CPU_TASKS if serial else GPU_TASKS
+        self.tasks, self.checked = (CPU_TASKS, CHECKED["cpu"]) if serial else (GPU_TASKS, CHECKED["gpu"])
         kind = flow.state.layout.kind
         self.search, self.forces = search_kernels(self.scalar, serial, kind), force_kernels(self.scalar, kind)
         self.updates = update_kernels(self.scalar, serial, kind)
@@ -69,12 +69,18 @@ class CoupledSolve:
         self.pairs = pair_kernels(self.scalar, flow.state.layout.kind)
         self.add_up = sum_kernel(serial)
         self.count = flow.aggregates.count
-        self.partial = wp.zeros(self.tasks + self.count, dtype=wp.float64, device=self.device)
-        self.sums = wp.zeros(SUMS, dtype=wp.float64, device=self.device)
+        slots = flow.state.slots
+        self.directions = Directions(
+            self.scalar, self.device, {"faces": 3 * slots, "linear": self.count, "angular": self.count, "cells": slots}
+        )
+        self.partial = wp.zeros(CHUNK * (self.tasks + self.count), dtype=wp.float64, device=self.device)
+        self.sums = wp.zeros(SUMS + CHUNK, dtype=wp.float64, device=self.device)
+        self.factors = wp.zeros(CHUNK, dtype=wp.float64, device=self.device)
         self.residual, self.inner_residual, self.direction, self.product = (self._vector() for _ in range(4))
-        self.solution, self.part = self._vector(), self._vector()
-        self.tried: list[tuple[Any, Any]] = []
+        self.solution, self.weighted = self._vector(), self._vector()
         self.inflow = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
+        self.yielding = wp.zeros(flow.state.slots, dtype=self.scalar, device=self.device)
+        self.inverse = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self.force = wp.zeros(3 * flow.state.slots, dtype=self.scalar, device=self.device)
         self._stages: dict[Any, Stage] = {}
         self.outer = 0
@@ -85,14 +91,11 @@ class CoupledSolve:
         self._dt = 0.0
 
     def _vector(self) -> Any:
-        slots = self.flow.state.slots
-        return allocate(
-            vector_struct(self.scalar), self.device, faces=3 * slots, linear=self.count, angular=self.count, cells=slots
-        )
+        return self.directions.vector()
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
         # Launches are recorded once for each set of arrays; the factor of a multiple changes.
-        key = (id(kernel), *((name, _identity(value)) for name, value in named.items() if name != "factor"))
+        key = (id(kernel), tasks, *((name, _identity(value)) for name, value in named.items() if name != "factor"))
         if key not in self._stages:
             self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
         stage = self._stages[key]
@@ -104,19 +107,30 @@ class CoupledSolve:
     def _arrays(self) -> dict[str, Any]:
         flow = self.flow
         return flow.kernel_arrays | {
-            "tasks": self.tasks, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
+            "tasks": self.tasks, "factors": self.factors, "inverse": self.inverse,
+            "yielding": self.yielding, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
         }  # fmt: skip
 
-    def _sum(self, slot: int) -> None:
-        serial = not self.flow.parallel
-        self._launch(self.add_up, 1 if serial else BLOCK, block=BLOCK, count=self.tasks + self.count, slot=slot)
+    def _sum(self, slot: int, sums: int = 1) -> None:
+        """Add up the partial sums of some inner products, and store the first of them at the index `slot`."""
+        block = 1 if not self.flow.parallel else BLOCK
+        self._launch(self.add_up, sums * block, block=BLOCK, count=self.tasks + self.count, slot=slot)
 
-    def _inner_product(self, one: Any, two: Any) -> float:
-        self._launch(self.algebra.inner, self.tasks + self.count, one=one, two=two)
-        return float(self.partial.numpy().sum())
+    def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
+        """Return the inner products of `weighted` and other vectors, each given as a number of vectors and an array."""
+        slot = 0
+        for count, many in vectors:
+            self._launch(
+                self.algebra.products, self.tasks + self.count, count=count, slot=slot, weighted=self.weighted,
+                many=many,
+            )  # fmt: skip
+            slot += count
+        self._sum(SUMS, slot)
+        return self.sums.numpy()[SUMS : SUMS + slot]
 
-    def _add(self, factor: float, one: Any, result: Any) -> None:
-        self._launch(self.algebra.add, self.tasks + self.count, factor=factor, one=one, result=result)
+    def _subtract(self, factors: np.ndarray, many: Any, result: Any) -> None:
+        self.factors.assign(np.pad(factors, (0, CHUNK - len(factors))))
+        self._launch(self.algebra.combine, self.tasks + self.count, count=len(factors), many=many, result=result)
 
     def solve(self) -> None:
         """Solve for the velocities and pressures at the end of the step, and store them.
@@ -128,6 +142,7 @@ class CoupledSolve:
             array.zero_()
         self.inner, self.outer, self._largest = 0, 0, 0.0
         self._dt = float(flow.mesh.clock.numpy()[int(DT)])
+        self.directions.known = 0
         for turn in range(CONTACT_PASSES):
             self._begin(again=turn > 0)
             self._iterate()
@@ -162,47 +177,77 @@ class CoupledSolve:
         if again:
             flow.invert_blocks()
             self._multiply(self.solution, self.product)
-            self._add(-1.0, self.product, self.residual)
+            self._subtract(np.ones(1), self.product, self.residual)
 
     def _iterate(self) -> None:
-        """Reduce the residual to the tolerance; raise :class:`ConvergenceError` if this fails."""
-        history = []
-        for outer in range(self.tolerances.outer + 1):
-            self.error = self._relative_error()
+        """Reduce the residual to the tolerance; raise :class:`ConvergenceError` if this fails.
+
+        The solve first uses the directions of the solve that it repeats.
+        """
+        directions = self.directions
+        if directions.known > self.tolerances.outer:
+            directions.known = 0
+        kept, directions.norms = directions.known, []
+        self.error = self._advance(0.0, self.direction, self.product)
+        history, number = [self.error], 0
+        while self.error > self.tolerances.coupled and number < kept + self.tolerances.outer:
+            change, effect = directions[number]
+            if number >= kept:
+                self._precondition(self.residual, change)
+                self._multiply(change, effect)
+                self.outer += 1
+            factor = self._orthogonalise(number)
+            number += 1
+            self.error = self._advance(factor, change, effect)
             history.append(self.error)
-            if self.error <= self.tolerances.coupled or outer == self.tolerances.outer:
+            if not factor:
                 break
-            change, effect = self._direction(outer)
-            self._precondition(self.residual, change)
-            self._multiply(change, effect)
-            for earlier, its_effect in self.tried[:outer]:
-                factor = self._inner_product(effect, its_effect)
-                self._add(-factor, earlier, change)
-                self._add(-factor, its_effect, effect)
-            size = np.sqrt(self._inner_product(effect, effect))
-            if not size > 0:
-                break
-            self._scale(1 / size, change)
-            self._scale(1 / size, effect)
-            factor = self._inner_product(self.residual, effect)
-            self._add(factor, change, self.solution)
-            self._add(-factor, effect, self.residual)
-        self.outer += len(history) - 1
+        directions.known = max(kept, number)
         if self.error > self.tolerances.coupled:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
+
+    def _orthogonalise(self, number: int) -> float:
+        """Make the effect of a direction orthogonal to those before it, and return the step along the direction.
+
+        The step is 0 if the direction has no effect.
+        """
+        change, effect = self.directions[number]
+        self._weigh(effect)
+        for first, count, changes, effects in self.directions.before(number):
+            factors = self.directions.factors(first, self._products((count, effects)))
+            self._subtract(factors, changes, change)
+            self._subtract(factors, effects, effect)
+        if number:
+            self._weigh(effect)
+        size, along = self._products((1, effect), (1, self.residual))
+        self.directions.norms.append(size if size > 0 else np.inf)
+        return float(along / size) if size > 0 else 0.0
+
+    def _weigh(self, one: Any) -> None:
+        self._launch(self.algebra.weigh, self.tasks + self.count, one=one, weighted=self.weighted)
 
     def _new_contacts(self) -> bool:
         """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs."""
         changed = self.flow.aggregates.pairs.changed
         changed.zero_()
         self._launch(self.pairs.touch, self.count, change=self.solution.linear)
-        return bool(changed.numpy()[0])
+        if not changed.numpy()[0]:
+            return False
+        for _, count, changes, effects in self.directions.before(self.directions.known):
+            self._launch(
+                self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear
+            )  # fmt: skip
+        return True
 
-    def _relative_error(self) -> float:
-        left = self._inner_product(self.residual, self.residual)
-        self._largest = max(self._largest, left)
-        self._launch(self.algebra.scale_of, self.tasks + self.count, change=self.solution)
-        whole = self._momentum = float(self.partial.numpy().sum())
+    def _advance(self, factor: float, change: Any, effect: Any) -> float:
+        """Move the solution along a direction, and return the norm of the residual relative to the momentum."""
+        self._launch(
+            self.algebra.advance, self.tasks + self.count, factor=factor, change=change, effect=effect,
+            solution=self.solution, residual=self.residual,
+        )  # fmt: skip
+        self._sum(SUMS, 2)
+        left, whole = map(float, self.sums.numpy()[SUMS : SUMS + 2])
+        self._largest, self._momentum = max(self._largest, left), whole
         if left <= (ROUNDING["float64" if self.scalar is wp.float64 else "float32"]) ** 2 * self._largest:
             # Rounding errors prevent a smaller residual, so accept it. This happens in a short first step, in which
             # the weight is much larger than the momentum of the flow.
@@ -216,14 +261,6 @@ class CoupledSolve:
         worth = (concrete.density * width**2 / dt + concrete.viscosity) / width**3
         inflow = NEGLIGIBLE * self.tolerances.coupled * np.sqrt(self._momentum / worth)
         return float(concrete.density / dt * inflow)
-
-    def _direction(self, number: int) -> tuple[Any, Any]:
-        if number >= len(self.tried):
-            self.tried.append((self._vector(), self._vector()))
-        return self.tried[number]
-
-    def _scale(self, factor: float, one: Any) -> None:
-        self._add(factor - 1.0, one, one)
 
     def _push(self, factor: float, into: Any, edges_only: bool = False) -> None:
         """Add a multiple of the pressure forces `self.force` to the forces on mortar faces and aggregates.
@@ -260,7 +297,7 @@ class CoupledSolve:
         self._sum(int(RZ))
         self._launch(self.updates.shift, 1, first=1)
         for number in range(self.tolerances.inner):
-            if number % CHECKED == 0:
+            if number % self.checked == 0:
                 sums = self.sums.numpy()
                 if sums[int(RZ)] <= self.tolerances.viscous**2 * sums[int(RZ_FIRST)]:
                     return

@@ -1,0 +1,61 @@
+"""Search directions of the coupled solve, which the method of generalised conjugate residuals makes orthogonal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..kernels.suspension.vectors import vector_struct
+from ..mps.common.allocation import allocate
+
+CHUNK = 16
+"""Number of search directions whose arrays are allocated together."""
+
+
+class Directions:
+    """Search directions, and their effects: the products of the matrix of the coupled equations and the directions.
+
+    `sizes` are the sizes of the arrays of a vector. Arrays are allocated when they are needed.
+    """
+
+    def __init__(self, scalar: Any, device: Any, sizes: dict[str, int]) -> None:
+        self._scalar, self._device, self._sizes = scalar, device, sizes
+        self._chunks: list[tuple[Any, Any]] = []
+        self._each: list[tuple[Any, Any]] = []
+        self.known = 0
+        """Number of directions that are stored with their effects."""
+        self.norms: list[float] = []
+        """Squared norms of the effects of the directions that are orthogonal."""
+
+    def vector(self, count: int = 1) -> Any:
+        """Return `count` new vectors as one, with their arrays one after the other."""
+        sizes = {name: count * size for name, size in self._sizes.items()}
+        return allocate(vector_struct(self._scalar), self._device, **sizes)
+
+    def __getitem__(self, number: int) -> tuple[Any, Any]:
+        """Return a direction and its effect; the arrays are those of a new direction if it does not exist."""
+        while number >= len(self._each):
+            pair = self.vector(CHUNK), self.vector(CHUNK)
+            self._chunks.append(pair)
+            self._each += [tuple(self._part(whole, k) for whole in pair) for k in range(CHUNK)]
+        return self._each[number]
+
+    def _part(self, whole: Any, number: int) -> Any:
+        part = vector_struct(self._scalar)()
+        for name, size in self._sizes.items():
+            setattr(part, name, getattr(whole, name)[number * size : (number + 1) * size])
+        return part
+
+    def before(self, number: int) -> Iterator[tuple[int, int, Any, Any]]:
+        """Yield all directions before a given one, chunk by chunk.
+
+        Each item has the number of the first direction, the number of directions, and their arrays.
+        """
+        for first, (change, effect) in zip(range(0, number, CHUNK), self._chunks, strict=False):
+            yield first, min(CHUNK, number - first), change, effect
+
+    def factors(self, first: int, products: np.ndarray) -> np.ndarray:
+        """Return the factors by which directions must be subtracted, from the inner products with their effects."""
+        return products / np.array(self.norms[first : first + len(products)])
