@@ -155,7 +155,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest:
 
 
 def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
-    """Return whether a flow can follow arcs: their radii exceed `widest` [m], and no turn is too small to matter."""
+    """Return whether arcs suit a simulation: their radii exceed `widest` [m], and none turns by a negligible angle."""
     return all(piece.radius > widest and piece.angle >= LEAST_TURN for piece in pieces if isinstance(piece, Arc))
 
 
