@@ -23,7 +23,7 @@ FOLDER = Path(__file__).parent / "kept"
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.]*\w)")
 TOLERANCE = 1e-6
 """Relative to the largest number of a line. Libraries and processors round differently in the last digits."""
-WHOLE = 24
+WHOLE = 12
 """Arrays of up to this size are kept as they are, and larger ones as so many samples and two sums."""
 DEPTH = 4
 """Number of objects within each other that are described."""
