@@ -19,6 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from warpcrete.dem.scene.clumps import ClumpTemplate
+
 FOLDER = Path(__file__).parent / "kept"
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.]*\w)")
 TOLERANCE = 1e-6
@@ -88,6 +90,10 @@ def described(value: Any, name: str = "", seen: frozenset[int] = frozenset()) ->
 
 
 def _fields(value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, ClumpTemplate):
+        # The signs of principal axes, and the axes of equal moments, are as the linear algebra library has them.
+        yield from (("radii", value.radii), ("inertia", value.inertia), ("far", np.linalg.norm(value.offsets, axis=1)))
+        return
     for field in dataclasses.fields(value) if dataclasses.is_dataclass(value) else ():
         yield field.name, getattr(value, field.name)
     for name in dir(type(value)):
