@@ -96,7 +96,7 @@ def test_heaps_and_stones_are_kept():
         "mixing": [segregation.mixing(s, apart, size > 0.012), segregation.mixing(s, apart, s > 0.3)],
         "travel": [blockage.blockage_travel(0.1, length, modulus) for length in (0.2, 1.0, 5.0) for modulus in (1e5, 1e8)],
         "advance": [blockage.least_advance(s, s + 0.02 * (1 + np.sin(9 * s)), volume, end) for end in (0.4, 0.7)],
-        "loaded": blockage.last_loaded(columns, 1 - columns**2, s), "area": [
+        "loaded": blockage.last_loaded(columns, 1 - s**2, np.c_[s, s + 0.05]), "area": [
             blockage.bore_area([PipeWall(name="pipe", axis=AXIS, radius=0.05, material="wall")], AXIS, 0.05, 0.3)],
         "spread_evenly": stations._spread_evenly(s, s + 0.05 * np.cos(9 * s), np.c_[volume, s], columns),
         "filled": stations._filled_slices(columns, 0.1, s, volume), "front": stations._front(s, volume, 0.4 * volume.sum()),
