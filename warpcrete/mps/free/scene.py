@@ -101,7 +101,7 @@ class FreeScene(Parametrised, FreeSettings):
     lift_speed: float = 0.0
     """Speed at which the gate is lifted [m/s]."""
     plate_slips: bool = False
-    """True if the concrete slips on the sides of the room with its slip layer; otherwise it sticks to them."""
+    """True if concrete slips on the sides of the simulated box; False if it sticks to them."""
     walls_slip: bool = False
     """True if the concrete slips on blocks and walls with its slip layer; otherwise it sticks to them."""
     dimensions: Mapping[str, float] = field(default_factory=dict)

@@ -376,7 +376,7 @@ def _test_variants(
         if not trade.complete(other, trade.seeds):
             trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
         if not other.results and not other.failure.startswith("failed"):
-            continue  # This variant was not run, because no time was left.
+            continue  # Skip this variant: the study had no time left to run it.
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:
