@@ -305,7 +305,10 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         force[b] = force[b] + sum
 
     @wp.kernel(enable_backward=False, module="unique")
-    def touch(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: wp.array(dtype=vec)):
+    def touch(
+        flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: wp.array(dtype=vec),
+        certain: scalar,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         b = wp.tid()
@@ -318,6 +321,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
             if o != WALL:
                 relative = relative - (bodies.velocity[o] + change[o])
             approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
+            # With `certain` below 1, only pairs count that would overlap at lower speeds of approach as well.
+            approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
             if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
                 pairs.touching[place] = NEW
                 pairs.changed[0] = 1
