@@ -32,7 +32,7 @@ NEGLIGIBLE = 0.1
 """Fraction of the tolerance of the coupled solve below which a pressure solve need not reduce its residual."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
-ROUGH_ERROR, CERTAIN = 1e-2, 0.9
+ROUGH_ERROR, CERTAIN = 3e-2, 0.9
 """Error of the solve at which it looks for new contacts for the first time, and the fraction of the speed of approach at
 which two aggregates would still have to overlap then. The speeds are not yet accurate, but contacts that the first solve
 finds need no second one."""
