@@ -10,7 +10,7 @@ import numpy as np
 from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
-CHUNK = 16
+CHUNK = 8
 """Number of search directions whose arrays are allocated together."""
 
 
