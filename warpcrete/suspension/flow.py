@@ -8,11 +8,12 @@ import numpy as np
 import warp as wp
 
 from ..kernels.common.control import HALTED
+from ..kernels.mps.grid.advection import advect_kernel
 from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ..kernels.mps.grid.filling import fill_kernel
 from ..kernels.mps.grid.forces import momentum_kernel
 from ..kernels.mps.grid.pressure import pressure_kernels
-from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
+from ..kernels.mps.grid.transfer import gather_kernel
 from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension.blocks import block_kernel
