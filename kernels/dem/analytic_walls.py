@@ -59,7 +59,7 @@ WARP_TOTAL = """
 
 @functools.cache
 def wall_force_function(scalar):
-    """Return the function `add_to_wall`, which adds a force and a moment, in fixed point, to wall `w` of the batch."""
+    """Return the function `add_to_wall`, which adds a force and a moment, as integers, to the wall with index `w`."""
     t = types(scalar)
 
     @wp.func

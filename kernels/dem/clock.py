@@ -37,7 +37,7 @@ def goal_reached(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.floa
 
 @functools.cache
 def clock_kernel(scalar, growth: bool) -> wp.Kernel:
-    """Return the kernel, one thread a scene, that completes a step and halts the scene where it must wait.
+    """Return the kernel, with one thread per scene, that completes a step and halts the scene where it must wait.
 
     It advances the time, the step count and, with `growth`, the growth of the spheres during packing.
     """

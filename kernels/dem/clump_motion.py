@@ -19,9 +19,9 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
     Both functions clear the spheres' forces for the next step.
 
-    - `gather` is used with half lists (CPU).
-    - `gather_with_lanes` is used with full lists (GPU), where `lanes` threads share a body. It also returns the energy
-      that the body's contacts lost [J].
+    - `gather` is used on a CPU, whose neighbour lists contain most pairs once (half lists).
+    - `gather_with_lanes` is used on a GPU, whose lists contain every pair at both spheres (full lists). `lanes` threads
+      share a body. It also returns the energy that the body's contacts lost [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -89,7 +89,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
 @functools.cache
 def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
-    """Return the function `move_sphere`, which moves a sphere with its body and checks the neighbour lists."""
+    """Return the function `move_sphere`, which moves a sphere with its body and checks whether lists stay valid."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
@@ -179,7 +179,7 @@ def clump_kernel(
             mass = bodies.mass[b]
             begin = scenes.row[scene].spheres + bodies.first[b + scene]
             end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
-            # Every value that another lane may overwrite is read before the lanes synchronise.
+            # Read all values that another thread of the warp may overwrite before the threads synchronise.
             velocity = bodies.velocity[b]
             rounding = bodies.rounding[b]
             spin_before = bodies.spin[b]

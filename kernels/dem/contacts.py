@@ -37,10 +37,11 @@ def contact_options(half: bool) -> dict:
 def contact_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ) -> wp.Kernel:
-    """Return the CPU kernel that adds contact forces [N] and moments about sphere centres [N m], with half lists.
+    """Return the CPU kernel that adds contact forces [N] and moments about sphere centres [N m] to the spheres.
 
-    With `dissipation` it also adds up the energy that friction, dashpots and breaking bonds dissipate [J]. A launch
-    processes the spheres from `first` to `last`, which are those of one thread.
+    The neighbour lists are half lists, which contain most pairs once. With `dissipation` the kernel also adds up the
+    energy that friction, dashpots and breaking bonds dissipate [J]. A launch processes the spheres from `first` to
+    `last`, which are those of one thread.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -1,6 +1,6 @@
 """Search for neighbours on a GPU: every pair is listed at both of its spheres.
 
-The kernels run over a whole batch. They skip scenes whose neighbour lists are still valid.
+The kernels run over all scenes of a batch, and skip scenes whose neighbour lists are still valid.
 """
 
 import functools
@@ -181,7 +181,8 @@ def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.
                     before += wp.where(finds[m, i] < entry, 1, 0)
                 pairs.other[row + before] = entry
         elif wp.tid() % lanes == 0:
-            # The neighbours of this sphere do not fit into `finds`, so search them again and write them to the list.
+            # The buffer `finds` had no room for the neighbours of this sphere, so search again and write them to the
+            # list.
             query = query_of(scenes, spheres, stretched, i)
             middle = query.x + shift[s]
             found = wp.int32(0)

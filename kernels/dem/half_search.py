@@ -1,6 +1,6 @@
 """Search for neighbours on a CPU: each thread lists the pairs of its own group of spheres once.
 
-The kernel runs over a whole batch. It skips scenes whose neighbour lists are still valid.
+The kernel runs over all scenes of a batch, and skips scenes whose neighbour lists are still valid.
 """
 
 import functools

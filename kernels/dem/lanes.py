@@ -90,7 +90,7 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Return where the columns of each quantity begin in the float array and the integer array of the vector lanes.
+    """Return the index at which the columns of each quantity begin in the float or integer array of the lanes.
 
     A vector lane is one of the contacts that a CPU computes at the same time. The result also contains the sizes of
     both arrays.

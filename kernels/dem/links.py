@@ -213,7 +213,7 @@ def contact_update_function(
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # The pair may bond again when its spheres next touch.
+                pairs.bond[k] = 0  # Reset the broken bond, so that the pair may bond again when its spheres next touch.
                 pairs.load[k] = t.vec8()
                 pairs.bond[twin] = 0
         return lost

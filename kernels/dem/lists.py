@@ -1,6 +1,7 @@
 """Kernels that build neighbour (Verlet) lists from the result of a search and carry over contact history exactly.
 
-All kernels run over a whole batch. They skip scenes whose lists are still valid and leave these lists unchanged.
+All kernels run over all scenes of a batch. They skip scenes whose lists are still valid and leave these lists
+unchanged.
 """
 
 import functools

@@ -67,7 +67,7 @@ def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
         subcycled.entry[p] = k
         subcycled.copy[p] = wp.where(copy == k, -1, copy)
         subcycled.active[p] = 0
-        if k >= 0:  # A pair that is missing in the new list had lost its bond long before its spheres moved apart.
+        if k >= 0:  # A pair that is missing in the new list has no bond any more, so nothing is copied for it.
             bond = pairs.bond[k]
             subcycled.active[p] = wp.where(kind_of(bond) == HYDRATED, 1, 0)
             subcycled.held.bond[p] = bond

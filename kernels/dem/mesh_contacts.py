@@ -124,7 +124,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         other side.
         """
         gap = distance - radius
-        # Cosine of the angle between `n` and the old normal on this wall that is most nearly parallel to `n`.
+        # Cosine of the angle between `n` and a normal of the previous step on this wall: the one most nearly parallel
+        # to `n`.
         side = scalar(0.0)
         for s in range(MESH_SLOTS):
             if slot_wall[i, first + s] == wall:
@@ -340,7 +341,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                         if found > MESH_SLOTS:
                             found = MESH_SLOTS
                             flags[scene, OVERFLOW] = 1
-            # Slots are filled in order. If the first slot is unused, all slots are, and there is no history to clear.
+            # Contact slots are filled in order. If the first slot is unused, all slots are unused, and there is no
+            # history to clear.
             if found == 0 and slot_wall[i, analytic] < 0:
                 continue
             dt, scale = scalar(scenes.clock[scene, DT_PREVIOUS]), scenes.clock[scene, FORCE_SCALE]

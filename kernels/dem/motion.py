@@ -128,7 +128,7 @@ def motion_functions(scalar, dissipation: bool):
     def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
         """Return the new position of a body and its rounding error (compensated summation).
 
-        The next step adds this rounding error to the displacement. In double precision, it is not added.
+        The next step adds this rounding error to the displacement. Double precision needs no such correction.
         """
         if wp.static(single):
             displacement = displacement + rounding

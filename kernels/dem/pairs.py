@@ -1,4 +1,4 @@
-"""Functions for the entries of neighbour lists: geometry and bond of a pair, and pairs that touch or separated."""
+"""Functions for the entries of neighbour lists: geometry and bond of a pair, and checks if a pair touches."""
 
 import functools
 from types import SimpleNamespace
@@ -64,7 +64,7 @@ def pair_functions(scalar):
         offset = xyz(position_j) - xyz(position_i)
         distance = wp.length(offset)
         gap = distance - (position_i[3] + position_j[3])
-        # Coincident centres define no normal. The fixed direction z separates them.
+        # Coincident centres define no normal, so use the direction z, which pushes the spheres apart.
         per_distance = scalar(0.0)
         upwards = scalar(1.0)
         if distance > scalar(0.0):
@@ -149,7 +149,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # The pair may bond again when its spheres next touch.
+                pairs.bond[k] = 0  # Reset the broken bond, so that the pair may bond again when its spheres next touch.
                 pairs.load[k] = t.vec8()
         return lost
 
@@ -175,7 +175,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
             left = left & (left - 1)
             if wp.static(subcycling):
                 if k < end and kind_of(pairs.bond[k]) == HYDRATED:
-                    continue  # The sub-cycling rounds, not this kernel, update the history of a stiff pair.
+                    continue  # Skip a pair with a stiff bond, because the sub-cycling rounds update its history.
             if k < end:
                 lost += clear_parted(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
         return lost
@@ -185,7 +185,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
 
 @functools.cache
 def broken_function(scalar):
-    """Return the function `count_broken`, which adds a broken bond to a sphere's count of its failure mode."""
+    """Return the function `count_broken`, which counts a broken bond at a sphere, by its failure mode."""
     Spheres = array_structs(scalar).Spheres
 
     @wp.func

@@ -97,7 +97,7 @@ def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
 
 @functools.cache
 def wall_probe(scalar) -> wp.Kernel:
-    """Return the kernel over the walls of all scenes that stores impulse, force, turn, travel and work of each wall."""
+    """Return the kernel over all walls that stores impulse, force, orientation, travel and work of each wall."""
     Walls = array_structs(scalar).Walls
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -35,7 +35,7 @@ def find_function(scalar, half: bool):
     def find(pairs: Pairs, s: wp.int32, base: wp.int32, first: wp.int32, i: wp.int32, j: wp.int32):
         """Return the list entry of the pair of spheres i and j, or -1 if the list lacks the pair.
 
-        `base` is the scene's first sphere, and `first` is its first list entry.
+        `base` is the index of the scene's first sphere, and `first` is the index of the scene's first list entry.
         """
         for k in range(first + pairs.start[i + s], first + pairs.start[i + s + 1]):
             if base + decode(read_int(pairs.other, k)) == j:

@@ -228,7 +228,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    # No `fast_math` on a GPU either, because it flushes products of small bodies' moments of inertia to zero.
+    # Compile without `fast_math` even on a GPU, because it flushes products of small bodies' moments of inertia to
+    # zero.
     @wp.kernel(module="unique", enable_backward=False, module_options=contact_options(True))
     def reduce_step(
         # The next arguments are arrays of the model, which are constant during a run.

@@ -108,8 +108,9 @@ def stiffness_functions(scalar):
 def counting_function(scalar, bonds: bool, subcycling: bool):
     """Return the function `counts`, which returns true if the pair of a list entry is in contact or bonded.
 
-    With `subcycling` there are two kinds of pairs: those that sub-cycling rounds step, and all others. The function
-    then counts only pairs of the first kind if its argument `stiff` is true, and only the others if `stiff` is false.
+    With `subcycling` there are two kinds of pairs: those with stiff bonds, which sub-cycling rounds compute, and all
+    others. The function then counts only pairs of the first kind if its argument `stiff` is true, and only the others
+    if `stiff` is false.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs

@@ -178,11 +178,12 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
-        # near candidates of each sphere, which may touch it soon; they begin at the same index as in `face`
+        # near candidates of each sphere: triangles that may touch it soon; they begin at the same index as in `face`
         near: wp.array(dtype=wp.int32)
         near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
-        # centre of each sphere when its near candidates were chosen [m], and the largest sum of radius, displacement
-        # of the sphere and displacement of meshes up to which they are complete [m]; 0 before the first choice
+        # First three numbers: centre of each sphere when its near candidates were chosen [m]. Fourth number: the near
+        # candidates contain all triangles that the sphere may touch while the sum of its radius, its displacement and
+        # the displacement of meshes is below this number [m]. All are 0 before the first choice.
         chosen: wp.array(dtype=t.vec4)
 
     @wp.struct

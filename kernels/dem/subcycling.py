@@ -161,7 +161,8 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
                 moment = t.vec3()
                 if wp.static(healing):
                     if pair.touch.gap >= scalar(0.0):
-                        subcycled.held.bond[p] = 0  # The pair may bond again when its spheres next touch.
+                        # Reset the broken bond, so that the pair may bond again when its spheres next touch.
+                        subcycled.held.bond[p] = 0
             first_load = scenes.row[s].loads
             keep(pairs, subcycled, p, first_load, subcycled.entry[p])
             if subcycled.copy[p] >= 0:

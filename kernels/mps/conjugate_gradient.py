@@ -35,7 +35,7 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     - `inner`: inner product of two values.
     - `divided`: residual divided by the diagonal coefficient of the row (the preconditioner).
-    - `share`: the same for a rigid grain.
+    - `share`: preconditioned residual of a rigid grain.
     - `bounded`: row of the matrix product with boundary conditions. For velocities the condition is the `drag` along
       the wall, for scalars the value zero at the free surface.
 

@@ -157,7 +157,7 @@ def quadratic_law(scalar) -> SimpleNamespace:
 
     @wp.func
     def rate(k: scalar, n: scalar, c: scalar, over: scalar) -> scalar:
-        # This form of the quadratic equation's root does not subtract nearly equal numbers.
+        # This form of the quadratic equation's root subtracts no nearly equal numbers, which would lose digits.
         return scalar(2.0) * over / (k + wp.sqrt(k * k + scalar(4.0) * c * over))
 
     @wp.func

@@ -146,7 +146,7 @@ def _simulated(
 
 @contextmanager
 def _interruptible(folder: Path | None) -> Iterator[None]:
-    """Turn Ctrl-C during the block into the exit code of an interruption, and say how to continue."""
+    """After a Ctrl-C in the block, print how to continue, and exit with the exit code of an interruption."""
     try:
         yield
     except KeyboardInterrupt:

@@ -371,7 +371,7 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        # While the program exits, libraries may wait without end for space on the full disk.
+        # End the process after a time limit, because libraries may wait without end for space on the full disk.
         if isinstance(error, DiskFullError):
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True

@@ -131,7 +131,7 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Check the options on a pipeline's pressure, and return the result in the run folder `pipeline_other`.
+    """Check the options for the pressure of a pipeline, and return the result in the run folder `pipeline_other`.
 
     The result is the contents of that folder's result.json, or None if the option is not used.
     """
@@ -175,7 +175,7 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the printed line with the pipeline's estimated pressure, as label and text; none without the option."""
+    """Return the printed line with the pipeline's estimated pressure, as label and text; empty without the option."""
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:

@@ -146,7 +146,7 @@ def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> S
 
 
 def text_pattern(unit: str) -> str:
-    """Return the pattern of a text that holds an amount in `unit`, for a schema."""
+    """Return a regular expression for texts that hold an amount in `unit`, for a schema."""
     return rf"^\s*(?:{'|'.join(patterns(unit))})\s*$"
 
 

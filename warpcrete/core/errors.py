@@ -29,11 +29,11 @@ class WarpcreteError(Exception):
 
 
 class SceneError(WarpcreteError, ValueError):
-    """Invalid value in a scene, or a scene that cannot be simulated."""
+    """Error: a value of a scene is not valid, or the scene cannot be simulated."""
 
 
 class DeviceError(WarpcreteError):
-    """Request for a device that does not exist on this machine."""
+    """Error: the requested device does not exist on this machine."""
 
 
 class RunFolderError(WarpcreteError):

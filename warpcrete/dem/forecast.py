@@ -108,7 +108,7 @@ def _settling_time(scene: Scene) -> float:
 class _ShortenedCopy:
     """Copy of a scene on which the forecast measures wall times.
 
-    The copy starts at t = 0 without settling. If the pipe is very long, the copy has a shorter one.
+    The copy starts at t = 0 without settling. If the pipe is very long, the copy has a shorter pipe.
     """
 
     def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
@@ -246,7 +246,8 @@ class _ShortenedCopy:
         rounds = subcycles.rounds
         if rounds:
             found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
-            subcycles.set_rounds(stepper.index, 0)  # The other limits are those of steps without sub-cycling.
+            # Switch sub-cycling off, because the limits that are estimated next are those of steps without it.
+            subcycles.set_rounds(stepper.index, 0)
         try:
             found["contacts"] = estimate()
             for number, name in enumerate(names, 1):

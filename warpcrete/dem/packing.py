@@ -95,7 +95,7 @@ def draw(
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
         count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted one.
     sizes = sizes[:count]
-    # Shapes are drawn independently of sizes, so their fractions by number equal their fractions by volume.
+    # Shapes are drawn independently of sizes, so the number fraction of each shape equals its volume fraction.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
     points = container.sample(count, random)[random.permutation(count)]
     zero = np.zeros((count, 3))

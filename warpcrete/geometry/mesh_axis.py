@@ -36,8 +36,8 @@ TURNING_ROUNDS = 3
 WINDOW = 2
 """Number of cross-sections on either side whose centres determine the local direction of the bore."""
 AXIS_TOLERANCES = (0.004, 0.008, 0.016, 0.032, 0.064)
-"""Largest distance between the fitted axis and the centres of the cross-sections, in radii. The first value with which
-the axis nowhere bends more sharply than the bore allows is used. A bend whose mesh has few rings of triangles has
+"""Largest distance between the fitted axis and the centres of the cross-sections, in radii. The values are tried in
+turn, until the axis nowhere bends more sharply than the bore allows. A bend whose mesh has few rings of triangles has
 kinks, which the axis must round."""
 LEAST_TURN = 1e-3
 """Smallest angle of an arc [rad]; an arc that turns less is replaced by a straight piece."""
@@ -155,7 +155,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest:
 
 
 def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
-    """Return whether a flow can follow arcs: their radii exceed `widest` [m], and no turn is too small to matter."""
+    """Return whether arcs suit a simulation: their radii exceed `widest` [m], and none turns by a negligible angle."""
     return all(piece.radius > widest and piece.angle >= LEAST_TURN for piece in pieces if isinstance(piece, Arc))
 
 
@@ -173,7 +173,7 @@ def _pieces(points: np.ndarray, ahead: np.ndarray, allowed: float) -> tuple[Line
         if curve is None or (reached - here < LEAST_STRAIGHT and reached < last):
             curve, reached = _longest(_biarc, points, tangents, here, position, tangent, allowed)
         assert curve is not None
-        # A turn that is too small to matter becomes a line here, so that the next piece starts at its true end.
+        # Replace an arc that turns by a negligible angle by a line. The next piece then starts at the end of this line.
         curve = [Line(x.length) if isinstance(x, Arc) and x.angle < LEAST_TURN else x for x in curve]
         axis = Axis(tuple(position.tolist()), tuple(tangent.tolist()), tuple(curve))
         end, way = axis.at(axis.length)
@@ -358,7 +358,8 @@ def _section(
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            return None  # The area is zero only if every ray meets a surface at the point itself.
+            # There is no cross-section if its area is zero, because every ray meets a surface at the point itself.
+            return None
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle

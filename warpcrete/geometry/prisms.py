@@ -78,7 +78,7 @@ def rectangle(corner: Sequence[float], one: Sequence[float], other: Sequence[flo
 
 
 def _between(first: np.ndarray, last: np.ndarray, middles: np.ndarray) -> Solid:
-    """Return the solid between two rings of corners that run in the same sense.
+    """Return the solid between two rings of corners; the corners of both rings follow the same direction.
 
     Each end is closed by triangles between the ring and its centre in `middles`.
     """

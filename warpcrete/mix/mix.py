@@ -20,7 +20,7 @@ from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
         "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
-"""Names of the constants of a flow; each is mapped to the name of the same property of a mix."""
+"""Names of constants in the section `flow` of a concrete's file, each mapped to the name of this property of a mix."""
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
 """Names of the constants that only flow laws other than Bingham's have; each is mapped to the name of the same property

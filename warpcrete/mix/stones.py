@@ -66,7 +66,7 @@ def read_sizes(given: Any) -> tuple[float, float]:
 
 
 def read_shape(given: Any) -> str:
-    """Return the shape of a mix's stones as a word of the scenes; raises :class:`warpcrete.SceneError`."""
+    """Return the shape of a mix's stones by the name that scenes use; raises :class:`warpcrete.SceneError`."""
     if isinstance(given, int | float) and not isinstance(given, bool):
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"

@@ -34,7 +34,9 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     kind = state.faces("kind")[1] == int(LIQUID)
     mass = scene.concrete.density * area * layout.height
     momentum = mass * scene.velocity
-    if flow.steps:  # Before the first step, the grid holds no velocities, so the momentum above is used.
+    # Before the first step, the grid holds no velocities, and the momentum is the mass times the mean velocity, as
+    # above.
+    if flow.steps:
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
     # The faces along the wall belong to the first and last cells across a channel, or to the last cell of a tube.
     beside = [-2] if layout.axial else [1, -2]

@@ -50,7 +50,7 @@ def layout(scene: FluidScene) -> Layout:
         outside = np.concatenate([_ring(k, spacing) for k in range(rings, rings + LAYERS)])
         area = math.pi * scene.radius**2
     layers = round(scene.length / spacing)
-    # This distance between layers gives the column exactly the length that the scene states.
+    # Choose the distance between layers such that the column has exactly the length that the scene states.
     step = scene.length / layers
     height = (np.arange(layers) + 0.5) * step
     beneath = (np.arange(-LAYERS, 0) + 0.5) * step

@@ -123,7 +123,9 @@ class FluidSimulation(FlowRun):
         """Return True if the flow is steady; always False if the scene states a duration."""
         now, part = self._rows[-1], self.scene.steadiness
         if self._structure_breaks and now["layer_gained"] > MAX_STRUCTURE_LEFT * self.scene.gained:
-            return False  # The structure may break so slowly that all other quantities already look steady.
+            # The flow is not steady: slip still breaks the structure, perhaps so slowly that all other quantities look
+            # steady.
+            return False
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
             # The first row of the time series is left out, because the slip layer is not computed yet at the start. Two

@@ -34,7 +34,7 @@ class FluidState:
     particles: Any
     """Arrays of the fluid particles, a struct `Particles`."""
     grain_arrays: Any
-    """Arrays of the rigid grains, a struct `Grains`; None in one phase."""
+    """Arrays of the rigid grains, a struct `Grains`; None for a flow with one phase."""
 
     def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
         self.scene, self.device, self.scalar = scene, device, scalar_of(precision)

@@ -87,7 +87,8 @@ class RunFolder:
             )
         interval = simulation.frame_interval
         settings = {
-            # Rounding restores the number of which the interval is the reciprocal.
+            # Store frames per second, as the user states them. Round the number, because the reciprocal of the interval
+            # contains rounding errors.
             "frames": None if interval is None else float(f"{1.0 / interval:.12g}"),
             "colour": self.colour,
             "network": self.network,

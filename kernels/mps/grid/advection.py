@@ -205,7 +205,8 @@ def advect_kernel(scalar, of: GridKind):
                 there = here
         after = x + dt * (there - moving)
         if wp.static(not of.periodic):
-            after -= scalar(0.5) * dt * (here - before)  # Move with the mean of the previous and the new velocity.
+            # Move the particle with the mean of the previous and the new velocity.
+            after -= scalar(0.5) * dt * (here - before)
             aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += dt * aside
         if wp.static(of.periodic):

@@ -151,7 +151,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
                 change * change
             )
             return width * part, width / change * (rate_of(g, stress) - scalar(2.0) * part)
-        # If the stress hardly varies, the closed form loses digits, and Simpson's rule is accurate.
+        # If the stress hardly varies, use Simpson's rule, because the closed form loses digits there.
         middle = scalar(0.5) * (stress + inner)
         mean = rate_of(g, stress) / scalar(6.0) + rate_of(g, middle) / scalar(3.0)
         return width * mean, width / scalar(6.0) * (rate_slope(g, stress) + rate_slope(g, middle))

@@ -24,8 +24,8 @@ DAMPING = wp.constant(1.8)
 SINGULAR = wp.constant(1.0e-4)
 """Ratio of a coarse row's diagonal to the sum of its finer rows' diagonals below which the row is left out.
 
-Only the pressure in a closed room reaches this ratio. There the matrix is singular, because a constant pressure exerts
-no net force.
+Only the pressure in a closed space that is full of concrete reaches this ratio. There the matrix is singular, because a
+constant pressure exerts no net force.
 """
 
 

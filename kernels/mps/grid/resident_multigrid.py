@@ -141,7 +141,7 @@ def resident_multigrid(scalar, width: int = BLOCK):
         system: Solve,
         x: wp.array(dtype=scalar),
     ):
-        # The names of the inner products are those of `serial_multigrid`.
+        # The comment in `serial_multigrid` explains the names of the inner products, such as `rz`.
         thread = wp.tid()
         lane = thread % width
         block = thread / width

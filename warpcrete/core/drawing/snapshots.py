@@ -27,7 +27,7 @@ def on_host(found: object) -> object:
     """Return a copy of a Warp array as a NumPy array; return any other object unchanged."""
     if not isinstance(found, DeviceArray):
         return found
-    # On a CPU, `numpy()` returns a view of the array, which the run continues to change.
+    # On a CPU, `numpy()` returns a view of the array. The run continues to change this array, so copy it.
     return found.numpy() if _is_on_gpu(found) else found.numpy().copy()
 
 

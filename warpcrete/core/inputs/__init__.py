@@ -1,4 +1,4 @@
-"""Reading and checking of what users give: parameters, amounts with units, limits, YAML, CSV and JSON files.
+"""Reading and checking of users' inputs: parameters, amounts with units, limits, YAML, CSV and JSON files.
 
 Modules here import only `core.errors` and each other. Start with `parameters`, which turns declared fields into options
 and checks their values.

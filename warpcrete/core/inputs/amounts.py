@@ -137,7 +137,7 @@ def _mixed(text: str) -> float:
 
 
 def _plain_digits(text: str) -> str:
-    """Return a text whose decimal digits of any script are replaced by 0 to 9."""
+    """Return a text in which decimal digits of all scripts, such as Arabic ones, are replaced by 0 to 9."""
     return "".join(str(unicodedata.decimal(each)) if each.isdecimal() else each for each in text)
 
 
@@ -207,7 +207,7 @@ def amount(field: str, value: object, unit: str) -> float:
 
 
 def _advice(text: str, unit: str) -> str:
-    """Return what may be wrong with a text that is not an amount in `unit`; empty if nothing is known."""
+    """Return a sentence on what may be wrong with a text that is not an amount in `unit`; it may be empty."""
     if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):

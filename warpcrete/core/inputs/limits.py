@@ -164,7 +164,7 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits that belong to a unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
-        return ""  # A wrong unit does not explain a number this small or large.
+        return ""  # A number this small or large does not result from a wrong unit, so suggest none.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
             return f"did you mean {value:g} {other}?"

@@ -150,7 +150,9 @@ def run_in_turn(
             if checkpoint is not None:
                 simulation.begin(checkpoint)
             run = simulation.run()
-            run.final_state = None  # The states of many runs would fill the memory, and these runs are not saved.
+            # Drop the final state: the states of many runs would fill the memory, and `save` is not called for these
+            # runs.
+            run.final_state = None
             outcomes.append(run)
         except (Exception, KeyboardInterrupt) as error:
             outcomes.append(error)

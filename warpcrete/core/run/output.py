@@ -32,13 +32,13 @@ _folder_at: Callable[[Path], RunOutput] | None = None
 
 
 def register_folders(folder_at: Callable[[Path], RunOutput]) -> None:
-    """Set the function that returns the output at a path, with all its settings at their defaults."""
+    """Set the function that makes the :class:`RunOutput` for a path, with default settings."""
     global _folder_at
     _folder_at = folder_at
 
 
 def output_of(out: str | Path | RunOutput) -> RunOutput:
-    """Return the output at a path, or `out` itself if it is an output."""
+    """Return the :class:`RunOutput` for the path `out`; if `out` is a :class:`RunOutput` already, return it."""
     if not isinstance(out, str | Path):
         if not hasattr(out, "recorders"):
             refuse("out", out, "must be the path of a new folder or a warpcrete.RunFolder")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 REDRAW_INTERVAL = 0.2
 """Shortest time between two updates of a bar [s]."""
 LINES_PER_PHASE = 10
-"""Number of lines that report a phase without a terminal, if the phase takes neither very short nor very long."""
+"""Number of lines that report a phase without a terminal, unless the phase takes a very short or very long time."""
 SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
 """Shortest and longest time between two lines without a terminal [s]."""
 
@@ -49,7 +49,8 @@ class ProgressBar:
             self.close()
             self._phase = phase
             self._start = self._shown = now
-            self._first = min(fraction, 1.0)  # A resumed run begins with what an earlier process has done.
+            # A resumed run does not begin at zero, but at the fraction that an earlier process has done.
+            self._first = min(fraction, 1.0)
             self._tenths = int(LINES_PER_PHASE * self._first + 1e-9)
         if self._as_lines:
             self._write_line(now, min(fraction, 1.0), figures)

@@ -34,7 +34,7 @@ from .run import FinalState, Run
 DEFAULT_CHECKPOINT_INTERVAL = 60.0
 """Wall time between two checkpoints of a run, unless the user sets it [s]."""
 MAX_KEPT_MEMORY = 2e9
-"""Device memory of a run up to which the run keeps its final state for `run.save` [B]."""
+"""Largest device memory of a run [B] for which the run keeps its final state for `run.save`."""
 Progress = Callable[[str, float, dict[str, float]], None]
 """Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`, and `compiling` between these
 if it takes a while), the fraction done and a few current figures."""

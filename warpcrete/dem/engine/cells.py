@@ -84,7 +84,8 @@ class Cells:
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
         sizes = high - low + 2  # Include an empty cell, which separates the blocks of two scenes.
-        # Place the blocks of all scenes side by side along the axis in which the longest block is shortest.
+        # Choose the axis along which the longest block is shortest, and place the blocks of all scenes side by side
+        # along it.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()

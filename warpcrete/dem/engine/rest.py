@@ -22,5 +22,5 @@ def bonds_after_rest(scene: Scene) -> Bonds | None:
 
 
 def has_layer(scene: Scene, law: type) -> bool:
-    """Return whether the scene rests and the contact `law` of its walls is that of a lubrication layer."""
+    """Return whether the scene contains a rest and the contact `law` of its walls has a lubrication layer."""
     return scene.rest is not None and issubclass(law, LubricationLayer)

@@ -86,7 +86,8 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest step in which no prescribed wall moves farther than `LEAP` times the smallest sphere radius [s]."""
+        """Longest step in which no wall with prescribed motion moves farther than `LEAP` times the smallest sphere
+        radius [s]."""
         self.join(*among, resumed=resumed)
 
     def join(

@@ -61,7 +61,7 @@ class Structure:
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Copy the gain and the wall travel at the rest from scene `index` of the batch of `other` to scene `s`."""
+        """Copy the gained yield stress and the wall travel at the rest from scene `index` of `other` to scene `s`."""
         self._set(s, other._gained[index], other._travel_at_rest[index])
 
     def _set(self, s: int, gained: float, begun: float) -> None:

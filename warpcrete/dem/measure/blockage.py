@@ -112,7 +112,7 @@ class BlockageWatch:
         self._checked_travel, self._places = travel, s
 
     def _widening(self, s: np.ndarray) -> np.ndarray | float:
-        """Return the area of the bore at arc lengths `s` [m] over that at the piston, by which an advance counts."""
+        """Return the area of the bore at arc lengths `s` [m] over that at the piston, a weight of advances."""
         return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:

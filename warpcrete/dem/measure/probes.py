@@ -210,7 +210,7 @@ def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> N
 
 
 def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
-    """Return the arrays into which contacts are measured.
+    """Return the arrays to which the measured values of contacts are written.
 
     The first has a row of values for each sphere, in order of permanent numbers. The second has a normal force for each
     entry of the neighbour list.

@@ -110,7 +110,7 @@ def measured(axis: Any, radius: float | Bores, stones: Stones) -> dict[str, floa
 
 
 def _volumes(radius: float | Bores, begin: float, middle: float, end: float) -> tuple[float, float, float]:
-    """Return the volumes of a pipe between `begin` and `end`, beyond `middle`, and before it [m3]."""
+    """Return three volumes of a pipe [m3]: from `begin` to `end`, from `middle` to `end`, from `begin` to `middle`."""
     if isinstance(radius, Bores):
         return radius.volume(begin, end), radius.volume(middle, end), radius.volume(begin, middle)
     whole = np.pi * radius**2 * (end - begin)

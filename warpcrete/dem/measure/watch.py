@@ -14,7 +14,8 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
 MAX_ROUNDING = (
-    1e-3  # limit of the rounding error of positions over the smallest radius; overlaps of 1 % then keep one exact digit
+    # Largest rounding error of positions, divided by the smallest radius; overlaps of 1 % then keep one exact digit.
+    1e-3
 )
 
 

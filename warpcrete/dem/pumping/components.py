@@ -192,7 +192,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
     across = radius / ball
-    count = layers * math.pi * across * across  # `across**2` could raise OverflowError; the product gives inf
+    # Multiply, because `across**2` could raise OverflowError, whereas a product becomes infinite.
+    count = layers * math.pi * across * across
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
                "increase 'plug_ball', or set 'plug' to plate or none")  # fmt: skip

@@ -46,7 +46,7 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the section `elements` of a concrete's file, and the parameters that it may have."""
+        """Return the name of the section `elements` of a concrete's file, and the parameters that it may contain."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 

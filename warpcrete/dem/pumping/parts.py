@@ -174,7 +174,7 @@ class Course:
 
 
 def course_of(given: PartElements) -> Course:
-    """Return the pipe of a scene: a straight stretch in which the piston moves, then a part of a line or a line.
+    """Return the pipe of a scene: a straight stretch in which the piston moves, then a part or a whole pump line.
 
     Raises :class:`SceneError` if parameters contradict each other.
     """
@@ -214,7 +214,7 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a line is not a straight pipe [m], or None for a straight line."""
+    """Return the arc lengths between which a pump line is not a straight pipe [m], or None if it is straight."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None

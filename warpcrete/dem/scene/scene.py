@@ -316,7 +316,7 @@ class Vessel:
     dimensions: Mapping[str, float]
     """Dimensions of the vessel by name [m], as the test lists them."""
     concrete: Concrete | None = None
-    """Bingham fluid that the contact law represents, for closed forms; None for other laws."""
+    """Bingham fluid that the contact law represents, for closed forms; None if it does not represent a fluid."""
 
     def __post_init__(self) -> None:
         between("opened", self.opened, 0, np.inf, "s")

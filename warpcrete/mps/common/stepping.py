@@ -29,7 +29,7 @@ LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps 
 GRAPHS_PER_CHECK = 4  # Number of launch graphs of the largest size between two reads of the control flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 VELOCITY_ERROR = 1e-6
-"""Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
+"""Tolerance of the viscosity solve, relative to the residual of velocities whose error equals the piston's speed."""
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
 """Ratio of the absolute to the relative tolerance of the pressure solve.
 

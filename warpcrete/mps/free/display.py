@@ -44,7 +44,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def _mirrored(self) -> list[tuple[float, float]]:
-        """Signs of x and y for each mirror image of a three-dimensional room, the original included."""
+        """Signs of x and y for each mirror image of a three-dimensional flow, the original included."""
         sides = self.simulation.scene.sides
         if not self._solid:
             return [(1.0, 1.0)]
@@ -78,7 +78,7 @@ class FreeDisplay(GridDisplay):
         x = self.read("particles.position").astype(float)[particles]
         if not self._solid:
             return np.insert(x, 1, 0.0, axis=1)
-        # Draw particles that have left the room at a place below it, out of sight.
+        # Particles that have left the simulated space are drawn at a place below it, where they are out of sight.
         gone = self.read("particles.mass")[particles] == 0
         x[gone] = [0.0, 0.0, -0.5]
         return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
@@ -167,7 +167,7 @@ class FreeDisplay(GridDisplay):
         return found
 
     def _cropped(self, points: Points) -> np.ndarray:
-        """Return the corners of a closed polygon, limited to the room [m]."""
+        """Return the corners of a closed polygon [m], clipped to the simulated space."""
         scene = self.simulation.scene
         corners = np.array([*points, points[0]])
         return np.clip(corners, [0.0, 0.0], [scene.width, scene.height])

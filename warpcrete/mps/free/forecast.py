@@ -65,7 +65,7 @@ def course_of(simulation: FreeSimulation) -> Course:
             return Course(scene.duration, mean, ["the yield stress may hold the concrete in the funnel"])
         return Course(min(DURATION_FACTOR * estimate, scene.duration), mean)
     if scene.depth:
-        # A coarser copy would not resolve the obstacles that the concrete must pass.
+        # Run no coarser copy, because it would not resolve the obstacles that the concrete must pass.
         remark = "the time until the concrete rests is not predicted; the longest allowed time is assumed"
         return Course(scene.duration, mean, [remark])
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)

@@ -99,7 +99,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 
 def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return the distance function and the number of each wall that stays."""
+    """Return the distance function and the number of each wall except the gate, which is lifted."""
     walls: list[tuple[Distance, int]] = [(polygon_distance(block), ROUGH) for block in scene.blocks]
     return walls + [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
 
@@ -111,7 +111,7 @@ def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
-    """Return, for each axis of the room, the kinds of its two sides: wall, mirror or open side."""
+    """Return, for each axis of the simulated space, the kinds of its two sides: wall, mirror or open side."""
     usual = {"left": MIRROR if scene.axial else WALL, "top": OPEN_SIDE} | dict(scene.sides)
     pairs = SIDES if axes == 3 else (SIDES[0], SIDES[2])
     return tuple((usual.get(lower, WALL), usual.get(upper, WALL)) for lower, upper in pairs)

@@ -29,7 +29,7 @@ UNITS = {
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return the horizontal positions of all vertical columns of cells [m], and the height of concrete in each [m].
 
-    In three dimensions the height is averaged over the depth of the room.
+    In three dimensions the height is averaged over the depth of the simulated space.
     """
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing

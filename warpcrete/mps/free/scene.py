@@ -21,7 +21,7 @@ from ..common.settings import STEP_ERROR, check_interval
 from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
-"""Names of the lower and upper sides of the room along each axis."""
+"""Names of the lower and upper sides of the simulated space along each axis."""
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
@@ -64,7 +64,7 @@ class FreeSettings(Declared):
 class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel: an axisymmetric, plane or three-dimensional flow with a free surface; SI units.
 
-    Each polygon is a section of a body that extends through the whole depth of the room.
+    Each polygon is a section of a body that extends through the whole depth of the simulated space.
     """
 
     name: str
@@ -74,15 +74,16 @@ class FreeScene(Parametrised, FreeSettings):
     axial: bool
     """True for an axisymmetric flow about x = 0. False for a flow in a plane (per metre of depth) or in space."""
     width: float
-    """Width of the simulated room, the box around the vessel [m]."""
+    """Width of the simulated space, which is a box around the vessel [m]."""
     height: float
-    """Height of the simulated room [m]."""
+    """Height of the simulated space [m]."""
     spacing: float
-    """Wanted width of the cells [m]; the simulation uses the nearest width of which the room's width is a multiple."""
+    """Wanted width of the cells [m]; the simulation uses the nearest width of which the width of the simulated space is
+    a multiple."""
     outline: Points
     """Polygon that the concrete fills at the start, except where there are walls."""
     depth: float = 0.0
-    """Depth of the room [m]; 0 for a flow in a plane or about an axis."""
+    """Depth of the simulated space [m]; 0 for a flow in a plane or about an axis."""
     blocks: tuple[Points, ...] = ()
     """Polygons that are walls."""
     walls: tuple[Wall, ...] = ()
@@ -90,7 +91,7 @@ class FreeScene(Parametrised, FreeSettings):
     amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Point [m] where concrete may be; it shows which side of each wall is open to concrete."""
     sides: Mapping[str, str] = field(default_factory=dict)
-    """Kind of each side of the room, by the names in SIDES.
+    """Kind of each side of the simulated space, by the names in SIDES.
 
     A side is a "wall", a "mirror" (plane of symmetry) or "open" (concrete that reaches it is gone). Sides that are not
     named are walls, with two exceptions: the top is open, and the left side of an axisymmetric flow is the axis.
@@ -194,7 +195,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def extent(self) -> np.ndarray:
-        """Lowest and highest corner of the concrete's `outline` at the start, cut off at the room, shape (2, 2) [m]."""
+        """Lowest and highest corner of the concrete at the start, clipped to the simulated space, shape (2, 2) [m]."""
         corners = np.clip(np.array(self.outline, dtype=float), 0.0, [self.width, self.height])
         return np.stack([corners.min(0), corners.max(0)])
 

@@ -13,7 +13,7 @@ from ...core.drawing.surfaces import Cut, Level, Surface, revolved, smoothed, su
 from .layout import GridLayout
 
 HALF_CELL = 0.5
-"""Largest magnitude of the level of the concrete, in cells."""
+"""Largest magnitude of the level-set function that describes the surface of the concrete, in cell widths."""
 FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
 """Name of the field that each colouring shows."""
 
@@ -34,7 +34,7 @@ class GridDisplay(Display):
 
     @property
     def palette(self) -> str:
-        """Name of the colour map: grey concrete that is not sheared, darker where it is; viridis for other fields."""
+        """Name of the colour map: for shear rates `concrete`, from grey to darker colours; viridis for other fields."""
         return "concrete" if self.colouring == "shear" else "viridis"
 
     @property
@@ -90,7 +90,7 @@ class GridDisplay(Display):
         return None if self.cut is None else Cut(np.array([0.0, 1.0, 0.0]), self.cut)
 
     def _level(self) -> Level:
-        """Return the level of the concrete at the middles of the cells, with its fields, mirror images included."""
+        """Return the level-set function of the concrete at the middles of the cells, with mirror images and fields."""
         layout = self._layout
         places = tuple(
             layout.room.origin[k] + (np.arange(n) + 0.5) * layout.room.width[k] for k, n in enumerate(layout.cells)

@@ -156,7 +156,8 @@ class GridFlow(Stepping):
 
     @property
     def _largest_graph(self) -> int:
-        # A step of a flow on a grid takes long, so core contention is checked often even with several threads.
+        # Check often whether other programs use the cores of the threads, because a step of a flow on a grid takes
+        # long.
         return LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
 
     @property

@@ -90,7 +90,7 @@ class Room:
 
 
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
-    """Return the geometry of a room with walls: which fractions of its cells, faces and edges are open.
+    """Return the geometry of a box with walls: which fractions of its cells, faces and edges are open.
 
     `walls` are pairs of a distance function and a wall number. Sides of the room that are walls have the number PLATE.
     If `axial`, the room is a section through the axis of symmetry, and volumes are weighted by the radius.
@@ -98,8 +98,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    # Leave the sides of the room out of the distances at the corners; they coincide with sides of cells. If the
-    # distances included them, interpolation would round off every wall that meets a side of the room at an angle.
+    # Leave the sides of the box out of the distances at the corners, because these sides coincide with sides of cells.
+    # If the distances included them, interpolation would round off every wall that meets a side of the box at an angle.
     corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
@@ -120,14 +120,14 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         share = _positive_fraction(_corner_values(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
-        # Only a wall perpendicular to the axis prescribes the velocity across a closed face. Near an inclined wall
-        # this velocity is not prescribed.
+        # A wall prescribes the velocity across a closed face only if the wall is parallel to the face. Near an inclined
+        # wall this velocity is an unknown.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
-        # A side of the room also prescribes this velocity inside other walls. Left unknown there, the velocities of the
-        # faces along an edge between two walls would hardly be determined, and solves would converge slowly.
+        # A side of the box prescribes the velocity across its faces even inside other walls. If these velocities were
+        # unknowns, they would hardly be determined along an edge between two walls, and solves would converge slowly.
         for side, at in zip(room.sides[axis], (1, depth.shape[axis] - 1), strict=True):
             if side == WALL:
                 on_side = closed & (index[axis] == at)

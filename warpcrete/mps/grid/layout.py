@@ -45,7 +45,7 @@ class GridLayout:
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
-    """True if concrete fills the room at all times, so that even a room that is not periodic has no free surface."""
+    """True if concrete fills the grid at all times, so that even a flow that is not periodic has no free surface."""
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
     slips: bool = True

@@ -60,7 +60,7 @@ class Frame:
 
 
 def part_room(scene: PartScene) -> Room:
-    """Return the box of cells around the part."""
+    """Return the box of cells around the simulated part of the pump line."""
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest

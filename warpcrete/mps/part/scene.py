@@ -163,7 +163,7 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
-            # These lengths are differences of arc lengths. The comparison therefore allows for their rounding errors.
+            # Allow for rounding errors in the comparison, because both lengths are differences of arc lengths.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
@@ -326,7 +326,7 @@ class PartScene(Parametrised, PartSettings):
         return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
 
     def _friction(self, begin: float, end: float) -> float:
-        """Return the frictional loss between two arc lengths [Pa]; the bore must be linear there or that of a mesh."""
+        """Return the frictional loss between two arc lengths [Pa]; the bore there must be conical or that of a mesh."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:
