@@ -155,10 +155,8 @@ def test_batches_and_turns_fit_the_memory(room):
     assert batch_run._split_by_memory(on_cpu, {}, [0, 1]) == [([0, 1], 100)]
     assert batch_run._split_by_memory(room((4, 6), False, threads=2), {}, [1, 0]) == [([1], 0.0), ([0], 0.0)]
     assert batch_run._streams(here, [([0], 40.0), ([1], 60.0), ([2], 1.0)]) == [-1, 0, -1]
-    assert (
-        batch_run._streams(here, [([0], 40.0)]) == [None]
+    assert batch_run._streams(here, [([0], 40.0)]) == [None]
     assert batch_run._streams(on_cpu, [([0], 4.0)] * 2) == [None] * 2
-    )
 
 
 def test_batches_of_one_turn_share_the_blocks_of_sub_cycling():
