@@ -14,10 +14,13 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from warpcrete import scenes
 from warpcrete.core.device.device import default_threads, find_device
+from warpcrete.core.drawing.style import MEASURED, RUN, SECOND, SERIES, THEORY, legend_beside, rgb
 from warpcrete.core.run.run_loop import Run
 from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.simulation import FluidSimulation
@@ -100,19 +103,23 @@ class Studies:
             f"{100 * runs[0]['slip_velocity_theory']['value']:.2f} cm/s. Observed order of the slip velocity, 20 to 10 "
             f"and 10 to 5 mm: {', '.join(f'{x:.1f}' for x in orders)}.",
         )  # fmt: skip
-        figure = Figure(figsize=(7, 3.4), layout="constrained")
+        figure = Figure(figsize=(9, 3.4), layout="constrained")
         left, right = figure.subplots(1, 2)
         mm = 1e3 * np.array(spacings)
-        left.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", label="ours")
-        left.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color="0.4", linestyle=":", label="theory")
-        left.axhline(9.40, color="k", linestyle="--", linewidth=0.8, label="printed theory (Xu et al.)")
+        left.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", color=rgb(RUN), label="this program")
+        left.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color=rgb(THEORY), linestyle=":", label="theory")
+        left.axhline(9.40, color=rgb(MEASURED), linestyle="--", linewidth=0.8, label="printed theory\n(Xu et al.)")
         left.set(xlabel="spacing [mm]", ylabel="pressure [kPa]", ylim=(9.2, 9.6))
-        left.legend(frameon=False, fontsize=8)
-        right.loglog(mm, [100 * abs(r["slip_velocity_error"]) for r in runs], "o-", label="slip velocity")
-        right.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", label="profile, rms")
-        right.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color="0.5", label="second order")
-        right.set(xlabel="spacing [mm]", ylabel="error [%]")
-        right.legend(frameon=False, fontsize=8)
+        legend_beside(left)
+        right.loglog(
+            mm, [100 * abs(r["slip_velocity_error"]) for r in runs], "o-", color=rgb(RUN), label="slip velocity"
+        )
+        right.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", color=rgb(SECOND), label="profile, rms")
+        right.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color=rgb(THEORY), label="second order")
+        right.set(xlabel="spacing [mm]", ylabel="error [%]", xticks=(2, 5, 10, 20), xticklabels=("2", "5", "10", "20"))
+        right.minorticks_off()
+        legend_beside(right)
+        figure.suptitle("channel, 100 mm wide, concrete no1, 0.191 m/s", fontsize=10)
         self.save("resolution", figure)
 
     def thickness(self) -> None:
@@ -167,13 +174,13 @@ class Studies:
                 rows.append(cells)
             smooth = np.linspace(FLOWS[0], FLOWS[-1], 50)
             line = [theory.steady(theory.CONCRETES[mix], theory.Line(), q, "plane").pressure / 1e3 for q in smooth]
-            axes.plot(1e6 * smooth, line, ":", color="0.4", label="theory, channel")
+            axes.plot(1e6 * smooth, line, ":", color=rgb(THEORY), label="theory, channel")
             cubic = 1e6 * np.array(FLOWS)
-            axes.plot(cubic, found[False], "o", markersize=5, label="one phase")
-            axes.plot(cubic, found[True], "x", markersize=6, label="two phases")
-            axes.set(xlabel="flow [cm3/s]", title=mix)
-        figure.axes[0].set_ylabel("pressure [kPa]")
-        figure.axes[0].legend(frameon=False, fontsize=8)
+            axes.plot(cubic, found[False], "o", color=rgb(RUN), markersize=5, label="one phase")
+            axes.plot(cubic, found[True], "x", color=rgb(SECOND), markersize=6, label="two phases")
+            axes.set(xlabel="flow [cm3/s]", title=f"concrete {mix}")
+        figure.axes[0].set_ylabel("pressure on the piston [kPa]")
+        legend_beside(figure.axes[-1])
         self.save("flow", figure)
         self.write(
             "flow",
@@ -184,7 +191,7 @@ class Studies:
 
     def fields(self) -> None:
         """Figs. 14, 15 and 18: pressure and velocity of all particles, profiles at three heights."""
-        figure = Figure(figsize=(10, 4.4), layout="constrained")
+        figure = Figure(figsize=(12, 4.4), layout="constrained")
         shown = figure.subplots(1, 5, width_ratios=[0.6, 0.6, 0.6, 0.6, 2])
         rows = []
         for k, two in enumerate((False, True)):
@@ -196,9 +203,16 @@ class Studies:
             for m, colouring in enumerate(("pressure", "phase" if two else "speed")):
                 axes = shown[2 * k + m]
                 axes.scatter(100 * place[:, 0], 100 * place[:, 2], s=1.6, c=display[colouring].colours() / 255, lw=0)
-                axes.set(aspect="equal", title=f"{words},\nby {colouring}", xlim=(-5.2, 5.2), ylim=(-0.5, 31.5))
+                axes.set(aspect="equal", title=f"{words},\nby {colouring}", xlim=(-5.2, 5.2), ylim=(-0.5, 31.5),
+                         xlabel="[cm]", ylabel="height [cm]" if not (k or m) else "")  # fmt: skip
                 axes.title.set_fontsize(8)
-            for part, colour in zip(r["profiles"], ("C0", "C1", "C2")):
+                if (scale := display[colouring].scale()) is not None:
+                    label, lower, upper = scale
+                    bar = figure.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, pad=0.02,
+                                          orientation="horizontal", location="bottom", aspect=10)  # fmt: skip
+                    bar.set_label(label, fontsize=8)
+                    bar.ax.tick_params(labelsize=7)
+            for part, colour in zip(r["profiles"], map(rgb, SERIES)):
                 shown[4].plot(
                     100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]),
                     "x" if two else "o", color=colour, markersize=4,
@@ -218,9 +232,9 @@ class Studies:
         radius = np.linspace(0, 0.05, 200)
         state = theory.steady(theory.CONCRETES["no1"], theory.Line(), 1500e-6, "plane")
         curve = 100 * theory.velocity(theory.CONCRETES["no1"], theory.Line(), state, radius)
-        shown[4].plot(100 * radius, curve, ":", color="0.3", label="theory")
+        shown[4].plot(100 * radius, curve, ":", color=rgb(THEORY), label="theory")
         shown[4].set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
-        shown[4].legend(frameon=False, fontsize=7)
+        legend_beside(shown[4])
         self.save("fields", figure)
         self.write(
             "fields",
@@ -252,7 +266,7 @@ class Studies:
 
     def migration(self) -> None:
         """Fig. 21: fraction of aggregate inside and outside, in front and behind, over time; means of several mixes."""
-        figure = Figure(figsize=(8.5, 3.4), layout="constrained")
+        figure = Figure(figsize=(10, 3.4), layout="constrained")
         left, right = figure.subplots(1, 2)
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
@@ -269,8 +283,9 @@ class Studies:
             for axes, names in ((left, ("inner", "outer")), (right, ("front", "rear"))):
                 for name, line in zip(names, ("-", "--")):
                     mean, error = parts[name].mean(0), _standard_error(parts[name])
-                    axes.plot(time, mean, f"C{number}{line}", label=f"{mix}, {name}")
-                    axes.fill_between(time, mean - error, mean + error, color=f"C{number}", alpha=0.15, lw=0)
+                    colour = rgb(SERIES[number])
+                    axes.plot(time, mean, line, color=colour, label=f"{mix}, {name}")
+                    axes.fill_between(time, mean - error, mean + error, color=colour, alpha=0.15, lw=0)
             for at in (0.4 * time[-1], 0.8 * time[-1], time[-1]):
                 k = int(np.argmin(np.abs(time - at)))
                 window = slice(max(k - 5, 0), k + 1)  # single grains that cross a border are noise
@@ -283,8 +298,8 @@ class Studies:
         np.savez_compressed(self.folder / "migration.npz", time=time, **changes)
         for axes in (left, right):
             axes.axhline(0, color="0.7", linewidth=0.6)
-            axes.set(xlabel="time [s]", ylabel="change of the fraction of aggregate [points]")
-            axes.legend(frameon=False, fontsize=7)
+            axes.set(xlabel="time [s]", ylabel="fraction of aggregate,\nchange [percentage points]")
+            legend_beside(axes)
         self.save("migration", figure)
         self.write(
             "migration",

@@ -32,9 +32,9 @@ NEAR_END = 0.05
 AT_THE_END = 0.02
 """Distance from the far end [m] at which concrete counts as having reached it, so that its wall holds it back."""
 THICK = 2.5
-"""Thickness of the gate of the flow, in cells."""
+"""Thickness of the gate, in cells of the flow's grid."""
 ABOVE = 3
-"""Height of the flow's room above the box, in cells."""
+"""Height of the simulated space above the box, in cells of the flow's grid."""
 VOLUME = 0.06
 """Largest accepted error of the concrete's volume below the free surface, as a fraction of the volume. With cells of 20
 mm, measured errors reach 0.040."""
@@ -102,19 +102,19 @@ class LongBox:
     lift_time: Annotated[float, "Duration of lifting the gate by the height of the box [s]", Above()] = 5.0
 
     def check_length(self) -> None:
-        """Refuse a box in which the concrete cannot spread."""
+        """Refuse a box that is too short for the concrete to spread."""
         if self.length < self.column_length + 0.1:
             refuse("length", self.length, "must exceed the length of the concrete at the start, "
                                           f"{self.column_length:g} m, by at least 0.1 m",
                    f"use {self.column_length + 0.3:g} m or more")  # fmt: skip
 
 
-# Flow.
+# The following definitions are those of the scene that simulates the box as a flow.
 
 
 @dataclass(frozen=True, kw_only=True)
 class LongBoxFlow(LongBox, FreeConcrete):
-    """Walls, cells and time steps."""
+    """Parameters of the LCPC box as a flow: dimensions, concrete, friction of the walls, cells and time steps."""
 
     surfaces: Annotated[str, "Condition on all walls: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
@@ -176,12 +176,12 @@ def _knobs(given: LongBoxFlow) -> Iterator[Knob]:
 trading = Trading(_knobs, quantities=("spread_length", "h0"))
 
 
-# Discrete elements.
+# The following definitions are those of the scene that simulates the box by discrete elements.
 
 
 @dataclass(frozen=True, kw_only=True)
 class LongBoxElements(LongBox, VesselParameters):
-    """Grains in the box."""
+    """Parameters of the LCPC box by discrete elements: dimensions, grains, contact law and run."""
 
 
 @scene_function(LongBoxElements)

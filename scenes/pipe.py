@@ -172,7 +172,7 @@ trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
 
 
 def _past_plug(run: Run) -> tuple[int, int] | None:
-    """Return how many aggregates slipped past the plug, and the total number; return None without a plug of balls."""
+    """Return how many aggregates slipped past the plug, and the total number; None if the plug is not made of balls."""
     bodies, axis = run.bodies, run.scene.pipe.axis  # type: ignore[attr-defined]
     plug = np.array([group == "plug" for group in bodies.group], bool)
     if not plug.any():

@@ -18,7 +18,9 @@ __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
-    SUSPENSIONS,  # Its scenes are free-surface flows with aggregates, so it precedes the free-surface flows.
+    # Suspensions come before free-surface flows, because the type of their scenes is derived from that of free-surface
+    # flows.
+    SUSPENSIONS,
     FREE_FLOWS,
     PARTS_OF_LINES,
 )

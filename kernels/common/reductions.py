@@ -18,7 +18,7 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
-        """Store a block's sum of `own` in `partial[first + block]`; all threads of the block must call it."""
+        """Store the sum of `own` over a block in `partial[first + block]`; all its threads must call this function."""
         whole = wp.tile_sum(wp.tile(own))
         sum = whole[0]
         if thread % width == 0:
@@ -41,7 +41,7 @@ keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 @functools.cache
 def serial_scale(scalar):
-    """Build the CPU kernel (one task) that computes the factor by which `weight` is multiplied to sum to `wanted`."""
+    """Build the CPU kernel (one task) for the factor on all weights that makes their sum equal to `wanted`."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def scale_alone(

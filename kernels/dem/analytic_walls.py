@@ -78,8 +78,9 @@ def warp_force_function(scalar):
     """Return the function `add_together`, which adds the wall forces of all threads of a warp with few atomics.
 
     Many spheres touch the same wall. One atomic addition per sphere would take most of the time of a small step. The
-    threads of a warp therefore first sum their forces, over all threads that are `lanes` apart. Then one thread adds
-    the sum to the wall.
+    threads of a warp therefore first sum their forces, and then one thread adds the sum to the wall. If `lanes`
+    adjacent threads share a sphere, each of them takes part in the sums for other walls. Only threads whose numbers
+    differ by a multiple of `lanes` sum their forces with each other.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)

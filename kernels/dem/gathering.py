@@ -74,7 +74,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # The next argument receives the result.
+        # The next argument receives the sums of stiffness and damping.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)
@@ -127,7 +127,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 add_wall_stiffness(estimate, part, w, k)
-        if wp.static(half):  # Add the stiffness and damping of the pairs that are listed at the other sphere.
+        # Add the stiffness and damping of pairs that a half list contains at the other sphere only.
+        if wp.static(half):
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]
             sums.k_turn = sums.k_turn + estimate.sums[i, 2]

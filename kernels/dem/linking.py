@@ -139,7 +139,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 if wp.static(bonds):
                     remembers = remembers or pairs.bond[row + k] != 0
                     if pairs.bond[row + k] > 0:
-                        # Both list entries of a pair share one row of `pairs.load`.
+                        # Both list entries of a pair share one row of `pairs.load`, which stores the force and the
+                        # moment of its bond.
                         pairs.bond[row + twin] = pairs.bond[row + k]
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
                 links.state[p] = wp.where(remembers, TOUCHING, APART)

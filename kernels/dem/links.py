@@ -151,7 +151,8 @@ def result_functions(scalar, count: int):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        # The remaining list entries have no bits that mark touching pairs, so the results of all of them are added.
+        # The list entries after the first MASKED_ENTRIES have no bits that mark touching pairs, so add the results of
+        # all of them.
         for entry in range(begin + MASKED_ENTRIES, end):
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
@@ -234,7 +235,8 @@ def contact_update_function(
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                # The sub-cycling rounds, not this kernel, compute the forces of a pair with a stiff bond.
+                # The forces of a pair with a stiff bond are computed by the sub-cycling rounds, so this kernel skips
+                # the pair.
                 held_apart = kind == HYDRATED
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)

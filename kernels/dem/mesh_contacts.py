@@ -296,7 +296,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3), wall_moved: wp.array(dtype=wp.float64),
-        # Outputs, which this kernel also reads.
+        # The next arguments are arrays that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),

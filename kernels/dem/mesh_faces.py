@@ -137,7 +137,8 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
             scenes: Scenes,
             spheres: Spheres,
             walls: Walls,
-            # The next arguments are arrays that this kernel writes: each sphere's candidate count, or the candidates.
+            # The next arguments are arrays that this kernel writes. The first variant of the kernel writes the number
+            # of candidate faces of each sphere, and the second variant writes the candidates.
             count: wp.array(dtype=wp.int32),
             candidates: Candidates,
         ):
@@ -153,7 +154,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
             for w in range(first_wall + scenes.row[s].analytic, first_wall + scenes.row[s].wall_count):
                 local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
                 centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
-                # The mesh's tree is in single precision; the margin covers its rounding.
+                # The search tree of the mesh is in single precision, so add a margin for its rounding errors.
                 margin = wp.float32(reach) + wp.float32(1.0e-6) * wp.length(centre)
                 box = wp.vec3(margin, margin, margin)
                 query = wp.mesh_query_aabb(walls.table[w].mesh, centre - box, centre + box)

@@ -111,7 +111,10 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def damped(total: t.vec3, velocity: t.vec3, damping: scalar, kick: scalar):
-        """Return the force (or moment) after local damping, which opposes velocity components, and the energy loss."""
+        """Return a force (or moment) with local damping, and the energy that the damping dissipates.
+
+        Local damping adds to each component a fraction `damping` of its magnitude, against the velocity.
+        """
         lost = wp.float64(0.0)
         if damping > scalar(0.0):
             for c in range(3):

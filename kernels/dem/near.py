@@ -58,9 +58,9 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
 def near_kernels(scalar) -> SimpleNamespace:
     """Return the kernels that select near links, which are listed pairs of spheres that may touch within a few steps.
 
-    The kernel `record_positions` runs first and stores the current positions of the spheres. It needs a thread for each
-    sphere and for each scene, and at least two threads. The kernel `choose_near` follows. It runs with one thread per
-    listed pair, in whole blocks.
+    The kernel `record_positions` runs first and stores the current positions of the spheres. It must be launched with
+    at least two threads, and with no fewer threads than there are spheres or scenes. The kernel `choose_near` follows.
+    It runs with one thread per listed pair, in whole blocks.
     """
     structs = array_structs(scalar)
     Scenes, Spheres = structs.Scenes, structs.Spheres

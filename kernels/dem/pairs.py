@@ -128,7 +128,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
         lost = wp.float64(0.0)
         if wp.static(history):
             if wp.static(dissipation):
-                # A spring that is still loaded when the surfaces separate loses its elastic energy.
+                # When the surfaces separate, the energy of a spring that is still loaded is lost.
                 entry = pairs.other[k]
                 j = base + decode(entry)
                 counts = entry >= 0 or (j >= first and j < last)

@@ -13,7 +13,7 @@ from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
-# Columns of the values that are summed over the contacts of each sphere.
+# The next constants are the columns of values that are summed over the contacts of each sphere.
 CONTACTS: int = wp.constant(0)  # number of pairs in contact
 OVERLAP_SUM: int = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.
@@ -31,9 +31,10 @@ BROKEN_TENSION: int = wp.constant(9)  # number of bonds broken in tension since 
 BROKEN_SHEAR: int = wp.constant(10)  # number of bonds broken in shear since the start
 CONTACT_COLUMNS: int = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
-CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # Columns of which the maximum is computed instead of the sum.
+# Columns in which the largest value is computed instead of the sum.
+CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))
 
-# Columns of the sums over bodies.
+# The next constants are the columns of values that are summed over the bodies.
 KINETIC: int = wp.constant(0)  # kinetic energy at the middle of the last step [J]
 # potential energy of gravity, relative to the origin, at the middle of the last step [J]
 POTENTIAL: int = wp.constant(1)
@@ -45,7 +46,7 @@ REACH: int = wp.constant(12)  # largest absolute coordinate of any body [m]
 BODY_COLUMNS: int = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
 
-# Columns of the values that are read from each wall.
+# The next constants are the columns of values that are read from each wall.
 IMPULSE: int = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
 FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m] of the contacts on the wall
 TURN: int = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame

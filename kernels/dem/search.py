@@ -117,7 +117,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.func
     def padded_reach(reach: scalar, middle: t.vec3) -> scalar:
-        """Return `reach`, enlarged by the rounding errors of the shifted positions of the query and its neighbours."""
+        """Return `reach` enlarged by a margin, because rounding errors of positions could hide a neighbour."""
         return reach + scalar(wp.static(rounding)) * wp.max(wp.abs(middle))
 
     @wp.func

@@ -110,7 +110,7 @@ def recording_functions(scalar):
 
     @wp.func
     def add_wall_stiffness(estimate: Estimate, part: wp.int32, w: wp.int32, k: t.vec4):
-        # Integers give the same sum in any order.
+        # Add integers, because their sum does not depend on the order in which threads add them.
         wp.atomic_add(estimate.wall_load, part, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
         wp.atomic_add(estimate.wall_load, part, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
 

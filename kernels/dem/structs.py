@@ -28,7 +28,7 @@ STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safe
 # Number of columns of the array `clock`, whose rows belong to scenes.
 CLOCK = 8
 
-# States of a link, in `links.state`.
+# The next constants are values of `links.state`. A link is a listed pair of spheres whose contact a GPU evaluates.
 APART: int = wp.constant(0)  # the spheres do not touch
 # TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
 # from the old list.

@@ -68,7 +68,8 @@ def motion_functions(scalar, strokes: bool):
             after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
             walls.orientation[w] = t.quat(q)
             walls.normal[w] = wp.quat_rotate(t.quat(q), wall.normal)
-        after += gone * wall.velocity  # The pivot moves with the wall's velocity.
+        # Translate the rotated wall, because the pivot itself moves with the wall's velocity.
+        after += gone * wall.velocity
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
             rate = (gone - distance_at(wall, now - dt)) / dt

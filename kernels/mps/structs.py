@@ -104,7 +104,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         all_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
         inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
         wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
-        wall_scale: wp.array(dtype=wp.float64)  # True wall area over the sum from `wall_weight`, shape (1,).
+        wall_scale: wp.array(dtype=wp.float64)  # Factor on `wall_weight` that gives the true wall area, shape (1,).
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
         compliance: wp.array(dtype=scalar)  # Particle velocity relative to the wall, per wall stress [m/s/Pa].
         predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).

@@ -264,24 +264,23 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
         b = wp.tid()
         count = wp.int32(0)
         low, high = f.box(g, bodies, b)
-        for k in range(low[2], high[2] + 1):
-            for j in range(low[1], high[1] + 1):
-                for i in range(low[0], high[0] + 1):
-                    number = places.at(g, whole(i, j, k))
-                    for axis in range(3):
-                        r = number + axis * g.slots
+        # The faces of an axis follow one another, in the order in which they are stored.
+        for axis in range(3):
+            for k in range(low[2], high[2] + 1):
+                for j in range(low[1], high[1] + 1):
+                    for i in range(low[0], high[0] + 1):
+                        r = places.at(g, whole(i, j, k)) + axis * g.slots
                         if cover.owner[r] == b + 1:
                             cover.faces[cover.first[b] + count] = r
                             cover.part[cover.first[b] + count] = scalar(1.0)
                             cover.lever[cover.first[b] + count] = f.lever(g, bodies, b, r)
                             count += 1
         cover.count[b] = count
-        for k in range(low[2], high[2] + 1):
-            for j in range(low[1], high[1] + 1):
-                for i in range(low[0], high[0] + 1):
-                    number = places.at(g, whole(i, j, k))
-                    for axis in range(3):
-                        r = number + axis * g.slots
+        for axis in range(3):
+            for k in range(low[2], high[2] + 1):
+                for j in range(low[1], high[1] + 1):
+                    for i in range(low[0], high[0] + 1):
+                        r = places.at(g, whole(i, j, k)) + axis * g.slots
                         # A face that two aggregates cover partly belongs to neither of them.
                         if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
                             cover.faces[cover.first[b] + count] = r

@@ -14,12 +14,11 @@ from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device, parallel
-from warpcrete.core.device.launching import Stage, bound, graph_sizes, load, tasks_of
+from warpcrete.core.device.launching import Stage, bound, load
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.run.run_loop import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine.batch import Batch
-from warpcrete.dem.engine.launch_planner import LaunchPlanner
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.stable_step import StableStep
 from warpcrete.dem.engine.stages import step_stages as element_stages
@@ -28,11 +27,9 @@ from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.measure.probes import contact_sums
 from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import TimeStep
-from warpcrete.kernels.common.control import ESTIMATED, FAILED, FLAGS, GOAL, HALTED, STALE, STEPS
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
-from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
 from warpcrete.kernels.dem.subcycling import prediction_kernel, rounds_kernel
 from warpcrete.kernels.dem.surfaces import surface_kernel
 from warpcrete.kernels.dem.warps import WARP
@@ -54,75 +51,6 @@ SMALL = dict(
 def like_a_gpu():
     with divide_work_like_gpu():
         yield
-
-
-def test_sizes_of_launches_in_one_dimension_and_several():
-    for dim, tasks in ((7, 7), ((3, 256), 768), ((0, 256), 0), ((2, 3, 4), 24)):
-        assert tasks_of(dim) == tasks
-
-
-@pytest.mark.parametrize(
-    ("device", "given", "steps"),
-    [
-        ("gpu", {}, [18, 20, 14]),  # until lists are expected to be stale, the estimate two steps old
-        ("gpu", {"goal": 5}, [5]),
-        ("gpu", {"time": 0.9985}, [2]),
-        ("gpu", {"time": 0.9999999999}, [1]),
-        ("gpu", {"dt": 0.0, "goal": 7}, [7]),
-        ("gpu", {"halted": 1}, []),
-        ("cpu", {}, [18]),
-        ("cpu", {"goal": 5}, [5]),
-    ],
-)
-def test_steps_ahead_end_where_the_scene_must_be_looked_after(device, given, steps):
-    flags, clock = np.zeros((1, FLAGS), dtype=np.int32), np.zeros((1, CLOCK))
-    flags[0, [int(STEPS), int(ESTIMATED)]] = 12, 10
-    flags[0, int(GOAL)] = 12 + given.get("goal", 1000)
-    flags[0, int(HALTED)] = given.get("halted", 0)
-    clock[0, [int(TIME), int(DT)]] = given.get("time", 0.0), given.get("dt", 1e-3)
-    rows = np.array([(1.0, 20)], dtype=[("until", float), ("interval", int)])
-    assert LaunchPlanner(device == "gpu", 1).launch_sizes(flags, clock, rows) == steps
-
-
-def two_scenes(steps, estimated, goal=1000):
-    flags, clock = np.zeros((2, FLAGS), dtype=np.int32), np.zeros((2, CLOCK))
-    flags[:, int(STEPS)], flags[:, int(ESTIMATED)], flags[:, int(GOAL)] = steps, estimated, goal
-    clock[:, int(DT)] = 1e-3
-    rows = np.array([(np.inf, 20, 4000)] * 2, dtype=[("until", float), ("interval", int), ("sort_every", int)])
-    return flags, clock, rows
-
-
-def test_scenes_of_a_batch_come_to_their_estimates_together():
-    """From one to the next in one piece; who had to wait waits for it; no piece begins that lists will not last for."""
-    planner = LaunchPlanner(True, 2)
-    assert planner.launch_sizes(*two_scenes((20, 20), (20, 20))) == [20, 20]
-    assert planner.launch_sizes(*two_scenes((40, 33), (40, 20))) == [20, 20]
-    assert planner.launch_sizes(*two_scenes((33, 32), (20, 20))) == [8, 20]
-    assert planner.launch_sizes(*two_scenes((20, 20), (20, 20), goal=45)) == [20, 5]
-    flags, _, rows = two_scenes((60, 60), (60, 60))
-    flags[0, int(STALE)] = 1
-    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [
-        0
-    ]  # nothing is known of the other's
-    planner.note_rebuilt(flags)
-    assert planner.launch_sizes(*two_scenes((80, 80), (80, 80))) == [20]  # 37 more steps
-    flags, _, rows = two_scenes((118, 118), (118, 118))
-    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [
-        0
-    ]  # 58 steps, and it took 57 to be stale
-    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [1]).tolist() == []  # who has ended wants none
-    flags[1, int(STALE)] = 1
-    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [0, 1]
-    flags[0, int(FAILED)] = 1
-    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [1]
-
-
-@pytest.mark.parametrize("largest", [1, 16, 64])
-def test_graphs_add_up_to_the_steps_wanted(largest):
-    for count in (0, 1, 2, 3, 15, 16, 17, 31, 63, 64, 100, 1000):
-        sizes = graph_sizes(count, largest)
-        assert sum(sizes) == count and all(0 < size <= largest and size & (size - 1) == 0 for size in sizes)
-        assert sizes == sorted(sizes, reverse=True) and len(sizes) <= count // largest + largest.bit_length()
 
 
 def test_arguments_are_bound_by_name():

@@ -16,13 +16,13 @@ DEVICES = ("cpu", "cuda")
 
 
 def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[CompletionItem]:
-    """Return those of the `known` names that begin with `incomplete`; with `files`, the shell adds paths of files."""
+    """Return the `known` names that begin with `incomplete`; with `files`, the shell also offers paths of files."""
     found = [CompletionItem(name) for name in known if name.startswith(incomplete)]
     return [*found, CompletionItem(incomplete, type="file")] if files else found
 
 
 def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
-    """Return a number, as far as it is typed, with each unit in which an amount in `unit` may be given."""
+    """Return the typed number followed by each unit that the user may state instead of `unit`."""
     typed = NUMBER.fullmatch(incomplete)
     if typed is None:
         return []

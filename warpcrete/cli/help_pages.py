@@ -10,7 +10,7 @@ import click
 
 HELP_OPTIONS = {"--help", "--help-all"}
 FULL_HELP = "warpcrete.full_help"
-"""Key under which a context notes that its help shows all options."""
+"""Key in the data of a Click context that is set to True if its help page must show all options."""
 
 
 class ParameterOption(click.Option):
@@ -29,7 +29,8 @@ class GroupedCommand(click.Command):
     common: ClassVar[tuple[str, ...]] = (
         "out", "device", "live", "colour", "accuracy", "resume", "quiet",
     )  # fmt: skip
-    """Names of the command's own options, beside those of parameters, that the short help shows."""
+    """Names of those options of the command itself that the short help shows, in addition to options of common
+    parameters."""
     title = "Recording and running."
     """Title of the section with the command's own options."""
 

@@ -25,7 +25,7 @@ DENSITY = 2350.0
 FINEST = 4e-3
 """Diameter of the smallest coarse aggregate [m] that is assumed if the user states only the largest stone."""
 SHAPE = ("diameter", "length", "rise")
-"""Options that describe a straight line, so that no file of a line is necessary."""
+"""Options that describe a straight pump line, so that the user needs no file of a line."""
 EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
 
 

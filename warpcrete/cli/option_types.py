@@ -9,9 +9,10 @@ from .scene_commands import load
 
 
 class Completed(click.ParamType):
-    """Type of a text whose values the function `by` of the module `completion` lists for the shell.
+    """Type of a text option whose value the shell completes.
 
-    The function's arguments are those of `first` and the text that is typed so far.
+    The function `by` of the module `completion` returns the possible values. Its arguments are those in `first`,
+    followed by the text that is typed so far.
     """
 
     name = "text"

@@ -103,7 +103,7 @@ def quantity_of(value: Any, field: Field, called: str) -> float:
 
 
 class Word(click.ParamType):
-    """Option type of a text whose usual values, and paths of files if it may be one, are completed by the shell."""
+    """Option type of a text; the shell completes its usual values, and paths of files if it may be a path."""
 
     name = "text"
 

@@ -65,7 +65,7 @@ def run(
     """Run a scene into a new folder, or continue the run in an existing folder.
 
     An interrupted run continues from its checkpoint. Without a checkpoint it starts again. `settings` holds the values
-    of the options that :func:`warpcrete.cli.options.run_options` defines, by name. `going_on` states that the folder
+    of the options that :func:`warpcrete.cli.options.run_options` defines, by name. If `going_on` is true, the folder
     already holds the run.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)

@@ -60,7 +60,8 @@ class LazyGroup(click.Group):
         try:
             args = by_method(args)
         except (click.UsageError, WarpcreteError):
-            if not ctx.resilient_parsing:  # A shell that completes a line has words that are not complete.
+            # Ignore errors while a shell completes the command line, because its last word is not complete yet.
+            if not ctx.resilient_parsing:
                 raise
         return super().parse_args(ctx, args)
 

@@ -25,7 +25,7 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "explain": explain.ONE | {"fresh": bool},
     "calibrate": calibrate.ONE | {"quiet": bool},
 }
-"""Options of each command that takes plain words: the type of its value by the name of the option."""
+"""For each command that takes plain words, its options: each option's name is mapped to the type of its value."""
 VALUES: Mapping[str, Sequence[str]] = {
     "device": DEVICES, "precision": PRECISIONS, "scheduler": ("local", "slurm"), "method": METHODS,
 }  # fmt: skip
@@ -34,12 +34,12 @@ VALUES: Mapping[str, Sequence[str]] = {
 def words(command: str, given: Sequence[str], incomplete: str, context: click.Context) -> list[CompletionItem]:
     """Return completions for a command that takes a scene, its parameters and its own options as plain words.
 
-    `given` are the words before the one that is completed. After an option follow its values; options of `study` take
-    several.
+    `given` holds the words before `incomplete`, the word to be completed. The last option among them decides which
+    values are suggested, because an option of `study` may have several values.
     """
     last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
     if list(given[-2:-1]) == ["--method"]:
-        last = ""  # This option takes one value, which is there already.
+        last = ""  # The option `--method` takes one value, which the user has typed already.
     with suppress(click.UsageError, WarpcreteError):
         given = by_method(list(given))
     scene = next((word for word in given[:1] if not word.startswith("-")), None)

@@ -6,16 +6,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ..core.errors import refuse
 from ..kernels.suspension.bodies import body_structs
 from ..kernels.suspension.leaving import PARKED
-from ..kernels.suspension.pairs import CAPACITY, pair_struct
+from ..kernels.suspension.pairs import CAPACITY, LOOKED_AT, pair_struct
 from ..mps.common.allocation import allocate
 from ..mps.grid.layout import GridLayout
 
 MIN_CELLS = 3.0
 """Minimum number of cells across the smallest aggregate. With fewer cells, the drag is more than 10 % too small."""
+MAX_GRID = 64
+"""Maximum number of cells of the hash grid along an axis."""
 STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
 """Names of the arrays in `Bodies` that a checkpoint contains, because the next step depends on them."""
 
@@ -95,6 +98,18 @@ class BodyState:
             pair_struct(scalar), device, count=count, other=entries, normal=entries, gap=entries, rough=entries,
             still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=count, full=1, changed=1,
         )  # fmt: skip
+
+        # The hash grid finds neighbours. Its points are rounded to single precision, so the largest distance of the
+        # centres of two neighbours is enlarged slightly.
+        room = layout.room
+        self.span = 1.0001 * (2 * float(radius.max()) + float(LOOKED_AT) * max(room.width))
+        lengths = np.array(room.cells) * np.array(room.width)
+        self.grid = wp.HashGrid(*np.clip(lengths / self.span, 1, MAX_GRID).astype(int).tolist(), device=device)
+        self.points = wp.zeros(count, dtype=wp.vec3f, device=device)
+
+    def sort(self) -> None:
+        """Sort the points of the hash grid into its cells."""
+        self.grid.build(self.points, self.span)
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return centres, velocities, spins and orientations of the aggregates, by name."""

@@ -10,7 +10,7 @@ import numpy as np
 from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
-CHUNK = 16
+CHUNK = 8
 """Number of search directions whose arrays are allocated together."""
 
 
@@ -26,8 +26,9 @@ class Directions:
         self._each: list[tuple[Any, Any]] = []
         self.known = 0
         """Number of directions that are stored with their effects."""
-        self.norms: list[float] = []
-        """Squared norms of the effects of the directions that are orthogonal."""
+        self.orthogonal = 0
+        """Number of directions whose effects are orthogonal to one another."""
+        self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
         """Return `count` new vectors as one, with their arrays one after the other."""
@@ -58,4 +59,9 @@ class Directions:
 
     def factors(self, first: int, products: np.ndarray) -> np.ndarray:
         """Return the factors by which directions must be subtracted, from the inner products with their effects."""
-        return products / np.array(self.norms[first : first + len(products)])
+        return products / self._norms[first : first + len(products)]
+
+    def add_norm(self, square: float) -> None:
+        """Store the squared norm of the effect of the next direction, which is now orthogonal to those before it."""
+        self._norms = np.append(self._norms[: self.orthogonal], square)
+        self.orthogonal += 1

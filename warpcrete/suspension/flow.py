@@ -48,7 +48,7 @@ class SuspensionStep(GridStep):
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
         cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
-        motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
+        pairs, motion, strain = pair_kernels(scalar, kind), motion_kernels(scalar, kind), strain_kernels(scalar, kind)
         count = flow.aggregates.count
         return [
             *self._alone(bins.clear, slots),
@@ -69,7 +69,9 @@ class SuspensionStep(GridStep):
             *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
-            *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
+            *self._alone(pairs.locate, count, points=flow.aggregates.points),
+            flow.aggregates.sort,
+            *self._alone(pairs.find, count, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
                          sides=flow.sides, mirrors=flow.mirrors,
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
             *(self._alone(leaving_kernels(scalar, kind).weigh, count, opens=flow.opens, excess=flow.aggregates.excess)

@@ -32,6 +32,10 @@ NEGLIGIBLE = 0.1
 """Fraction of the tolerance of the coupled solve below which a pressure solve need not reduce its residual."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
+ROUGH_ERROR, CERTAIN = 3e-2, 0.9
+"""Error of the solve at which it looks for new contacts for the first time, and the fraction of the speed of approach at
+which two aggregates would still have to overlap then. The speeds are not yet accurate, but contacts that the first solve
+finds need no second one."""
 CHECKED = {"cpu": 1, "gpu": 5}
 """Number of iterations of a viscous solve between two convergence checks, for which a GPU must wait."""
 
@@ -142,12 +146,16 @@ class CoupledSolve:
             array.zero_()
         self.inner, self.outer, self._largest = 0, 0, 0.0
         self._dt = float(flow.mesh.clock.numpy()[int(DT)])
-        self.directions.known = 0
+        self.directions.known = self.directions.orthogonal = 0
+        self._begin(again=False)
+        self._iterate(max(self.tolerances.coupled, ROUGH_ERROR))
+        if self._new_contacts(CERTAIN):
+            self._begin(again=True)
         for turn in range(CONTACT_PASSES):
-            self._begin(again=turn > 0)
-            self._iterate()
-            if not self._new_contacts():
+            self._iterate(self.tolerances.coupled)
+            if not self._new_contacts() or turn == CONTACT_PASSES - 1:
                 break
+            self._begin(again=True)
         self._launch(self.algebra.finish, self.tasks + self.count, solution=self.solution)
         if flow.aggregates.pairs.full.numpy()[0]:
             raise CapacityError(
@@ -179,31 +187,31 @@ class CoupledSolve:
             self._multiply(self.solution, self.product)
             self._subtract(np.ones(1), self.product, self.residual)
 
-    def _iterate(self) -> None:
-        """Reduce the residual to the tolerance; raise :class:`ConvergenceError` if this fails.
+    def _iterate(self, tolerance: float) -> None:
+        """Reduce the residual to a tolerance; raise :class:`ConvergenceError` if this fails.
 
-        The solve first uses the directions of the solve that it repeats.
+        If the solve is repeated with new contacts, it first uses the directions that are already known.
         """
         directions = self.directions
-        if directions.known > self.tolerances.outer:
-            directions.known = 0
-        kept, directions.norms = directions.known, []
-        self.error = self._advance(0.0, self.direction, self.product)
-        history, number = [self.error], 0
-        while self.error > self.tolerances.coupled and number < kept + self.tolerances.outer:
+        first = directions.orthogonal
+        if first == 0:
+            self.error = self._advance(0.0, self.direction, self.product)
+        history = [self.error]
+        end = max(directions.known, first) + self.tolerances.outer
+        while self.error > tolerance and directions.orthogonal < end:
+            number = directions.orthogonal
             change, effect = directions[number]
-            if number >= kept:
+            if number >= directions.known:
                 self._precondition(self.residual, change)
                 self._multiply(change, effect)
                 self.outer += 1
             factor = self._orthogonalise(number)
-            number += 1
             self.error = self._advance(factor, change, effect)
             history.append(self.error)
+            directions.known = max(directions.known, number + 1)
             if not factor:
                 break
-        directions.known = max(kept, number)
-        if self.error > self.tolerances.coupled:
+        if self.error > tolerance:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
 
     def _orthogonalise(self, number: int) -> float:
@@ -220,23 +228,28 @@ class CoupledSolve:
         if number:
             self._weigh(effect)
         size, along = self._products((1, effect), (1, self.residual))
-        self.directions.norms.append(size if size > 0 else np.inf)
+        self.directions.add_norm(float(size) if size > 0 else np.inf)
         return float(along / size) if size > 0 else 0.0
 
     def _weigh(self, one: Any) -> None:
         self._launch(self.algebra.weigh, self.tasks + self.count, one=one, weighted=self.weighted)
 
-    def _new_contacts(self) -> bool:
-        """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs."""
-        changed = self.flow.aggregates.pairs.changed
+    def _new_contacts(self, certain: float = 1.0) -> bool:
+        """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs.
+
+        Pairs count that would overlap even if they approached by only the fraction `certain` of their speed. The known
+        search directions get the effects that they have with the new contacts.
+        """
+        changed, directions = self.flow.aggregates.pairs.changed, self.directions
         changed.zero_()
-        self._launch(self.pairs.touch, self.count, change=self.solution.linear)
+        self._launch(self.pairs.touch, self.count, change=self.solution.linear, certain=certain)
         if not changed.numpy()[0]:
             return False
-        for _, count, changes, effects in self.directions.before(self.directions.known):
-            self._launch(
-                self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear
-            )  # fmt: skip
+        if directions.known > self.tolerances.outer:
+            directions.known = 0
+        for _, count, changes, effects in directions.before(directions.known):
+            self._launch(self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear)
+        directions.orthogonal = 0
         return True
 
     def _advance(self, factor: float, change: Any, effect: Any) -> float:

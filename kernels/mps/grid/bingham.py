@@ -55,7 +55,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def rate_integral(g: Grid, stress: scalar) -> scalar:
-        """Return the integral of `rate_of` from 0 to a nonnegative stress."""
+        """Return the integral of the shear rate over the stress, from 0 to a nonnegative stress."""
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)
         return scalar(0.5) * (over * over / g.viscosity + below * below / unyielded_viscosity(g)) + (
@@ -64,7 +64,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def double_integral(g: Grid, stress: scalar) -> scalar:
-        """Return the second integral of `rate_of` from 0 to the stress, with the sign of the stress."""
+        """Return the second integral of the shear rate from 0 to `stress`, with the sign of the stress."""
         size = wp.abs(stress)
         over = wp.max(size - g.yield_stress, scalar(0.0))
         below = wp.min(size, g.yield_stress)

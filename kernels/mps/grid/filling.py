@@ -19,8 +19,8 @@ if its free surface coincides with the sides of cells (at 1 mm/s in a test with 
 def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions that convert the particle density at a cell's centre to the cell's fill fraction.
 
-    `level` converts it at a free surface, and `lies` for a film of concrete that lies on a wall. `film` returns which
-    of the two cases applies. `behind` corrects the particle density beside walls.
+    `level` applies to a cell at a free surface, and `lies` to a cell with a film of concrete that lies on a wall.
+    `film` returns which of the two cases applies. `behind` corrects the particle density beside walls.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

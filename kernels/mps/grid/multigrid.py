@@ -87,7 +87,7 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
         near: wp.array(dtype=wp.int32), coefficient: wp.array(dtype=scalar), value: wp.array(dtype=scalar),
         first: wp.int32, count: wp.int32, rows: wp.int32,
     ) -> scalar:  # fmt: skip
-        """Return the product of a row and the vector `value`; the row's `count` coefficients begin at index `first`."""
+        """Return the product of a matrix row and the vector `value`; the row has `count` entries from `first` on."""
         if wp.static(serial):
             return by_row(near, coefficient, value, first, count)
         else:

@@ -50,7 +50,8 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
     def on_grid(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists.
 
-        A periodic grid has none at its upper end, because the upper end is the lower end again.
+        Along a periodic grid each face and edge is counted once. Those at the upper end are the same as those at the
+        lower end, so the function returns False for them.
         """
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
@@ -62,7 +63,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
     def reached(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists.
 
-        In a periodic grid, every index along the pipe is valid.
+        A periodic grid repeats itself along the pipe, so the function accepts every index in this direction.
         """
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):

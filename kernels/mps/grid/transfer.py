@@ -230,8 +230,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # At the lower end of the grid, a face has a cell on one side only. The rule for faces
-                            # inside a wall does not apply to it.
+                            # Continue the velocity linearly through its value at the wall. Leave out faces at the lower
+                            # end of the grid, which have a cell on one side only.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -242,7 +242,8 @@ def extend_kernel(scalar, of: GridKind):
             after[r] = value
             known_after[r] = good
             if final != 0 and good != 0 and mesh.kind[r] == AIR:
-                # The concrete may reach this face before a particle is near enough to give the face a velocity.
+                # Store the extended velocity of this face in the air. Concrete may reach the face before a particle is
+                # near enough to give the face a velocity.
                 mesh.velocity[r] = value
 
     return extend

@@ -144,7 +144,7 @@ def wall_kernel(scalar, of: GridKind):
 
     @wp.func
     def larger_viscosity(mesh: Fields, a: wp.int32, b: wp.int32) -> scalar:
-        """Return the larger viscosity of two cells, ignoring cells without concrete [Pa s]."""
+        """Return the larger apparent viscosity of two cells [Pa s]; cells without concrete count as 0."""
         most = scalar(0.0)
         if mesh.liquid[a] != 0:
             most = mesh.in_cell[a]

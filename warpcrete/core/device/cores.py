@@ -37,8 +37,8 @@ def thread_pinner(threads: int) -> Callable[[], None]:
 
     def pin_to_core() -> None:
         if len(cores) == threads:
-            with contextlib.suppress(OSError):  # Stay unpinned if the core was withdrawn from the process.
-                os.sched_setaffinity(0, {next(places)})  # For `sched_setaffinity`, 0 is the calling thread.
+            with contextlib.suppress(OSError):  # If the system no longer allows this core, leave the thread unpinned.
+                os.sched_setaffinity(0, {next(places)})  # The process id 0 stands for the calling thread.
 
     return pin_to_core
 

@@ -210,7 +210,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
+    """Return modules with their block sizes, those with most kernel parameters first: they compile longest."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 

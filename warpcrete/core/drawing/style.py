@@ -1,4 +1,4 @@
-"""Style of most curves and figures: one colour for one meaning, and legends beside the curves instead of on them."""
+"""Style of most curves and figures: each colour has one meaning, and legends lie next to the plots, not inside."""
 
 from __future__ import annotations
 
@@ -59,8 +59,9 @@ def legend_beside(axes: Any, fontsize: float = 8, **settings: Any) -> None:
 
 
 def _end(handle: Any) -> float:
-    """Return the value at which a curve ends on the right; things that are no curve follow the curves."""
-    line = getattr(handle, "lines", (handle,))[0]  # A curve with error bars holds its line and its bars.
+    """Return the value of a curve at its right end; -infinity for a legend entry that is not a curve."""
+    # A curve with error bars is a container whose first line is the curve itself.
+    line = getattr(handle, "lines", (handle,))[0]
     if not hasattr(line, "get_ydata"):
         return -np.inf
     y = np.asarray(line.get_ydata(), float)

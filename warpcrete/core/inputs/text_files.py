@@ -108,7 +108,7 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
 def read_columns(path: Path, field: str) -> tuple[dict[str, tuple[int, str]], list[tuple[int, list[str]]]]:
     """Return place and unit of each column of a CSV file by name, and the rows as :func:`read_rows` returns them.
 
-    The header names columns with their units, such as `flow [m3/h],pressure [bar]`. Columns whose heads have another
+    The header names columns with their units, such as `flow [m3/h],pressure [bar]`. Columns whose headings have another
     form are left out.
     """
     header, rows = read_rows(path, field)

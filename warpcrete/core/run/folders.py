@@ -77,7 +77,7 @@ class FolderLock:
                 self._path.unlink(missing_ok=True)
             os.close(self._file)
             self._file = -1
-            if fcntl is None:  # Windows removes only files that are closed.
+            if fcntl is None:  # On Windows, remove the lock file now, because an open file cannot be removed.
                 with suppress(OSError):
                     self._path.unlink(missing_ok=True)
 
@@ -108,14 +108,14 @@ def _lock(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # The file system does not support locks, so treat the lock as obtained.
+    except OSError:  # Treat the lock as obtained, because the file system does not support locks.
         return True
     return True
 
 
 def _is_at(file: int, path: Path) -> bool:
     """Return whether an open lock file still exists at `path`; its last owner may have removed or replaced it."""
-    if fcntl is None:  # Windows removes no open file.
+    if fcntl is None:  # Windows cannot remove an open file, so it still exists.
         return True
     try:
         there = path.stat()

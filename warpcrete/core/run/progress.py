@@ -90,7 +90,7 @@ class ProgressBar:
 
 
 def _texts(figures: Mapping[str, float]) -> dict[str, str]:
-    """Return current figures by name as text with units, as far as they are shown."""
+    """Return the figures that a progress display shows, pressure and step rate, by name as text with units."""
     found: dict[str, str] = {}
     if "pressure" in figures:
         found["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"

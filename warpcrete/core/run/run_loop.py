@@ -176,7 +176,8 @@ class Simulation:
         self._time_before_resume = 0.0
         self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
         self._resumed: RunRecord | None = None
-        self._ended_run: Run | None = None  # earlier run whose folder is written
+        # Run that has ended already and whose folder is now written; None if the scene is simulated.
+        self._ended_run: Run | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
 
@@ -422,7 +423,8 @@ class Simulation:
         if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
         finished = interrupted = False
-        full: list[Exception] = []  # These errors were caused by a full disk.
+        # Errors of a full disk, which are raised only after everything else has been written.
+        full: list[Exception] = []
         try:
             try:
                 if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
@@ -435,7 +437,7 @@ class Simulation:
                 finished = yield from self._loop()
             except KeyboardInterrupt:
                 if self._ended_run is not None:
-                    raise  # The folder is not complete, so its caller must not take it for saved.
+                    raise  # Pass the interruption on, because the run folder that the caller requested is not complete.
                 interrupted = True
             except Exception as error:
                 if not is_full(error):
@@ -501,7 +503,7 @@ class Simulation:
             "precision": self.precision,
             "threads": self.threads,
             "frame_interval": self.frame_interval,
-            # An interruption may have ended the run within a step, and such a state is no checkpoint.
+            # An interruption may have ended the run within a time step, so no checkpoint is made of this state.
             "checkpoint_every": 0.0 if run.interrupted else self.checkpoint_every or DEFAULT_CHECKPOINT_INTERVAL,
         }
         run.final_state = FinalState(type(self), settings, self._contents({}, run.finished))
@@ -509,7 +511,8 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            # A resumed run has no step left, but its results need what `ended_early` finds, such as a steady flow.
+            # The checkpoint was written after the last step, so no step is left. Call `ended_early` nevertheless,
+            # because it also notes facts for the results, for example that the flow is steady.
             self.ended_early()
             return True
         if not self.rows:

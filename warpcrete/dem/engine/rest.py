@@ -1,6 +1,6 @@
-"""Bonds and lubrication layer of a scene that rests.
+"""Strength that bonds and a lubrication layer on the walls gain while the concrete of a scene rests.
 
-During the rest, their strength grows by a formula, without time steps (Roussel 2006).
+A formula gives the gain, so that the rest needs no time steps (Roussel 2006).
 """
 
 from __future__ import annotations

@@ -437,7 +437,8 @@ class Scene(Parametrised):
     def caption(self) -> str:
         """Scene, diameter, concrete and flow in words, for titles of figures and recordings.
 
-        A scene without a pipe has no flow; the sizes of its aggregates stand there instead, if parameters give them.
+        For a scene without a pipe, the text states the sizes of the aggregates instead of diameter and flow. It omits
+        the sizes if no parameters state them.
         """
         concrete = str(self.parameters.get("concrete") or "")
         if self.pipe is None:

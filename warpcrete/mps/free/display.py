@@ -20,8 +20,9 @@ PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1
 """Depth with which a flow in a plane is drawn [m]."""
 SHOWN_SHEAR = 0.02
-"""Shear rate at the upper end of the colour scale, before rounding up, relative to the shear rate at which viscosity
-alone would carry the stress under the concrete at the start, less its yield stress."""
+"""Shear rate at the upper end of the colour scale, as a fraction of a typical shear rate. The typical rate is the
+initial pressure of the concrete on its base, less the yield stress, divided by the plastic viscosity. The upper end is
+then rounded up."""
 
 
 class FreeDisplay(GridDisplay):
