@@ -91,7 +91,10 @@ class SuspensionStep(GridStep):
 
     def _divergence(self) -> list[Any]:
         """Return the stage that computes the net inflow into each cell and the matrix of the projection."""
-        kernel, system = pressure_kernels(self.scalar, not self.flow.parallel, self.kind).divergence, self.flow.projection
+        kernel, system = (
+            pressure_kernels(self.scalar, not self.flow.parallel, self.kind).divergence,
+            self.flow.projection,
+        )
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
     def blocks(self) -> list[Any]:
