@@ -1,19 +1,25 @@
 """Measures the trades of notebooks/performance/trades.md, and puts their tables and figures there and into the package.
 
 python notebooks/trades.py --folder trades [NAME ...]   runs those (default: none), and takes what the folder has
+python notebooks/trades.py --redraw                     draws the figures of the shipped trades again
 
 A trade made elsewhere counts, too: trade.json and trade.png in a folder of its name are enough.
 """
 
 import argparse
+import dataclasses
 import json
 import re
 import shutil
 from pathlib import Path
 
-from warpcrete.core.run.files import write_json
+from warpcrete.core.run.files import read_json, write_json
+from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.tradeoffs.advice import SHIPPED, compact
+from warpcrete.studies.tradeoffs.fronts import Error, worst
+from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE
+from warpcrete.studies.tradeoffs.report import draw
 from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
@@ -77,11 +83,59 @@ def section(name: str, record: dict) -> str:
     return "\n".join(lines)
 
 
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """Setting of a shipped trade, with what the figure shows of it."""
+
+    name: str
+    origin: str
+    cost: float
+    worst: Error
+    suspect: list[str]
+
+
+class ShippedTrade:
+    """Trade in the short form that the package contains, with what the figure of a trade shows."""
+
+    def __init__(self, name: str) -> None:
+        record = read_json(SHIPPED / f"{name}.json")
+        self.scene_name, self.machine = record["scene"], record["machine"]
+        module = modules()[self.scene_name]
+        known = {each.name: each for each in method_of(module.scene(**record["parameters"])).quantities}
+        self.quantities = [known[quantity] for quantity in record["quantities"]]
+        self.measured = []
+        for point in record["points"]:
+            errors = [Error(name, each["shift"], each["interval"] or 0.0) for name, each in point["errors"].items()]
+            if (largest := worst(errors)) is not None and point["time"]["value"] is not None:
+                self.measured.append(
+                    Point(point["setting"], point["origin"], point["time"]["value"], largest, point["suspect"])
+                )
+        self.reference = next((point for point in self.measured if point.origin == REFERENCE), None)
+        origins = dict.fromkeys(point.origin for point in self.measured)
+        self.knobs = [_Knob(origin) for origin in origins if origin not in (GIVEN, COMBINED, REFERENCE)]
+
+    def label(self, point: Point) -> str:
+        """Return a description of how a setting differs from the scene as given."""
+        return point.name
+
+
+@dataclasses.dataclass(frozen=True)
+class _Knob:
+    name: str
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", choices=[*TRADES, []], help="trades to measure")
-    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--redraw", action="store_true", help="draw the figures of the shipped trades again")
     given = parser.parse_args()
+    if given.redraw:
+        for name in TRADES:
+            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
+        return
+    if given.folder is None:
+        parser.error("give --folder FOLDER, or --redraw")
     for name in given.names:
         measure(name, given.folder)
     pages = {path: path.read_text(encoding="utf-8") for path in PAGES}

@@ -12,7 +12,7 @@ from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.free.checks import check_flow
-from warpcrete.mps.free.knobs import free_knobs
+from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import FUNNEL
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
@@ -102,4 +102,4 @@ def _knobs(given: FunnelParameters) -> Iterator[Knob]:
     return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
 
 
-trading = Trading(_knobs, quantities=("funnel_time",))
+trading = Trading(_knobs, quantities=("funnel_time",), variants=free_variants)

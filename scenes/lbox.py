@@ -13,7 +13,7 @@ from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.geometry.walls import MeshWall
 from warpcrete.mps.free.checks import check_flow
-from warpcrete.mps.free.knobs import free_knobs
+from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import L_BOX
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
@@ -144,4 +144,4 @@ def _knobs(given: BoxParameters) -> Iterator[Knob]:
     return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
 
 
-trading = Trading(_knobs, quantities=("passing_ratio",))
+trading = Trading(_knobs, quantities=("passing_ratio",), variants=free_variants)

@@ -278,4 +278,14 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
     yield precisions()
 
 
-trading = Trading(_knobs, quantities=("pressure",))
+def _variants(given: PartParameters) -> dict[str, dict[str, float]]:
+    """Return variants of a flow, as changes of its parameters, with half and twice the flow, or another concrete."""
+    concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
+    found = {}
+    for name, value in (("flow", given.flow), ("slip_viscosity", concrete.slip_viscosity)):
+        words = name.replace("_", " ")
+        found |= {f"half the {words}": {name: value / 2}, f"twice the {words}": {name: value * 2}}
+    return found
+
+
+trading = Trading(_knobs, quantities=("pressure",), variants=_variants)

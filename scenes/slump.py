@@ -12,7 +12,7 @@ from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import CONSTANTS
 from warpcrete.mps.free.checks import check_flow
-from warpcrete.mps.free.knobs import free_knobs
+from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import SLUMP
 from warpcrete.theory.vessels import cone_volume, long_heap_spread
@@ -112,4 +112,4 @@ def _knobs(given: SlumpParameters) -> Iterator[Knob]:
     return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
 
 
-trading = Trading(_knobs, quantities=("slump", "spread"))
+trading = Trading(_knobs, quantities=("slump", "spread"), variants=free_variants)

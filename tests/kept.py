@@ -31,7 +31,7 @@ DEPTH = 4
 """Number of objects within each other that are described."""
 
 
-def compare(name: str, value: Any) -> None:
+def compare(name: str, value: Any, tolerance: float = TOLERANCE) -> None:
     """Compare a value of any kind with the file called `name`, line by line; numbers may differ by rounding."""
     lines = value.splitlines() if isinstance(value, str) else list(described(value))
     path = FOLDER / f"{name}.txt"
@@ -39,19 +39,21 @@ def compare(name: str, value: Any) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     kept = path.read_text(encoding="utf-8").splitlines()
-    wrong = [f"  {was}\n  {now}" for was, now in zip(kept, lines) if not same(was, now)]
+    wrong = [f"  {was}\n  {now}" for was, now in zip(kept, lines) if not same(was, now, tolerance)]
     assert not wrong, f"{path.name}: {len(wrong)} lines differ, the first of which are\n" + "\n".join(wrong[:5])
     assert len(kept) == len(lines), f"{path.name}: {len(lines)} lines instead of {len(kept)}"
 
 
-def same(was: str, now: str) -> bool:
-    """Return whether two lines have the same words, and the same numbers within rounding."""
+def same(was: str, now: str, tolerance: float = TOLERANCE) -> bool:
+    """Return whether two lines have the same words, and the same numbers within rounding; words alone if infinite."""
     if was == now:
         return True
     if NUMBER.sub("#", was) != NUMBER.sub("#", now):
         return False
+    if math.isinf(tolerance):
+        return True
     before, after = (np.array([float(each) for each in NUMBER.findall(line)]) for line in (was, now))
-    return bool(np.allclose(after, before, rtol=TOLERANCE, atol=TOLERANCE * float(np.abs(before).max(initial=0.0))))
+    return bool(np.allclose(after, before, rtol=tolerance, atol=tolerance * float(np.abs(before).max(initial=0.0))))
 
 
 def described(value: Any, name: str = "", seen: frozenset[int] = frozenset()) -> Iterator[str]:

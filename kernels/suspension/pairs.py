@@ -23,7 +23,7 @@ CAPACITY = wp.constant(48)
 WALL = wp.constant(-1)
 """Value that is stored instead of a neighbour's index if the neighbour is a wall."""
 NEW = wp.constant(2)
-"""Value that marks neighbours which the last coupled solve has made touch."""
+"""Mark of a neighbour that the last coupled solve has brought into contact."""
 HOLD = wp.constant(300.0)
 """Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
@@ -50,19 +50,19 @@ def pair_struct(scalar):
         still: wp.array(dtype=scalar)  # Velocity of a wall along the normal [m/s]; 0 for an aggregate.
         lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
-        # 1 if the neighbours touch in this step, NEW if the last solve has found this contact, else 0.
+        # 1 if aggregate and neighbour touch in this step, NEW if the last solve has found this contact, otherwise 0.
         touching: wp.array(dtype=wp.int32)
-        # The next array has one entry for each aggregate, shape (n,). The other two have a single entry.
+        # `smallest_gap` has one entry for each aggregate, shape (n,); `full` and `changed` have a single entry.
         smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the radius.
         full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
-        changed: wp.array(dtype=wp.int32)  # 1 if the solve has made a pair touch.
+        changed: wp.array(dtype=wp.int32)  # 1 if the last solve has found a new contact.
 
     return Pairs
 
 
 @functools.cache
 def wall_gap_function(scalar, of: GridKind):
-    """Build the function that returns the distance of a point from the nearest wall, its gradient, and the wall."""
+    """Build the function that returns a point's distance from the nearest wall, its gradient, and the wall's number."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -151,7 +151,8 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         pairs.lubrication[place] = lubrication
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
-        # A contact must not hold two aggregates that part faster than their overlap disappears.
+        # The contact force would slow down two aggregates that separate faster than it removes their overlap, so these
+        # do not count as touching.
         parting = gap < rough and -approach * longest > rough - gap
         pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
@@ -198,9 +199,10 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `find`, `load`, `touch` and `stiffen`, each with one task per aggregate.
+    """Build the kernels `locate`, `find`, `load`, `touch` and `stiffen`, each with one task per aggregate.
 
-    - `find` finds the neighbours of each aggregate.
+    - `locate` copies the centres of the aggregates to the points of the hash grid.
+    - `find` finds the neighbours of each aggregate. `span` is the largest distance of the centres of neighbours.
     - `load` adds the forces between neighbours at the start of the step to the forces on the aggregates. Contacts
       remove an overlap within the time `longest`, the maximum time step. In a shorter step, removing the whole overlap
       would fling the aggregates apart.
@@ -217,9 +219,13 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
     wall_gap = wall_gap_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
+    def locate(bodies: Bodies, points: wp.array(dtype=wp.vec3f)):
+        points[wp.tid()] = wp.vec3f(bodies.centre[wp.tid()])
+
+    @wp.kernel(enable_backward=False, module="unique")
     def find(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
-        pairs: Pairs, aggregates: wp.int32, sides: wp.int32, mirrors: wp.int32,
+        pairs: Pairs, grid: wp.uint64, span: wp.float32, sides: wp.int32, mirrors: wp.int32,
         cutoff: scalar, roughness: scalar, longest: scalar,
     ):  # fmt: skip
         if flags[HALTED] != 0:
@@ -231,21 +237,43 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         reach = scalar(LOOKED_AT) * wp.max(g.width)
         count = wp.int32(0)
         pairs.smallest_gap[b] = scalar(1.0e30)
-        for o in range(aggregates):
-            if o != b:
-                d = body.nearest_image(g, bodies.centre[o] - x)
-                away = wp.length(d)
-                gap = away - (radius + bodies.radius[o])
-                if gap < reach:
-                    n = d / away
-                    approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
-                    reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
-                    count = pair.store(
-                        g, pairs, b, count, o, n, gap, approach, scalar(0.0), reduced, radius, cutoff, roughness, dt,
-                        longest,
-                    )  # fmt: skip
-        # Neighbours also include the sides of the room that are walls or planes of symmetry. A plane of symmetry acts
-        # like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed of approach.
+        # The hash grid yields neighbours in any order, and in a short periodic pipe more than once. Sort them, so that
+        # sums over neighbours are always added up in the same order.
+        first = b * CAPACITY
+        for image in range(wp.static(3 if of.periodic else 1)):
+            here = wp.vec3f(x)
+            if wp.static(of.periodic):
+                here[2] = here[2] + wp.float32(image - 1) * wp.float32(g.n[2]) * wp.float32(g.width[2])
+            for o in wp.hash_grid_query(grid, here, span):
+                away = wp.length(body.nearest_image(g, bodies.centre[o] - x))
+                if o != b and away - (radius + bodies.radius[o]) < reach:
+                    at = count
+                    known = wp.bool(False)
+                    for k in range(count):
+                        if pairs.other[first + k] == o:
+                            known = True
+                    if count == CAPACITY:
+                        pairs.full[0] = 1
+                    elif not known:
+                        while at > 0 and pairs.other[first + wp.max(at - 1, 0)] > o:
+                            pairs.other[first + at] = pairs.other[first + at - 1]
+                            at -= 1
+                        pairs.other[first + at] = o
+                        count += 1
+        for k in range(count):
+            o = pairs.other[first + k]
+            d = body.nearest_image(g, bodies.centre[o] - x)
+            away = wp.length(d)
+            n = d / away
+            approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
+            reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
+            pair.store(
+                g, pairs, b, k, o, n, away - (radius + bodies.radius[o]), approach, scalar(0.0), reduced, radius,
+                cutoff, roughness, dt, longest,
+            )  # fmt: skip
+        # Neighbours also include the sides of the simulated box that are walls or planes of symmetry. A plane of
+        # symmetry acts like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed
+        # of approach.
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2
@@ -261,8 +289,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
                         part * roughness, dt, longest,
                     )  # fmt: skip
-        # Other walls are looked for at the centre and at six points of the surface, because the distance of the grid is
-        # that from the nearest wall, which may be a side of the room.
+        # Look for other walls at the centre and at six points of the surface. The grid stores only the distance from
+        # the nearest wall, which at the centre may be a side of the box.
         for probe in range(7):
             e = vec()
             if probe > 0:
@@ -305,7 +333,10 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         force[b] = force[b] + sum
 
     @wp.kernel(enable_backward=False, module="unique")
-    def touch(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: wp.array(dtype=vec)):
+    def touch(
+        flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: wp.array(dtype=vec),
+        certain: scalar,
+    ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         b = wp.tid()
@@ -318,6 +349,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
             if o != WALL:
                 relative = relative - (bodies.velocity[o] + change[o])
             approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
+            # A pair counts only if it would overlap even at the fraction `certain` of its speed of approach.
+            approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
             if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
                 pairs.touching[place] = NEW
                 pairs.changed[0] = 1
@@ -340,4 +373,4 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     own = number * aggregates + b
                     effect[own] = effect[own] + pairs.hold[place] * wp.dot(relative, n) * n
 
-    return SimpleNamespace(find=find, load=load, touch=touch, stiffen=stiffen)
+    return SimpleNamespace(locate=locate, find=find, load=load, touch=touch, stiffen=stiffen)

@@ -1,4 +1,4 @@
-"""Vectors of the coupled equations of mortar and aggregates, division of their entries among tasks, and sums."""
+"""Vectors of the coupled equations of mortar and aggregates, the distribution of their entries over tasks, and sums."""
 
 import functools
 from types import SimpleNamespace
@@ -82,8 +82,8 @@ def sum_kernel(serial: bool):
 
 
 DOT = """
-    const SCALAR* __restrict x = one.data;
-    const SCALAR* __restrict y = many.data + offset;
+    const SCALAR* __restrict__ x = one.data;
+    const SCALAR* __restrict__ y = many.data + offset;
     double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
     int i = first;
     for (; i + 3 * STRIDE < end; i += 4 * STRIDE) {
@@ -97,17 +97,17 @@ DOT = """
     return (a + b) + (c + d);
 """
 ADD = """
-    const SCALAR* __restrict x = many.data + offset;
-    SCALAR* __restrict y = result.data;
+    const SCALAR* __restrict__ x = many.data + offset;
+    SCALAR* __restrict__ y = result.data;
     for (int i = first; i < end; i += STRIDE)
         y[i] += factor * x[i];
 """
 MOVE = """
-    const SCALAR* __restrict p = direction.data;
-    const SCALAR* __restrict s = inverse.data;
-    SCALAR* __restrict x = solution.data;
-    SCALAR* __restrict r = residual.data;
-    SCALAR* __restrict q = product.data;
+    const SCALAR* __restrict__ p = direction.data;
+    const SCALAR* __restrict__ s = inverse.data;
+    SCALAR* __restrict__ x = solution.data;
+    SCALAR* __restrict__ r = residual.data;
+    SCALAR* __restrict__ q = product.data;
     for (int i = first; i < end; i += STRIDE) {
         x[i] += alpha * p[i];
         const SCALAR left = r[i] - alpha * q[i];
@@ -116,9 +116,9 @@ MOVE = """
     }
 """
 TURN = """
-    const SCALAR* __restrict z = product.data;
-    const SCALAR* __restrict s = inverse.data;
-    SCALAR* __restrict p = direction.data;
+    const SCALAR* __restrict__ z = product.data;
+    const SCALAR* __restrict__ s = inverse.data;
+    SCALAR* __restrict__ p = direction.data;
     for (int i = first; i < end; i += STRIDE)
         if (s[i] != 0)
             p[i] = z[i] + beta * p[i];
@@ -132,8 +132,8 @@ def range_functions(scalar, serial: bool) -> SimpleNamespace:
     - `dot` returns the inner product of `one` and of the vector that begins at the index `offset` of `many`.
     - `add` adds a multiple of the vector that begins at the index `offset` of `many` to `result`.
     - `move` moves a solution by `alpha` along a search direction, updates the residual, and multiplies it by `inverse`.
-      It replaces `product`, the product of matrix and direction, by the result.
-    - `turn` computes the next search direction where `inverse` is not 0.
+      It stores this result in `product`, which held the product of matrix and direction.
+    - `turn` computes the next search direction for entries that are unknowns, that is, whose `inverse` is not 0.
     """
     name, stride = "double" if scalar is wp.float64 else "float", "1" if serial else "stride"
     array, integer = wp.array(dtype=scalar), wp.int32

@@ -1,6 +1,6 @@
 """Pictures of the gallery: every entry runs its command or its lines of Python, and draws what they leave.
 
-python notebooks/gallery/make.py                  makes all pictures and the page, in some ten minutes on two cores
+python notebooks/gallery/make.py                  makes all pictures and the page, in some ten minutes on two idle cores
 python notebooks/gallery/make.py slump line       makes two of them
 python notebooks/gallery/make.py --again          runs all commands anew, as after a change of the program
 python notebooks/gallery/make.py --list           lists their names
@@ -19,6 +19,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -466,7 +467,10 @@ def viewer(folder: Path) -> Path:
         "--port",
         port,
     ]
-    shown = subprocess.Popen([*map(str, words)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    # The command is a script that starts the viewer, so both get a session, which ends as a whole.
+    shown = subprocess.Popen(
+        [*map(str, words)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     try:
         client = _once_there(lambda: ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy"))
         end = float(warpcrete.load(folder).series["time"][-1])
@@ -474,7 +478,7 @@ def viewer(folder: Path) -> Path:
         time.sleep(SETTLING)
         client.save_screenshot(str(shot))
     finally:
-        shown.terminate()
+        os.killpg(shown.pid, signal.SIGTERM)
         shown.wait(timeout=30)
     with Image.open(shot) as picture:
         below = picture.crop((0, MENU, *picture.size))
@@ -507,6 +511,13 @@ simulation = warpcrete.Simulation(scene, device="cpu"); simulation.run(); displa
 half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np.all(y[half.faces] < 1e-6, axis=1)]
 axes = figure.add_subplot(aspect="equal", title=scene.caption, xlabel="x [m]", ylabel="z [m]")
 figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="[m/s]")"""
+MIGRATION = """\
+import warpcrete; from matplotlib.figure import Figure; from warpcrete.core.drawing.style import legend_beside
+scene = warpcrete.scenes.channel(aggregates=True, spacing=0.005, duration=2.0, sample_interval=0.05)
+run = warpcrete.Simulation(scene, device="cpu").run(); figure = Figure((7.6, 3), layout="constrained")
+axes = figure.add_subplot(xlabel="time [s]", ylabel="change of share [points]", title=scene.caption)
+for part, share in ((name, run.series[f"aggregate_{name}"]) for name in ("front", "rear", "inner", "outer")):
+    axes.plot(run.series["time"], 100 * (share - share[0]), label=part); legend_beside(axes)"""
 RESTART = """\
 from matplotlib.figure import Figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
 figure, rests = Figure(figsize=(7.6, 3.6), layout="constrained"), range(0, 1801, 60)
@@ -522,7 +533,7 @@ ENTRIES = (
           "contact force on each: a vertical and a horizontal pipe, and two bends.",
           f"warpcrete study pipe --unit A B C D {PIPE} --travel 0.02 --settle 0.3 --usd --out OUT", units),
     Entry("chains", "Force chains in a bend", "Forces between the aggregates. The dark disc is the piston, and the "
-          "forces are largest near it.",
+          "forces are largest near it. The short lines at the top lie in the plug of balls.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", chains),
     Entry("viewer", "The same bend in the viewer", "The recording in the Rerun viewer: bodies, a cut, force chains and "
           "curves over time on one timeline.",
@@ -555,13 +566,17 @@ ENTRIES = (
           "range, its weight, and the pressure recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
     Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program; the line joins "
-          "those that no other setting beats.", "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
+          "those that no other setting beats. A check of the runs with hollow markers failed.",
+          "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
     Entry("posterior", "What measurements determine", "Slip layers that agree with the wall stress at two flows. Above "
-          "and right: how likely each viscosity [Pa s/m] and yield stress [Pa] is; lower left: both together, of which "
+          "and right: how likely each viscosity and yield stress of the layer is; lower left: both together, of which "
           "only a narrow band is likely.",
           "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
-    Entry("migration", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid; the mortar beside "
+    Entry("migration", "Migration of stones", "Share of aggregate in the front and the rear half of a column, and near "
+          "the axis and the wall, in percentage points since the start. A step is one grain that crosses a border.",
+          MIGRATION, lambda folder: None),
+    Entry("mortar", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid; the mortar beside "
           "the wall is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
     Entry("validation", "Predicted against measured", "Predictions over measurements, with the likely range of each; "
@@ -650,7 +665,7 @@ def page() -> str:
     lines = ["# Gallery", "", "What does warpcrete show, and which command shows it?", ""]
     lines += [
         "Every picture was made by `python notebooks/gallery/make.py` from the command or the lines below it. The runs "
-        "are short and coarse, so that the whole gallery takes some ten minutes on two CPU cores.",
+        "are short and coarse, so that the whole gallery takes some ten minutes on two idle CPU cores.",
         "",
     ]
     for entry in ENTRIES:

@@ -7,6 +7,8 @@ import kept
 import pytest
 from pumping import command
 
+import warpcrete
+
 LINE = """
 diameter: 125 mm
 flow: 30 m3/h
@@ -141,3 +143,131 @@ def test_what_the_command_line_writes_is_kept(folder):
     kept.compare("line-table", Path("out/line.md").read_text(encoding="utf-8"))
     assert command("mix", "measured.yaml", "--out", "written.yaml").returncode == 0
     kept.compare("mix-written", Path("written.yaml").read_text(encoding="utf-8"))
+
+
+REFUSED = """
+run
+run chanel
+run channel --flaw 1
+run channel --flow 35
+run channel --out finished
+run channel --frames 0 --out new
+run channel --frames 1e9 --out new
+run channel --checkpoint-every -1 --out new
+run channel --threads 0 --out new
+run channel --colour blue --out new
+run channel --network --out new
+run channel --pipeline-vertical 3 --out new
+run channel --pipeline-other finished --out new
+run channel --trade finished --out new
+run channel --accuracy much --out new
+run channel --accuracy 5% --trade finished --out new
+run pipe --accuracy 5% --trade finished --out new
+run pipe --pipeline-vertical -3 --out new
+run pipe --pipeline-vertical 3 --travel 0.1 --out new
+run pipe --pipeline-vertical 3 --unit bend-to-vertical --out new
+run pipe --pipeline-vertical 3 --pipeline-other finished --out new
+run --resume finished
+run --resume nowhere
+run --resume other
+run --resume modified
+run --resume strange
+run --resume finished channel
+run finished/scene.json --flow 2
+run strange/scene.json --out new
+study
+study chanel --flow 1
+study channel --flow 1e-3 2e-3 --flow 3e-3
+study channel --quiet=1 --flow 1e-3
+study channel --flow 1e-3 --processes 0
+study channel --flow 1e-3 --precision half
+study channel more --flow 1e-3
+study channel --out one two
+study --resume finished
+study --resume finished --flow 1e-3
+study --resume study channel
+study --resume study
+trade
+trade channel --budget 5
+trade channel --budget 5h --knob
+trade channel --budget 90s --knob spacings --out new
+trade channel --spacing 0.01 0.02
+trade --resume finished
+trade --resume finished channel
+calibrate
+calibrate slump.yaml --out new
+calibrate slump.yaml --precision half
+calibrate slump.yaml --flow 3
+calibrate --resume finished
+calibrate slump.yaml --resume finished
+calibrate --resume finished --trials 3
+explain
+explain channel --fresh 3
+explain channel --flow 1e-3 2e-3
+explain channel --device
+verify --only nothing
+verify --out finished --only pipe
+validate --kind nothing
+validate --out finished
+validate --cases slump.yaml
+reproduce
+reproduce nobody
+reproduce zhan --resume finished
+reproduce --resume finished
+reproduce zhan --only nothing --out new
+view nowhere
+view finished
+schema nothing
+mix nowhere.yaml
+mix slump.yaml --out slump.yaml
+mix slump.yaml --bore 3
+mix pumped.csv
+line
+line nowhere.yaml
+line site.yaml --flow 35
+line site.yaml --theory --simulate
+line site.yaml --theory --cells 20
+line site.yaml --theory --seeds 3
+line site.yaml --theory --method dem
+line site.yaml --fit pumped.csv
+line site.yaml --blocking 0 --theory
+line site.yaml --slump 180mm
+line site.yaml --rest 10
+line site.yaml --thixotropy 0.2
+line --slump 180mm --diameter 125mm --flow 30m3/h
+line --slump 180mm --diameter 125mm --length 10m --flow 30m3/h --blocking 3
+line --slump 180mm --spread 600mm --diameter 125mm --length 10m --flow 30m3/h
+theory --flow 100
+theory --pressure 3 --flow 1e-3 --fit pumped.csv
+theory --fit site.yaml
+theory --diameter 125
+theory --rest -1
+--quiet run channel
+--resume finished
+""".strip().splitlines()
+
+
+def test_what_is_refused_is_kept(folder):
+    """A wrong command ends in one line, with the exit code of wrong use, and leaves nothing behind."""
+    scene = {"scene": "channel", "parameters": {"flow": 1e-3}, "device": "cpu", "precision": "float32", "files": {}}
+    for name, record, result in (
+        ("finished", scene, {"finished": True, "unit": "vertical"}),
+        ("other", None, None),
+        ("modified", scene | {"modified": {"flow": "1 is 2"}}, None),
+        ("strange", scene | {"scene": "chute"}, None),
+        ("study", None, None),
+    ):
+        Path(name).mkdir()
+        version = {"provenance": {"warpcrete": warpcrete.__version__}}
+        if record is not None:
+            Path(name, "scene.json").write_text(json.dumps(record | version), encoding="utf-8")
+        if result is not None:
+            Path(name, "result.json").write_text(json.dumps(result), encoding="utf-8")
+    Path("study/study.json").write_text(json.dumps({"scene": "chute", "cases": []} | version), encoding="utf-8")
+    before = sorted(path for path in Path().rglob("*"))
+    answers = []
+    for words in REFUSED:
+        said = answer(words.split()).replace(str(folder), "FOLDER")
+        answers.append(said if len(said) < 1500 else f"{said[:400]} ... {said[-200:]}")
+        assert sorted(path for path in Path().rglob("*")) == before, said
+    kept.compare("command-refusals", "\n".join(answers))

@@ -21,6 +21,7 @@ from warpcrete.dem.scene.clumps import templates
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.methods import method_of
 from warpcrete.mps.free.scene import FreeScene
+from warpcrete.mps.pictures import plot_flow
 
 STEADILY = ("time", "travel")
 
@@ -103,6 +104,16 @@ def test_the_figure_of_a_run_is_kept(name):
     if isinstance(run.scene, Scene):
         figures["both"] = show({"one": run, "other": RUNS[name]().run()})
     kept.compare(f"figure-{name.replace(', ', '-')}", {key: kept.drawn(each) for key, each in figures.items()})
+
+
+def test_figures_with_particles_are_kept():
+    """The particles behind the middle, with a bar for their colours if these stand for numbers."""
+    run = with_tables(RUNS["tube"]().run())
+    rng = np.random.default_rng(4)
+    particles = rng.uniform(-0.05, 0.05, (30, 3)), rng.integers(0, 255, (30, 3)), 0.01
+    figures = {"scale": plot_flow(run, particles, ("speed [m/s]", 0.0, 0.3)), "words": plot_flow(run, particles, None)}
+    assert [len(figure.axes) for figure in figures.values()] == [4, 3]
+    kept.compare("figure-particles", {key: kept.drawn(each) for key, each in figures.items()})
 
 
 def test_figures_of_elements_are_kept():

@@ -10,6 +10,7 @@ import pytest
 
 from warpcrete.core.device.launching import graph_sizes, tasks_of
 from warpcrete.dem import batch_run
+from warpcrete.dem.engine import regrouping
 from warpcrete.dem.engine.launch_planner import LaunchPlanner
 from warpcrete.dem.scene.bodies import BodyTable
 from warpcrete.kernels.common.control import ESTIMATED, FAILED, FLAGS, GOAL, HALTED, STALE, STEPS
@@ -155,10 +156,8 @@ def test_batches_and_turns_fit_the_memory(room):
     assert batch_run._split_by_memory(on_cpu, {}, [0, 1]) == [([0, 1], 100)]
     assert batch_run._split_by_memory(room((4, 6), False, threads=2), {}, [1, 0]) == [([1], 0.0), ([0], 0.0)]
     assert batch_run._streams(here, [([0], 40.0), ([1], 60.0), ([2], 1.0)]) == [-1, 0, -1]
-    assert (
-        batch_run._streams(here, [([0], 40.0)]) == [None]
+    assert batch_run._streams(here, [([0], 40.0)]) == [None]
     assert batch_run._streams(on_cpu, [([0], 4.0)] * 2) == [None] * 2
-    )
 
 
 def test_batches_of_one_turn_share_the_blocks_of_sub_cycling():
@@ -171,3 +170,33 @@ def test_batches_of_one_turn_share_the_blocks_of_sub_cycling():
     (one, first), (two, second), (three, third) = (part(each) for each in (True, False, True))
     batch_run._share_rounds([one, two, three])
     assert [each.subcycles.concurrent_batches for each in (first, second, third)] == [2, 1, 2]
+
+
+def test_few_scenes_move_to_a_batch_of_their_own_if_it_fits(monkeypatch):
+    """On a GPU, after some launches in a row with few spheres, and only into half of the free memory."""
+    moved = []
+    monkeypatch.setattr(regrouping, "memory_of_batch", lambda stepper: 1000.0)
+    monkeypatch.setattr(regrouping, "memory_free", lambda device: device)
+    monkeypatch.setattr(regrouping, "regroup", lambda steppers: moved.append(len(steppers)))
+    few = int(regrouping.LARGEST_SHARE * 1000) // 2
+
+    def launches(rule, count, spheres=few, parallel=True, of=3, free=1e9):
+        batch = SimpleNamespace(parallel=parallel, count=of, sphere_count=1000, device=free)
+        steppers = [SimpleNamespace(batch=batch, state=SimpleNamespace(sphere_count=spheres))] * 2
+        moved.clear()
+        for _ in range(count):
+            rule(steppers)
+        return len(moved)
+
+    enough = regrouping.LAUNCHES_BEFORE_REGROUPING + 1
+    assert launches(regrouping.Regrouping(), enough - 1) == 0 and launches(regrouping.Regrouping(), enough) == 1
+    assert launches(regrouping.Regrouping(), 2 * enough - 1) == 1  # it counts anew
+    assert launches(regrouping.Regrouping(), enough, spheres=few + 1) == 0
+    assert launches(regrouping.Regrouping(), enough, parallel=False) == 0
+    assert launches(regrouping.Regrouping(), enough, of=2) == 0
+    needed = 1000.0 * 2 * few / 1000
+    assert launches(regrouping.Regrouping(), enough, free=2 * needed) == 0
+    assert launches(regrouping.Regrouping(), enough, free=2.01 * needed) == 1
+    rule = regrouping.Regrouping()
+    launches(rule, enough - 1)
+    assert launches(rule, 1, spheres=1000) == 0 and launches(rule, 1) == 0  # many spheres in between

@@ -45,6 +45,23 @@ def grid_plane(cells=6, width=0.012, skew=0.3):
     return points.reshape(-1, 3) - [cells * width / 2, cells * width / 2, 0], faces
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_every_edge_of_a_pyramid_is_one_contact(start, order):
+    """Near the tip, the tip is no second contact, whichever face comes first in the file."""
+    turns = 2 * math.pi * np.arange(5) / 5
+    corners = np.stack([0.05 * np.cos(turns), 0.05 * np.sin(turns), np.full(5, -0.02)], 1)
+    faces = np.array([[0, 1 + k, 1 + (k + 1) % 5] for k in range(5)])[::order]
+    wall = MeshWall(name="pyramid", vertices=np.r_[[[0.0, 0.0, 0.0]], corners], faces=faces)
+    for angle in turns:
+        edge = np.array([0.05 * math.cos(angle), 0.05 * math.sin(angle), -0.02])
+        edge /= np.linalg.norm(edge)
+        outward = np.array([-edge[2] * math.cos(angle), -edge[2] * math.sin(angle), math.hypot(edge[0], edge[1])])
+        force = force_on_sphere(start, (wall,), 0.004 * edge + (RADIUS - 1e-4) * outward)
+        assert force == pytest.approx(K_WALL * 1e-4 * outward, rel=1e-6, abs=1e-6 * K_WALL * 1e-4)
+    force = force_on_sphere(start, (wall,), [0, 0, RADIUS - 1e-4])
+    assert force == pytest.approx([0, 0, K_WALL * 1e-4], rel=1e-6, abs=1e-6 * K_WALL * 1e-4)
+
+
 @pytest.mark.parametrize("depth", [1e-5, 1e-3, 5e-3])
 def test_triangulated_plane_is_a_plane(start, depth):
     vertices, faces = grid_plane()

@@ -48,7 +48,7 @@ def test_a_picture_is_small(name):
 
     path = GALLERY / f"{name}.png"
     with Image.open(path) as picture:
-        assert picture.format == "PNG" and picture.width <= 800 and picture.height <= 800
+        assert picture.format == "PNG" and picture.width <= MAKE.WIDTH and picture.height <= 1.2 * MAKE.WIDTH
     assert path.stat().st_size <= MAKE.MOST_BYTES
 
 

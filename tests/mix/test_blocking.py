@@ -95,6 +95,16 @@ def test_bleeding_and_what_holds_the_water():
     assert verdicts(parts=wet | {"sand": 710, "limestone": 60})["bleeding"].verdict == "fine"
 
 
+def test_a_ratio_of_water_to_binder_without_masses():
+    """The ratio alone is judged, because nothing is known of what holds the water."""
+    for ratio, verdict in ((0.5, "fine"), (0.7, "risky")):
+        entries = {"density": "2350 kg/m3", "aggregate": "36 %", "sizes": ["4 mm", "16 mm"], "spread": "600 mm"}
+        mix = mix_of(entries | {"water_binder": ratio})
+        (found,) = [each for each in blocking_rules(mix.given, 0.125) if each.rule == "bleeding"]
+        assert found.verdict == verdict and found.found.startswith(f"water over powder {ratio:.2f}; ")
+        assert "times the water" not in found.found
+
+
 @pytest.mark.parametrize(("slump", "admixture", "verdict"),
                          [(40, False, "risky"), (80, False, "risky"), (120, False, "fine"), (200, False, "risky"),
                           (200, True, "fine")])  # fmt: skip

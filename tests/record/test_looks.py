@@ -93,6 +93,19 @@ def test_chains_are_as_wide_as_contacts_press(pumped):
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() < 2 * found.table.size.max()
 
 
+@pytest.mark.parametrize("hydration", [0.0, 0.3])
+def test_all_bonds_are_drawn_and_hydrated_ones_apart(hydration):
+    """The bonds of the plug are the second kind without hydration, and the third kind with it."""
+    scene = scenes.pipe(**TINY | dict(travel=0.0005, ramp=0.0002, settle=0.0, plug="balls", hydration=hydration))
+    simulation = Simulation(scene, device="cpu", threads=1)
+    run = simulation.run()
+    lines = {name: len(each.ends) for name, each in simulation.display().network().items()}
+    hydrated = lines.get("hydrated bonds", 0)
+    assert ("hydrated bonds" in lines) == (hydration > 0)
+    assert hydrated == run.series["hydrated_bonds"][-1] and (hydrated > 0) == (hydration > 0)
+    assert lines["bonds"] + hydrated == run.series["bonds"][-1] > hydrated
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_load_of_each_body_is_its_largest_contact_force(device, threads):
     scene = scenes.pipe(**TINY | dict(shapes="reference", travel=0.001, ramp=0.0005, settle=0.0))

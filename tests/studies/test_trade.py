@@ -23,7 +23,7 @@ from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE, Setti
 from warpcrete.studies.tradeoffs.state import Trade
 from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
-channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
+channel, pipe, slump = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe", "slump"))
 COARSE = dict(spacing=0.02)
 PIPE = dict(
     diameter=0.08, length=0.1, travel=0.02, ramp=0.01, settle=0.05, size_min=8e-3, size_max=16e-3, sample_interval=0.002
@@ -41,6 +41,27 @@ def test_variants_of_a_flow_are_other_scenes_that_can_be_made():
     theory = sheared.theory()
     assert theory.slip_velocity / sheared.velocity == pytest.approx(0.72, abs=0.02)
     assert channel.trading.variants(channel.scene.parameters(aggregates=True)) == {}
+
+
+def test_variants_of_a_vessel_are_compared_with_their_own_reference(tmp_path):
+    """Without a closed form, the reference of a variant is the variant with the knobs as fine as in the reference."""
+    record = {"scene": "slump", "parameters": {}, "quantities": ["slump"], "knobs": ["spacing", "precision"],
+              "repeat": 1, "seeded": False, "device": "cpu", "threads": 1, "provenance": {}}  # fmt: skip
+    trade = Trade(tmp_path, slump, record)
+    assert not trade.exact and not trade.has_seeds
+    variants = slump.trading.variants(trade.declared)
+    assert variants["half the yield stress"] == {"yield_stress": 95.0}
+    coarse, finest = trade.point("spacing", {"spacing": 0}), trade.point(REFERENCE, {"spacing": 4, "precision": 1})
+    stiff = variants["twice the viscosity"]
+    other, reference = (trade.carried(point, "twice the viscosity", stiff) for point in (coarse, finest))
+    assert other.parameters["viscosity"] == reference.parameters["viscosity"] == 794.0
+    assert other.parameters["spacing"] == coarse.parameters["spacing"] != reference.parameters["spacing"]
+    for point, value in ((coarse, 0.2), (finest, 0.21), (other, 0.11)):
+        point.results[0] = {"slump": {"value": value, "unit": "m"}}
+    assert trade.errors_of(other, [0]) == []  # The variant's reference has not run, so the error is unknown.
+    reference.results[0] = {"slump": {"value": 0.1, "unit": "m"}}
+    assert [e.shift for e in trade.errors_of(other, [0])] == [pytest.approx(0.1)]
+    assert [e.shift for e in trade.errors_of(coarse, [0])] == [pytest.approx(-0.01 / 0.21)]
 
 
 def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):

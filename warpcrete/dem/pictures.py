@@ -170,7 +170,7 @@ def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int =
     from matplotlib.figure import Figure
 
     many = runs if isinstance(runs, Mapping) else {"": runs}
-    figure = Figure(figsize=(2.6 * len(many) + 1.2, 6), layout="constrained", dpi=65)
+    figure = Figure(figsize=(2.6 * len(many) + 1.2, 6), layout="constrained", dpi=90)
     all_axes = figure.subplots(1, len(many), sharex=True, sharey=True, squeeze=False)[0]
     speeds = [np.linalg.norm(run.bodies.velocity, axis=1) for run in many.values()]
     upper = 1.2 * max(float(np.median(s)) for s in speeds) or 1.0

@@ -368,7 +368,8 @@ class RerunRecorder(Recorder):
 
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
-        self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
+        # A viewer has one layout for each application, so scenes of other kinds need names of their own.
+        self._recording = rr.RecordingStream(f"warpcrete {display.simulation.scene.name}", recording_id=recording_id)
         if part == 0:
             self._recording.send_recording_name(display.simulation.scene.caption)
         self._id, self._parts, self._display = recording_id, part, display

@@ -6,16 +6,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ..core.errors import refuse
 from ..kernels.suspension.bodies import body_structs
 from ..kernels.suspension.leaving import PARKED
-from ..kernels.suspension.pairs import CAPACITY, pair_struct
+from ..kernels.suspension.pairs import CAPACITY, LOOKED_AT, pair_struct
 from ..mps.common.allocation import allocate
 from ..mps.grid.layout import GridLayout
 
 MIN_CELLS = 3.0
 """Minimum number of cells across the smallest aggregate. With fewer cells, the drag is more than 10 % too small."""
+MAX_GRID = 64
+"""Maximum number of cells of the hash grid along an axis."""
 STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
 """Names of the arrays in `Bodies` that a checkpoint contains, because the next step depends on them."""
 
@@ -51,7 +54,7 @@ class Aggregates:
 
 
 def is_inside(centres: np.ndarray) -> np.ndarray:
-    """Return a mask of the aggregates that have not left the room entirely; `centres` has the shape (n, 3)."""
+    """Return a mask of the aggregates that have not left the simulated box entirely; `centres` has the shape (n, 3)."""
     return np.abs(centres).max(1) < float(PARKED)
 
 
@@ -82,7 +85,8 @@ class BodyState:
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
         )  # fmt: skip
-        # A sphere touches fewer faces of each axis than there are cells in a sphere whose radius is two cells larger.
+        # Upper bound of the number of faces that a sphere touches: for each axis, the number of cells in a sphere whose
+        # radius is two cells larger.
         room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
@@ -96,6 +100,18 @@ class BodyState:
             still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=count, full=1, changed=1,
         )  # fmt: skip
 
+        # The hash grid finds neighbours. Its points are rounded to single precision, so the largest distance of the
+        # centres of two neighbours is enlarged slightly.
+        room = layout.room
+        self.span = 1.0001 * (2 * float(radius.max()) + float(LOOKED_AT) * max(room.width))
+        lengths = np.array(room.cells) * np.array(room.width)
+        self.grid = wp.HashGrid(*np.clip(lengths / self.span, 1, MAX_GRID).astype(int).tolist(), device=device)
+        self.points = wp.zeros(count, dtype=wp.vec3f, device=device)
+
+    def sort(self) -> None:
+        """Sort the points of the hash grid into its cells."""
+        self.grid.build(self.points, self.span)
+
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return centres, velocities, spins and orientations of the aggregates, by name."""
         return {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
@@ -107,11 +123,11 @@ class BodyState:
 
     @property
     def inside(self) -> np.ndarray:
-        """Mask of the aggregates that have not left the room entirely, shape (n,)."""
+        """Mask of the aggregates that have not left the simulated box entirely, shape (n,)."""
         return is_inside(self.bodies.centre.numpy())
 
     def volume_inside(self, opens: int) -> float:
-        """Return the part of the aggregates' volume that has not left the room through an open side.
+        """Return the part of the aggregates' volume that has not left through an open side.
 
         `opens` names the open sides as in :func:`warpcrete.kernels.suspension.leaving.leaving_kernels`.
         """

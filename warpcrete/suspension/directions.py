@@ -1,4 +1,4 @@
-"""Search directions of the coupled solve, which the method of generalised conjugate residuals makes orthogonal."""
+"""Search directions of the coupled solve, with effects that the method makes orthogonal to one another."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
-CHUNK = 16
+CHUNK = 8
 """Number of search directions whose arrays are allocated together."""
 
 
@@ -26,16 +26,17 @@ class Directions:
         self._each: list[tuple[Any, Any]] = []
         self.known = 0
         """Number of directions that are stored with their effects."""
-        self.norms: list[float] = []
-        """Squared norms of the effects of the directions that are orthogonal."""
+        self.orthogonal = 0
+        """Number of directions whose effects are orthogonal to one another."""
+        self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
-        """Return `count` new vectors as one, with their arrays one after the other."""
+        """Return one vector whose arrays have room for those of `count` vectors, one after the other."""
         sizes = {name: count * size for name, size in self._sizes.items()}
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        """Return a direction and its effect; the arrays are those of a new direction if it does not exist."""
+        """Return a direction and its effect; if the direction does not exist, allocate its arrays."""
         while number >= len(self._each):
             pair = self.vector(CHUNK), self.vector(CHUNK)
             self._chunks.append(pair)
@@ -58,4 +59,9 @@ class Directions:
 
     def factors(self, first: int, products: np.ndarray) -> np.ndarray:
         """Return the factors by which directions must be subtracted, from the inner products with their effects."""
-        return products / np.array(self.norms[first : first + len(products)])
+        return products / self._norms[first : first + len(products)]
+
+    def add_norm(self, square: float) -> None:
+        """Store the squared norm of the effect of the next direction, which is now orthogonal to those before it."""
+        self._norms = np.append(self._norms[: self.orthogonal], square)
+        self.orthogonal += 1

@@ -1,4 +1,4 @@
-"""Grid flow of a mortar with rigid aggregates: one time step, which the host launches stage by stage."""
+"""Grid flow of a mortar with rigid aggregates: one time step, whose kernels the host launches in groups (stages)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 import warp as wp
 
 from ..kernels.common.control import HALTED
+from ..kernels.mps.grid.advection import advect_kernel
 from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ..kernels.mps.grid.filling import fill_kernel
 from ..kernels.mps.grid.forces import momentum_kernel
 from ..kernels.mps.grid.pressure import pressure_kernels
-from ..kernels.mps.grid.transfer import advect_kernel, gather_kernel
+from ..kernels.mps.grid.transfer import gather_kernel
 from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension.blocks import block_kernel
@@ -35,9 +36,12 @@ In narrower gaps, the part of the lubrication force that the grid lacks is added
 of two spheres (Brenner 1961) with four cells across a sphere."""
 
 PORE_DRAG = 0.2
-"""Part of the viscous resistance of a face that resists flow past aggregates, times the square of their radius in cells.
+"""Fraction of a face's viscous resistance that opposes flow past aggregates, times (radius of the aggregates in
+cells)^2.
 
-The part affects only the number of iterations of the coupled solve, to which it was fitted in eight flows."""
+The fraction affects only the number of iterations of the coupled solve. It was chosen to make this number small in
+eight flows.
+"""
 
 
 class SuspensionStep(GridStep):
@@ -48,7 +52,7 @@ class SuspensionStep(GridStep):
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
         cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
-        motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
+        pairs, motion, strain = pair_kernels(scalar, kind), motion_kernels(scalar, kind), strain_kernels(scalar, kind)
         count = flow.aggregates.count
         return [
             *self._alone(bins.clear, slots),
@@ -69,7 +73,9 @@ class SuspensionStep(GridStep):
             *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
-            *self._alone(pair_kernels(scalar, kind).find, count, aggregates=count,
+            *self._alone(pairs.locate, count, points=flow.aggregates.points),
+            flow.aggregates.sort,
+            *self._alone(pairs.find, count, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
                          sides=flow.sides, mirrors=flow.mirrors,
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
             *(self._alone(leaving_kernels(scalar, kind).weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
@@ -88,7 +94,10 @@ class SuspensionStep(GridStep):
 
     def _divergence(self) -> list[Any]:
         """Return the stage that computes the net inflow into each cell and the matrix of the projection."""
-        kernel, system = pressure_kernels(self.scalar, not self.flow.parallel, self.kind).divergence, self.flow.projection
+        kernel, system = (
+            pressure_kernels(self.scalar, not self.flow.parallel, self.kind).divergence,
+            self.flow.projection,
+        )
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
     def blocks(self) -> list[Any]:
@@ -101,7 +110,8 @@ class SuspensionStep(GridStep):
         flow, kind, scalar = self.flow, self.kind, self.scalar
         return [
             *(self._speeds() if flow.adaptive else []),
-            # The dispersion needs the matrix that `resist` has changed for the coupled solve.
+            # The dispersion of particles needs the projection's own matrix, which `resist` has overwritten for the
+            # coupled solve.
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
@@ -137,7 +147,7 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The top of a room is an open side as well, but it is above the concrete, so no aggregate leaves there.
+        # The top of the box is an open side as well, but it is above the concrete, so no aggregate leaves there.
         self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()

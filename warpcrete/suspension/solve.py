@@ -1,10 +1,10 @@
 """Coupled solve of mortar velocity, rigid aggregates and pressure in one time step.
 
 Flows without aggregates solve for velocity and pressure one after the other. With aggregates, this would cause errors
-of a third in their velocities. The method of generalised conjugate residuals (Eisenstat, Elman & Schultz 1983)
-therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of Cahouet &
-Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus the viscosity
-times the net inflow per volume. A viscous solve then gives its velocities.
+of about a third in the velocities of the aggregates. The method of generalised conjugate residuals (Eisenstat, Elman &
+Schultz 1983) therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of
+Cahouet & Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus the
+viscosity times the net inflow per volume. A viscous solve then gives its velocities.
 """
 
 from __future__ import annotations
@@ -32,6 +32,10 @@ NEGLIGIBLE = 0.1
 """Fraction of the tolerance of the coupled solve below which a pressure solve need not reduce its residual."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
+ROUGH_ERROR, CERTAIN = 3e-2, 0.9
+"""Limits of an early search for contacts, which avoids most repeated solves. The search takes place as soon as the
+error of the solve falls below ROUGH_ERROR. The speeds are not yet accurate then. A pair therefore counts only if it
+would overlap even at the fraction CERTAIN of its speed of approach."""
 CHECKED = {"cpu": 1, "gpu": 5}
 """Number of iterations of a viscous solve between two convergence checks, for which a GPU must wait."""
 
@@ -94,7 +98,8 @@ class CoupledSolve:
         return self.directions.vector()
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
-        # Launches are recorded once for each set of arrays; the factor of a multiple changes.
+        # Launches are recorded once for each set of arrays and then repeated; only `factor` changes between
+        # repetitions.
         key = (id(kernel), tasks, *((name, _identity(value)) for name, value in named.items() if name != "factor"))
         if key not in self._stages:
             self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
@@ -117,7 +122,10 @@ class CoupledSolve:
         self._launch(self.add_up, sums * block, block=BLOCK, count=self.tasks + self.count, slot=slot)
 
     def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
-        """Return the inner products of `weighted` and other vectors, each given as a number of vectors and an array."""
+        """Return the inner products of `weighted` with other vectors.
+
+        Each argument gives a number of vectors and the array that holds them.
+        """
         slot = 0
         for count, many in vectors:
             self._launch(
@@ -142,12 +150,16 @@ class CoupledSolve:
             array.zero_()
         self.inner, self.outer, self._largest = 0, 0, 0.0
         self._dt = float(flow.mesh.clock.numpy()[int(DT)])
-        self.directions.known = 0
+        self.directions.known = self.directions.orthogonal = 0
+        self._begin(again=False)
+        self._iterate(max(self.tolerances.coupled, ROUGH_ERROR))
+        if self._new_contacts(CERTAIN):
+            self._begin(again=True)
         for turn in range(CONTACT_PASSES):
-            self._begin(again=turn > 0)
-            self._iterate()
-            if not self._new_contacts():
+            self._iterate(self.tolerances.coupled)
+            if not self._new_contacts() or turn == CONTACT_PASSES - 1:
                 break
+            self._begin(again=True)
         self._launch(self.algebra.finish, self.tasks + self.count, solution=self.solution)
         if flow.aggregates.pairs.full.numpy()[0]:
             raise CapacityError(
@@ -179,31 +191,31 @@ class CoupledSolve:
             self._multiply(self.solution, self.product)
             self._subtract(np.ones(1), self.product, self.residual)
 
-    def _iterate(self) -> None:
-        """Reduce the residual to the tolerance; raise :class:`ConvergenceError` if this fails.
+    def _iterate(self, tolerance: float) -> None:
+        """Reduce the residual to a tolerance; raise :class:`ConvergenceError` if this fails.
 
-        The solve first uses the directions of the solve that it repeats.
+        A solve that is repeated with new contacts first uses the directions that are already known.
         """
         directions = self.directions
-        if directions.known > self.tolerances.outer:
-            directions.known = 0
-        kept, directions.norms = directions.known, []
-        self.error = self._advance(0.0, self.direction, self.product)
-        history, number = [self.error], 0
-        while self.error > self.tolerances.coupled and number < kept + self.tolerances.outer:
+        first = directions.orthogonal
+        if first == 0:
+            self.error = self._advance(0.0, self.direction, self.product)
+        history = [self.error]
+        end = max(directions.known, first) + self.tolerances.outer
+        while self.error > tolerance and directions.orthogonal < end:
+            number = directions.orthogonal
             change, effect = directions[number]
-            if number >= kept:
+            if number >= directions.known:
                 self._precondition(self.residual, change)
                 self._multiply(change, effect)
                 self.outer += 1
             factor = self._orthogonalise(number)
-            number += 1
             self.error = self._advance(factor, change, effect)
             history.append(self.error)
+            directions.known = max(directions.known, number + 1)
             if not factor:
                 break
-        directions.known = max(kept, number)
-        if self.error > self.tolerances.coupled:
+        if self.error > tolerance:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
 
     def _orthogonalise(self, number: int) -> float:
@@ -220,23 +232,28 @@ class CoupledSolve:
         if number:
             self._weigh(effect)
         size, along = self._products((1, effect), (1, self.residual))
-        self.directions.norms.append(size if size > 0 else np.inf)
+        self.directions.add_norm(float(size) if size > 0 else np.inf)
         return float(along / size) if size > 0 else 0.0
 
     def _weigh(self, one: Any) -> None:
         self._launch(self.algebra.weigh, self.tasks + self.count, one=one, weighted=self.weighted)
 
-    def _new_contacts(self) -> bool:
-        """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs."""
-        changed = self.flow.aggregates.pairs.changed
+    def _new_contacts(self, certain: float = 1.0) -> bool:
+        """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs.
+
+        A pair counts if it would overlap even at the fraction `certain` of its speed of approach. New contacts change
+        the matrix, so the effects of the known search directions are updated.
+        """
+        changed, directions = self.flow.aggregates.pairs.changed, self.directions
         changed.zero_()
-        self._launch(self.pairs.touch, self.count, change=self.solution.linear)
+        self._launch(self.pairs.touch, self.count, change=self.solution.linear, certain=certain)
         if not changed.numpy()[0]:
             return False
-        for _, count, changes, effects in self.directions.before(self.directions.known):
-            self._launch(
-                self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear
-            )  # fmt: skip
+        if directions.known > self.tolerances.outer:
+            directions.known = 0
+        for _, count, changes, effects in directions.before(directions.known):
+            self._launch(self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear)
+        directions.orthogonal = 0
         return True
 
     def _advance(self, factor: float, change: Any, effect: Any) -> float:
@@ -323,5 +340,5 @@ class CoupledSolve:
 
 
 def _identity(value: Any) -> Any:
-    """Return what tells an argument of a kernel from another one: a number itself, or the identity of an array."""
+    """Return a key that identifies an argument of a kernel: the number itself, or the identity of an array."""
     return value if isinstance(value, (int, float)) else id(value)

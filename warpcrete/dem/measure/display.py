@@ -346,9 +346,11 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
+        if not self.simulation.scene.hydration:  # The second kind then belongs to a group, such as the plug.
+            return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)
-        found = {"contacts": lines(touching & (kinds <= 0)), "bonds": lines((kinds > 0) & ~hydrated)}
-        return found | ({"hydrated bonds": lines(hydrated)} if self.simulation.scene.hydration else {})
+        bonds = {"bonds": lines((kinds > 0) & ~hydrated), "hydrated bonds": lines(hydrated)}
+        return {"contacts": lines(touching & (kinds <= 0)), **bonds}
 
     def bounds(self) -> np.ndarray:
         """Return the lowest and the highest corner of a bounding box [m], shape (2, 3).

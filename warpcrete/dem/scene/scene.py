@@ -442,8 +442,8 @@ class Scene(Parametrised):
         """
         concrete = str(self.parameters.get("concrete") or "")
         if self.pipe is None:
-            sizes = [self.parameters.get(name) for name in ("size_min", "size_max")]
-            stones = "aggregates {:g} to {:g} mm".format(*(1e3 * size for size in sizes)) if all(sizes) else ""
+            sizes = [float(size) for name in ("size_min", "size_max") if (size := self.parameters.get(name))]
+            stones = f"aggregates {1e3 * sizes[0]:g} to {1e3 * sizes[1]:g} mm" if len(sizes) == 2 else ""
             return ", ".join(filter(None, (self.name, concrete and f"concrete {concrete}", stones)))
         flow = np.pi * self.pipe.radius**2 * self.pipe.velocity
         return pumping_caption(f"{self.name} {self.pipe.name}", self.pipe.radius, concrete, flow)

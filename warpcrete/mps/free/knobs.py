@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 from ...core.inputs.knobs import Knob, precisions, scaled
 from .scene import FreeConcrete
@@ -27,3 +28,12 @@ def free_knobs(
         yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
     yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
     yield precisions()
+
+
+def free_variants(given: FreeConcrete) -> dict[str, dict[str, Any]]:
+    """Return variants of a flow, as changes of its parameters, with half and twice the constants of its concrete."""
+    found = {}
+    for name, words in (("yield_stress", "yield stress"), ("viscosity", "viscosity")):
+        value = getattr(given.make_concrete(False), name)
+        found |= {f"half the {words}": {name: value / 2}, f"twice the {words}": {name: value * 2}}
+    return found

@@ -16,16 +16,18 @@ import warp as wp
 from ...core.device.launching import Stage, parameter_names
 from ...core.device.scan import scan_stages
 from ...kernels.common.reductions import BLOCK
+from ...kernels.mps.grid.advection import advect_kernel
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ...kernels.mps.grid.cells import STRIP
 from ...kernels.mps.grid.filling import fill_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
 from ...kernels.mps.grid.levels import level_kernels
-from ...kernels.mps.grid.multigrid import resident_multigrid, serial_multigrid
 from ...kernels.mps.grid.pace import speed_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
+from ...kernels.mps.grid.resident_multigrid import resident_multigrid
+from ...kernels.mps.grid.serial_multigrid import serial_multigrid
 from ...kernels.mps.grid.structure import break_kernel
-from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
+from ...kernels.mps.grid.transfer import extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.resident_solver import resident_blocks
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY

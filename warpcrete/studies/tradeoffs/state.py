@@ -380,11 +380,21 @@ class Trade:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
                 found.append(Error(each.name, float(np.mean(errors)), scatter))
-            elif self.reference is not None:
-                reference = self.reference.values(each.name, self.seeds)
+            elif (finest := self.reference_of(point)) is not None:
+                reference = finest.values(each.name, self.seeds)
                 if reference:
                     found.append(difference(each.name, values, reference))
         return found
+
+    def reference_of(self, point: Setting) -> Setting | None:
+        """Return the reference setting with which a setting is compared; None if there is none yet.
+
+        For a run of a variant, this is the reference setting of the same variant.
+        """
+        if not point.variant or self.reference is None:
+            return self.reference
+        levels = self.reference.levels
+        return next((p for p in self.tried if p.variant == point.variant and p.levels == levels), None)
 
     def shift(self, knob: Knob, level: int) -> float:
         """Return the largest error of a knob's level against the finest level that was measured; infinity on failure.

@@ -342,7 +342,9 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
     The tests are runs with other random seeds and runs of variants of the scene. If a test run fails, or if its error
     exceeds the wanted error, the next cheapest setting is tested.
     """
-    variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
+    # With random results, the references of all variants would need several seeds each, which takes too long.
+    compared = trade.exact or (trade.reference is not None and not trade.has_seeds)
+    variants = trade.module.trading.variants(trade.declared) if compared else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
     fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH_SEEDS)] if trade.has_seeds else []
     for target in WANTED_ERRORS:
@@ -372,11 +374,18 @@ def _test_variants(
     points: list[Setting] = []
     bound = trade.promised(point)
     others = [trade.carried(point, variant, changes) for variant, changes in variants.items()]
+    finest = [] if trade.exact or trade.reference is None else [
+        trade.carried(trade.reference, variant, changes) for variant, changes in variants.items()
+    ]  # fmt: skip
     for number, (variant, other) in enumerate(zip(variants, others)):
-        if not trade.complete(other, trade.seeds):
-            trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
-        if not other.results and not other.failure.startswith("failed"):
+        needed = [other, *finest[number : number + 1]]
+        if not all(trade.complete(each, trade.seeds) for each in needed):
+            here = slice(number, number + trade.abreast)
+            trade.run_all([*finest[here], *others[here]], trade.seeds, tell)
+        if any(not each.results and not each.failure.startswith("failed") for each in needed):
             continue  # Skip this variant: the study had no time left to run it.
+        if any(each.failure for each in finest[number : number + 1]):
+            continue  # Without a reference, the error in this variant is unknown.
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:
