@@ -61,7 +61,7 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
             f"is too large: only {count} of {len(radii)} aggregates found a place",
-            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider room",
+            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider box",
         )  # fmt: skip
     return Aggregates(centres, radii, scene.aggregate_density)
 

@@ -160,8 +160,8 @@ class FreeScene(Parametrised, FreeSettings):
             refuse(
                 "outline",
                 self.outline,
-                f"must lie within the room, {self.width:g} by {self.height:g} m",
-                "move the corners of the outline, or enlarge the room",
+                f"must lie within the simulated space, {self.width:g} by {self.height:g} m",
+                "move the corners of the outline, or enlarge the simulated space",
             )
         for wall in self.walls:
             if wall.motion is not None:
