@@ -235,8 +235,8 @@ def contact_update_function(
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                # The forces of a pair with a stiff bond are computed by the sub-cycling rounds, so this kernel skips
-                # the pair.
+                # Skip a pair with a stiff bond: its forces are computed separately, in several rounds per step
+                # (sub-cycling).
                 held_apart = kind == HYDRATED
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)

@@ -175,7 +175,9 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
             left = left & (left - 1)
             if wp.static(subcycling):
                 if k < end and kind_of(pairs.bond[k]) == HYDRATED:
-                    continue  # Skip a pair with a stiff bond, because the sub-cycling rounds update its history.
+                    # Skip a pair with a stiff bond, because its history is updated in the several rounds per step that
+                    # such bonds need (sub-cycling).
+                    continue
             if k < end:
                 lost += clear_parted(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
         return lost

@@ -315,7 +315,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
 
 @functools.cache
 def keep_kernel(scalar) -> wp.Kernel:
-    """Return the kernel over scenes that stores the latest estimate as the stable step of the sub-cycled pairs [s]."""
+    """Return the kernel over scenes that stores the latest stable step estimate of pairs with stiff bonds [s]."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     least = recording_functions(scalar).least
 

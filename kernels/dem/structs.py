@@ -34,7 +34,8 @@ APART: int = wp.constant(0)  # the spheres do not touch
 # from the old list.
 TOUCHING: int = wp.constant(1)
 PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
-STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
+# The spheres have a stiff bond, whose forces are computed in several rounds per step (sub-cycling).
+STIFF: int = wp.constant(3)
 
 
 @functools.cache

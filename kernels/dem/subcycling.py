@@ -34,7 +34,7 @@ from .pairs import bonded_function, broken_function, pair_functions
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 SUBCYCLED_STEP_FRACTION = 0.5
-"""Largest step with sub-cycling, as a fraction of the stable step of all contacts without stiff bonds."""
+"""Largest step if stiff bonds are computed in several rounds per step, over the stable step of all other contacts."""
 RELAXATION = 0.01
 """Relaxation time of a stiff bond's dashpots (damping / stiffness), as a fraction of the time step."""
 

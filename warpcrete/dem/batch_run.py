@@ -102,8 +102,8 @@ def _run_batch(
 def _share_rounds(parts: Sequence[_BatchMember]) -> None:
     """Tell the batches that run at the same time how many of them must share the GPU's resident thread blocks.
 
-    The kernel for sub-cycling synchronises its blocks at barriers, so all blocks of all these batches must be resident
-    on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
+    The kernel that moves bodies with stiff bonds synchronises its blocks at barriers, so all blocks of all these
+    batches must be resident on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
     """
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
     several = [batch for batch in batches if batch.features.subcycling]

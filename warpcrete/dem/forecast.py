@@ -47,7 +47,7 @@ STRAIGHT, BENT = 1.25, 0.5
 # 1.3.
 BONDS_AFTER_SETTLING = 1.2
 SETTLING_BUILDS = 1 / 40  # neighbour list rebuilds per step while a packing settles
-# A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
+# A packing is assumed to settle in this number of passages of a pressure wave along the pipe, plus a constant time [s].
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
 IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
 

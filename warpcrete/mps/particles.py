@@ -25,7 +25,8 @@ from .common.stepping import Stepping
 from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 
-# Skin of the neighbour lists in particle spacings. The column moves as a whole, so lists last some eighty steps.
+# Skin of the neighbour lists, in particle spacings: the distance beyond the range of the forces up to which pairs are
+# listed. The column moves as a whole, so with this skin the lists last some eighty steps.
 SKIN = 0.1
 CORRECTION = 0.2  # Fraction of the density error that one step removes.
 HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.

@@ -126,8 +126,8 @@ GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     """Return the struct of constants of a flow for the kernels.
 
-    `skin` is the skin of the neighbour lists, divided by the particle spacing. `correction` is the fraction of the
-    density error that a step removes.
+    `skin` is the distance beyond the range of the forces up to which neighbours are listed, divided by the particle
+    spacing. `correction` is the fraction of the density error that a step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()

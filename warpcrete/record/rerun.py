@@ -368,7 +368,8 @@ class RerunRecorder(Recorder):
 
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
-        # A viewer has one layout for each application, so scenes of other kinds need names of their own.
+        # The viewer keeps one layout for each application name, so each kind of scene needs an application name of its
+        # own.
         self._recording = rr.RecordingStream(f"warpcrete {display.simulation.scene.name}", recording_id=recording_id)
         if part == 0:
             self._recording.send_recording_name(display.simulation.scene.caption)

@@ -41,7 +41,8 @@ def system_structs(scalar) -> SimpleNamespace:
         near_capacity: wp.int32  # Maximum number of entries in a row without the diagonal.
         rows: wp.int32  # Number of rows of all levels, n.
         levels: wp.int32  # Number of levels, at least 1.
-        children: wp.int32  # Maximum number of rows that form a row of the next coarser level.
+        # Maximum number of matrix rows that are merged into one row of the next coarser level of the multigrid.
+        children: wp.int32
         free: wp.array(dtype=wp.int32)  # 1 for rows without an unknown, else 0, shape (n,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
         near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row, shape (n,).

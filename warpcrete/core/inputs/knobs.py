@@ -12,9 +12,9 @@ class Level:
     """One setting of a knob, which is a parameter that trades accuracy for computing time."""
 
     label: str
-    """Name in tables for this setting of the knob, such as "10 mm"."""
+    """Name of this setting of the accuracy parameter (knob) in tables, such as "10 mm"."""
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
-    """Values of the scene's parameters that this setting of the knob changes, by parameter name."""
+    """Values of the scene's parameters that this setting of the accuracy parameter (knob) changes, by name."""
     cost: float = 1.0
     """Expected wall time of a run at this level, relative to the other levels of the same knob. A level is a value of
     the accuracy parameter that the knob changes. The expected time is used only for planning, before wall times are
@@ -35,13 +35,14 @@ class Knob:
 
     name: str
     levels: tuple[Level, ...]
-    """Settings of the knob, from the coarsest to the finest; one of the settings is that of the scene as given."""
+    """Settings of the accuracy parameter (knob), from the coarsest to the finest; one of the settings is that of the
+    scene as given."""
     physical: bool = False
-    """True if the knob changes physical properties of the concrete, so that a coarser setting simulates a different
+    """True if this accuracy parameter (knob) changes the concrete itself, so that a coarser setting simulates another
     concrete."""
     chosen: bool = True
-    """True if the program may use this knob in the settings that it recommends. Otherwise the knob's effect is only
-    measured."""
+    """True if the program may change this accuracy parameter (knob) in the settings that it recommends. If False, its
+    effect is only measured."""
 
     def level_of(self, key: str) -> Level | None:
         """Return the setting (level) of this knob that has the given key, or None if there is no such setting."""
@@ -63,7 +64,7 @@ def scaled(
 
 
 def precisions() -> Knob:
-    """Return the knob for single or double precision."""
+    """Return the knob (accuracy parameter) that selects single or double precision."""
     return Knob(
         "precision", (Level("float32", {"precision": "float32"}), Level("float64", {"precision": "float64"}, 1.3))
     )
@@ -78,7 +79,7 @@ class Trading:
     """
 
     knobs: Callable[[Any], Iterator[Knob]]
-    """Function that takes the scene's parameters and yields the knobs."""
+    """Function that takes the scene's parameters and yields the knobs (accuracy parameters)."""
     quantities: tuple[str, ...]
     """Names of result quantities whose errors at each setting are computed, unless the user names other quantities."""
     closed_form: Callable[[Any], bool] = lambda given: False

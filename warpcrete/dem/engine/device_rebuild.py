@@ -53,7 +53,7 @@ class DeviceRebuild:
         return [self.needs_rebuild, self.fit]
 
     def record(self) -> None:
-        """Record all launches of a rebuild without running them; recording loads their kernels."""
+        """Record all launches of a rebuild without running them, which loads their kernels beforehand."""
         self._rebuild.record()
         for stage in self.stages():
             stage.record()

@@ -206,7 +206,7 @@ class Subcycles:
         self._body_place = zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sub-cycled bodies of scene `s`, the number of pair ends at each body, and the ends, body by body.
+        """Return the bodies of scene `s` with stiff bonds, the number of pair ends at each, and these ends.
 
         The bodies are given by their permanent numbers. The end 2k is the sphere of pair k that has the lower permanent
         number, and the end 2k + 1 is its other sphere.

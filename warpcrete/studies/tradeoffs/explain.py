@@ -166,7 +166,7 @@ def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Sav
 
 
 def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
-    """Yield the saving from removing or weakening what limits the time step: a kind of bond, or the dashpots."""
+    """Yield the time saved by removing or weakening whatever limits the step: a kind of bond, or the dashpots."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
     if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
         # The user chose the time step, so the run would not become faster without bonds or dashpots.

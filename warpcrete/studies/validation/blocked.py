@@ -23,7 +23,7 @@ class BlockingComparison:
     blocked: bool
     """True if the concrete blocked in the test."""
     verdict: str
-    """Worst verdict among the rules for which the case has all entries."""
+    """Most severe verdict of all rules that can be applied to the case, that is, whose inputs it states."""
     rules: str
     """Names of the rules whose verdict on this case is 'risky' or 'blocks', as text."""
 
