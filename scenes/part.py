@@ -125,7 +125,7 @@ class _PipeCourse:
 
     axis: Axis
     bores: Bores
-    """Inner radii along the pipe [m], up to the wall: the slip layer lies inside them."""
+    """Inner radii of the pipe's wall along the pipe [m]; the slip layer lies within them."""
     wall: MeshWall | None = None
     insert: tuple[float, float] | None = None
     parts: tuple[Section, ...] = ()

@@ -45,7 +45,7 @@ def scene(parameters: SlumpElements) -> Scene:
 def lifted_cone(given: SlumpElements, test: StandardTest, around: tuple[Wall, ...], what: str) -> Scene:
     """Build the scene of a `test` in which a mould is lifted from a plate; `around` contains further walls, if any.
 
-    `what` names the surfaces on which the concrete may slide freely. A remark to the user shows this text.
+    `what` is a text for a remark to the user; it names the surfaces on which the concrete may slide freely.
     """
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)

@@ -26,7 +26,8 @@ from ..mps.structs import mps_types
 FULL = wp.constant(1 << 20)
 """Integer that represents the fraction 1 of a sample or of a face.
 
-Aggregates add their fractions as integers, because a sum of integers does not depend on the order of the additions."""
+Tasks add the fractions of aggregates as integers, because a sum of integers does not depend on the order of additions.
+"""
 
 
 @functools.cache
@@ -57,12 +58,12 @@ def body_structs(scalar) -> SimpleNamespace:
         # of shape (3 slots,).
         claims: wp.array(dtype=wp.int32)
         owner: wp.array(dtype=wp.int32)
-        # Number of cells whose other faces all move with one aggregate, while this face is free, and 1 + the index of
-        # that aggregate, each of shape (3 slots,).
+        # For each free face: the number of adjacent cells whose other faces all move with one aggregate, and 1 + the
+        # index of that aggregate. Both have the shape (3 slots,).
         closing: wp.array(dtype=wp.int32)
         closer: wp.array(dtype=wp.int32)
-        # 1 for cells whose faces must not move with an aggregate, because two aggregates, or an aggregate and a wall,
-        # are close to each other; otherwise 0; shape (slots,).
+        # 1 for cells in narrow gaps between two aggregates, or between an aggregate and a wall, whose faces must not
+        # move with an aggregate; 0 for all other cells. The shape is (slots,).
         shared: wp.array(dtype=wp.int32)
         # Number of aggregates that cover a part of each face, 1 + the largest index of these aggregates, and the
         # covered fraction of the face's area times FULL, each of shape (3 slots,).
@@ -79,8 +80,8 @@ def body_structs(scalar) -> SimpleNamespace:
         # Faces of all aggregates, sorted by aggregate. For each aggregate, the faces that move with it come first,
         # followed by the faces that it covers partly.
         faces: wp.array(dtype=wp.int32)
-        # Fraction of each face in `faces` through which the flow has the velocity of the aggregate. It is 1 for faces
-        # that move with the aggregate.
+        # Fraction of the area of each face in `faces` that the aggregate covers. It is 1 for faces that move with the
+        # aggregate.
         part: wp.array(dtype=scalar)
         # Vector from the centre of the aggregate to the centre of each face in `faces` [m].
         lever: wp.array(dtype=vec3)
@@ -100,7 +101,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return the vector `d` between two points; in a periodic pipe, return that to the nearest periodic image."""
+        """Return the vector `d` between two points; in a periodic pipe, the vector to the nearest copy."""
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)
@@ -114,7 +115,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carried(velocity: vec, spin: vec, d: vec, axis: wp.int32) -> scalar:
-        """Return the component along `axis` of a rigid body's velocity at the lever `d`."""
+        """Return the component along `axis` of a rigid body's velocity at the distance `d` from its centre."""
         return (velocity + wp.cross(spin, d))[axis]
 
     @wp.func
@@ -161,7 +162,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
                 for k in range(3):
                     x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
                     size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                    # Extent of the small box along the normal of the surface.
+                    # Extent of the small box along the normal of the aggregate's surface.
                     extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
                     sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
         return sum / scalar(27.0)
@@ -309,7 +310,7 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
         """Find cells of which all faces but one move with the same aggregate, and mark the remaining face.
 
         Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. The result is stored in
-        `closing` and `closer`, because other tasks still read `claims` and `owner`.
+        `closing` and `closer`, because other tasks of this kernel still read `claims` and `owner`.
         """
         if flags[HALTED] != 0:
             return
@@ -379,7 +380,7 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def release(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
-        """Make the velocities of the faces of shared cells unknowns again.
+        """Release the faces of the cells that `share` has found: their velocities become unknowns again.
 
         If all faces of a cell moved with two aggregates, mortar could neither enter nor leave the cell, and the
         aggregates would stick together.

@@ -27,10 +27,11 @@ from .bodies import FULL, body_structs
 from .vectors import range_functions, share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Pressure in the norm of residuals that a divergence of the velocity causes, divided by viscosity and divergence."""
+"""Weight of the divergence in the norm of residuals: pressure per viscosity and divergence."""
 YIELDING = wp.constant(0.4)
-"""Part of the pressure in the preconditioner that depends on the cell alone: the factor before 1 / (D a^-1 D^T), where
-a is the diagonal of the viscous matrix. It was fitted to the number of iterations in eight flows."""
+"""Factor of the local part of the preconditioner's pressure. This part depends on the cell's own net inflow alone; it
+is the inflow times this factor / (D a^-1 D^T), where a is the diagonal of the viscous matrix. It was fitted to the
+number of iterations in eight flows."""
 
 
 @functools.cache
@@ -73,7 +74,8 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 inverse[r] = value
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 if again == 0:
-                    # Keep the inflow for a repeated solve of the step, because pressure solves overwrite this residual.
+                    # Keep a copy of the inflow for a repeated solve of the step, because pressure solves overwrite
+                    # `projection.residual`.
                     inflow[c] = projection.residual[c] * scalar(mesh.clock[DT]) / g.density
                 residual.cells[c] = residual.cells[c] + inflow[c]
         else:

@@ -1,4 +1,4 @@
-"""Aggregates that leave the room through an open side, such as the outlet of a funnel.
+"""Aggregates that leave the simulated box through an open side, such as the outlet of a funnel.
 
 The grid contains mortar everywhere, also inside aggregates, so an aggregate adds only its mass minus that of an equal
 volume of mortar. Beyond an open side there is no mortar. The part of an aggregate that has left therefore adds its
@@ -17,15 +17,15 @@ from .bodies import body_structs
 from .pairs import pair_struct
 
 PARKED = wp.constant(1.0e3)
-"""Minimum distance of parked aggregates from the room [m]."""
+"""Aggregates that have left the simulated box are parked at least this far from it [m]."""
 
 
 @functools.cache
 def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `weigh` and `park`, each with one task per aggregate.
 
-    `opens` has the bit 2 axis + 1 set if the upper side of the room along this axis is open, and the bit 2 axis for the
-    lower side. `excess` is the density of the aggregates minus that of the mortar [kg/m3].
+    `opens` has bit number 2 axis + 1 set if the upper side of the simulated box along this axis is open, and bit number
+    2 axis if the lower side is open. `excess` is the density of the aggregates minus that of the mortar [kg/m3].
     """
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)
@@ -34,7 +34,7 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def beyond(g: Grid, bodies: Bodies, b: wp.int32, side: wp.int32) -> scalar:
-        """Return how far an aggregate reaches beyond a side of the room [m], at most its diameter."""
+        """Return how far an aggregate reaches beyond a side of the box [m], at most its diameter."""
         axis = side / 2
         inside = bodies.centre[b][axis] - g.origin[axis]
         if side % 2 == 1:
@@ -45,7 +45,10 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def weigh(
         g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, pairs: Pairs, opens: wp.int32, excess: scalar
     ):  # fmt: skip
-        """Compute the mass and weight that aggregates add to the mortar; parked aggregates have no neighbours."""
+        """Compute the mass and weight that aggregates add to the mortar.
+
+        Aggregates that have left the box entirely also lose their neighbours.
+        """
         if flags[HALTED] != 0:
             return
         b = wp.tid()
@@ -68,7 +71,7 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def park(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, opens: wp.int32):
-        """Move aggregates that have left the room entirely far away, at a distance from each other, and stop them."""
+        """Move aggregates that have left the box entirely far away, at a distance from each other, and stop them."""
         if flags[HALTED] != 0:
             return
         b = wp.tid()

@@ -23,7 +23,7 @@ CAPACITY = wp.constant(48)
 WALL = wp.constant(-1)
 """Value that is stored instead of a neighbour's index if the neighbour is a wall."""
 NEW = wp.constant(2)
-"""Value that marks neighbours which the last coupled solve has made touch."""
+"""Mark of a neighbour that the last coupled solve has brought into contact."""
 HOLD = wp.constant(300.0)
 """Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
@@ -50,19 +50,19 @@ def pair_struct(scalar):
         still: wp.array(dtype=scalar)  # Velocity of a wall along the normal [m/s]; 0 for an aggregate.
         lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
-        # 1 if the neighbours touch in this step, NEW if the last solve has found this contact, else 0.
+        # 1 if aggregate and neighbour touch in this step, NEW if the last solve has found this contact, otherwise 0.
         touching: wp.array(dtype=wp.int32)
-        # The next array has one entry for each aggregate, shape (n,). The other two have a single entry.
+        # `smallest_gap` has one entry for each aggregate, shape (n,); `full` and `changed` have a single entry.
         smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the radius.
         full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
-        changed: wp.array(dtype=wp.int32)  # 1 if the solve has made a pair touch.
+        changed: wp.array(dtype=wp.int32)  # 1 if the last solve has found a new contact.
 
     return Pairs
 
 
 @functools.cache
 def wall_gap_function(scalar, of: GridKind):
-    """Build the function that returns the distance of a point from the nearest wall, its gradient, and the wall."""
+    """Build the function that returns a point's distance from the nearest wall, its gradient, and the wall's number."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -151,7 +151,8 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         pairs.lubrication[place] = lubrication
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
-        # A contact must not hold two aggregates that part faster than their overlap disappears.
+        # The contact force would slow down two aggregates that separate faster than it removes their overlap, so these
+        # do not count as touching.
         parting = gap < rough and -approach * longest > rough - gap
         pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
@@ -236,8 +237,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
         reach = scalar(LOOKED_AT) * wp.max(g.width)
         count = wp.int32(0)
         pairs.smallest_gap[b] = scalar(1.0e30)
-        # The hash grid yields neighbours in any order, and in a short periodic pipe more than once. They are sorted, so
-        # that sums over neighbours are always added up in the same order.
+        # The hash grid yields neighbours in any order, and in a short periodic pipe more than once. Sort them, so that
+        # sums over neighbours are always added up in the same order.
         first = b * CAPACITY
         for image in range(wp.static(3 if of.periodic else 1)):
             here = wp.vec3f(x)
@@ -270,8 +271,9 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 g, pairs, b, k, o, n, away - (radius + bodies.radius[o]), approach, scalar(0.0), reduced, radius,
                 cutoff, roughness, dt, longest,
             )  # fmt: skip
-        # Neighbours also include the sides of the room that are walls or planes of symmetry. A plane of symmetry acts
-        # like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed of approach.
+        # Neighbours also include the sides of the simulated box that are walls or planes of symmetry. A plane of
+        # symmetry acts like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed
+        # of approach.
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2
@@ -287,8 +289,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
                         part * roughness, dt, longest,
                     )  # fmt: skip
-        # Other walls are looked for at the centre and at six points of the surface, because the distance of the grid is
-        # that from the nearest wall, which may be a side of the room.
+        # Look for other walls at the centre and at six points of the surface. The grid stores only the distance from
+        # the nearest wall, which at the centre may be a side of the box.
         for probe in range(7):
             e = vec()
             if probe > 0:
@@ -347,7 +349,7 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
             if o != WALL:
                 relative = relative - (bodies.velocity[o] + change[o])
             approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
-            # With `certain` below 1, only pairs count that would overlap at lower speeds of approach as well.
+            # A pair counts only if it would overlap even at the fraction `certain` of its speed of approach.
             approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
             if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
                 pairs.touching[place] = NEW

@@ -1,9 +1,10 @@
 """Strain rate and viscosity of mortar beside aggregates.
 
-Strain rates belong to samples, the cells and edges of the grid. An aggregate may cut a sample. The aggregate does not
-deform, so the mortar in the sample deforms more: with the mortar's fraction f of the sample, the strain rate of the
-mortar is that of the sample divided by f. The dissipation in the sample is then mu / f times the square of the sample's
-strain rate, where mu is the viscosity of the mortar. The matrix therefore contains mu / f instead of mu.
+Strain rates are computed at samples: the cells and the cell edges of the grid. An aggregate may cut a sample. The
+aggregate does not deform, so the mortar in the sample deforms more: with the mortar's fraction f of the sample, the
+strain rate of the mortar is that of the sample divided by f. The dissipation in the sample is then mu / f times the
+square of the sample's strain rate, where mu is the viscosity of the mortar. The matrix therefore contains mu / f
+instead of mu.
 """
 
 import functools

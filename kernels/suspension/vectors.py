@@ -1,4 +1,4 @@
-"""Vectors of the coupled equations of mortar and aggregates, division of their entries among tasks, and sums."""
+"""Vectors of the coupled equations of mortar and aggregates, the distribution of their entries over tasks, and sums."""
 
 import functools
 from types import SimpleNamespace
@@ -132,8 +132,8 @@ def range_functions(scalar, serial: bool) -> SimpleNamespace:
     - `dot` returns the inner product of `one` and of the vector that begins at the index `offset` of `many`.
     - `add` adds a multiple of the vector that begins at the index `offset` of `many` to `result`.
     - `move` moves a solution by `alpha` along a search direction, updates the residual, and multiplies it by `inverse`.
-      It replaces `product`, the product of matrix and direction, by the result.
-    - `turn` computes the next search direction where `inverse` is not 0.
+      It stores this result in `product`, which held the product of matrix and direction.
+    - `turn` computes the next search direction for entries that are unknowns, that is, whose `inverse` is not 0.
     """
     name, stride = "double" if scalar is wp.float64 else "float", "1" if serial else "stride"
     array, integer = wp.array(dtype=scalar), wp.int32

@@ -566,7 +566,8 @@ ENTRIES = (
           "range, its weight, and the pressure recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
     Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program; the line joins "
-          "those that no other setting beats. A check of the runs with hollow markers failed.",
+          "those that no other setting beats. A hollow marker means that its run failed one of the checks of the "
+          "scene.",
           "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
     Entry("posterior", "What measurements determine", "Slip layers that agree with the wall stress at two flows. Above "
           "and right: how likely each viscosity and yield stress of the layer is; lower left: both together, of which "

@@ -74,7 +74,7 @@ class RunFolder:
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}
 
     def recorders(self, simulation: Simulation) -> list[Recorder]:
-        """Return the recorders that write this folder; raises :class:`SceneError` for a setting of another method."""
+        """Return the recorders of this folder; raises :class:`SceneError` for a setting of another method."""
         display = method_of(simulation.scene).display
         if self.colour is not None and self.colour not in display.colourings:
             refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")

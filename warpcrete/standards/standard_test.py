@@ -107,7 +107,7 @@ class ClosedForm:
         return f"{self.quantity}_{self.suffix}"
 
     def value(self, known: Outcome) -> float | None:
-        """Return the predicted value; None where the form does not hold, or if the concrete is unknown."""
+        """Return the predicted value; None if the closed form does not hold or the concrete is unknown."""
         return None if known.concrete is None else self.of(known)
 
 
@@ -212,7 +212,7 @@ TESTS: dict[str, StandardTest] = {}
 
 
 def _by_name(name: str, module: str) -> StandardTest:
-    if name not in TESTS:  # Another process has not imported the scene's file that defines the test.
+    if name not in TESTS:  # The scene's file defines the test; a worker process may not have imported it yet.
         importlib.import_module(module)
     return TESTS[name]
 

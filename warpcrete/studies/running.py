@@ -115,7 +115,7 @@ def _run_group(
         by_name, found = simulations_of(record, module, folder, group, progress_of)
         simulations += [simulation for simulation, _ in by_name.values()]
         for simulation in simulations:
-            # A Ctrl-C while the simulations were made has reached none of them.
+            # A Ctrl-C that came before the simulations existed did not reach them, so pass the request on now.
             simulation.stop_requested |= stop.requested
 
         def packing(phase: str, fraction: float) -> None:

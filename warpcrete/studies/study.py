@@ -279,7 +279,8 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            # The case has a parameter that no case uses. Creating the scene raises the error that names this parameter.
+            # No case uses one of these parameters, so it is probably a mistake. Creating the scene raises an error that
+            # names it.
             scene(**case.parameters)
     return found
 

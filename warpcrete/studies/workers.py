@@ -168,7 +168,7 @@ def serve() -> None:
 
 
 def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
-    """Receive messages until the pipe closes, then end the process, because the parent process has ended."""
+    """Receive messages until the pipe closes. That means that the parent process has ended, so end this process too."""
     with open(0, "rb", closefd=False) as messages:
         while True:
             try:

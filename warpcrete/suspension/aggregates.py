@@ -54,7 +54,7 @@ class Aggregates:
 
 
 def is_inside(centres: np.ndarray) -> np.ndarray:
-    """Return a mask of the aggregates that have not left the room entirely; `centres` has the shape (n, 3)."""
+    """Return a mask of the aggregates that have not left the simulated box entirely; `centres` has the shape (n, 3)."""
     return np.abs(centres).max(1) < float(PARKED)
 
 
@@ -85,7 +85,8 @@ class BodyState:
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
         )  # fmt: skip
-        # A sphere touches fewer faces of each axis than there are cells in a sphere whose radius is two cells larger.
+        # Upper bound of the number of faces that a sphere touches: for each axis, the number of cells in a sphere whose
+        # radius is two cells larger.
         room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
@@ -122,11 +123,11 @@ class BodyState:
 
     @property
     def inside(self) -> np.ndarray:
-        """Mask of the aggregates that have not left the room entirely, shape (n,)."""
+        """Mask of the aggregates that have not left the simulated box entirely, shape (n,)."""
         return is_inside(self.bodies.centre.numpy())
 
     def volume_inside(self, opens: int) -> float:
-        """Return the part of the aggregates' volume that has not left the room through an open side.
+        """Return the part of the aggregates' volume that has not left through an open side.
 
         `opens` names the open sides as in :func:`warpcrete.kernels.suspension.leaving.leaving_kernels`.
         """

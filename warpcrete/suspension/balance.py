@@ -17,7 +17,7 @@ PAIRS = (0, 1), (0, 2), (1, 2)
 
 @dataclass(frozen=True)
 class Balance:
-    """Power of all forces in a time step [W], at the velocities of its end, and momentum along the last axis [N]."""
+    """Power of all forces at the end of a time step [W], and change of momentum along the last axis [N]."""
 
     walls: float
     """Power that moving walls supply, by friction and by pushing aggregates."""
@@ -222,7 +222,8 @@ class _Step:
         relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
         approach = np.sum(relative * normal, 1) - still
         hold = hold * touching
-        # A pair of aggregates has two entries, and each of them counts half of its power.
+        # Each pair of aggregates is stored twice, once for either of them, so each entry counts half of the pair's
+        # power.
         share = np.where(wall, 1.0, 0.5)
         apart = hold / flow.scene.time_step * (rough - gap)
         force = -((slow + hold) * approach + apart)

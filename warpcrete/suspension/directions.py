@@ -1,4 +1,4 @@
-"""Search directions of the coupled solve, which the method of generalised conjugate residuals makes orthogonal."""
+"""Search directions of the coupled solve, with effects that the method makes orthogonal to one another."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Directions:
         self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
-        """Return `count` new vectors as one, with their arrays one after the other."""
+        """Return one vector whose arrays have room for those of `count` vectors, one after the other."""
         sizes = {name: count * size for name, size in self._sizes.items()}
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        """Return a direction and its effect; the arrays are those of a new direction if it does not exist."""
+        """Return a direction and its effect; if the direction does not exist, allocate its arrays."""
         while number >= len(self._each):
             pair = self.vector(CHUNK), self.vector(CHUNK)
             self._chunks.append(pair)

@@ -26,7 +26,7 @@ class SuspensionDisplay(FreeDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, in the middle of the simulated room.
+        """Coordinate y [m] of the cutting plane, in the middle of the simulated box.
 
         No aggregate crosses a plane of symmetry, so a cut along it would show none of them.
         """

@@ -1,4 +1,4 @@
-"""Grid flow of a mortar with rigid aggregates: one time step, which the host launches stage by stage."""
+"""Grid flow of a mortar with rigid aggregates: one time step, whose kernels the host launches in groups (stages)."""
 
 from __future__ import annotations
 
@@ -36,9 +36,12 @@ In narrower gaps, the part of the lubrication force that the grid lacks is added
 of two spheres (Brenner 1961) with four cells across a sphere."""
 
 PORE_DRAG = 0.2
-"""Part of the viscous resistance of a face that resists flow past aggregates, times the square of their radius in cells.
+"""Fraction of a face's viscous resistance that opposes flow past aggregates, times (radius of the aggregates in
+cells)^2.
 
-The part affects only the number of iterations of the coupled solve, to which it was fitted in eight flows."""
+The fraction affects only the number of iterations of the coupled solve. It was chosen to make this number small in
+eight flows.
+"""
 
 
 class SuspensionStep(GridStep):
@@ -107,7 +110,8 @@ class SuspensionStep(GridStep):
         flow, kind, scalar = self.flow, self.kind, self.scalar
         return [
             *(self._speeds() if flow.adaptive else []),
-            # The dispersion needs the matrix that `resist` has changed for the coupled solve.
+            # The dispersion of particles needs the projection's own matrix, which `resist` has overwritten for the
+            # coupled solve.
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
@@ -143,7 +147,7 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The top of a room is an open side as well, but it is above the concrete, so no aggregate leaves there.
+        # The top of the box is an open side as well, but it is above the concrete, so no aggregate leaves there.
         self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()

@@ -18,13 +18,15 @@ CLEARANCE = 0.02
 """Minimum gap at the start between two spheres, divided by the mean of their radii, and between a sphere and a wall,
 divided by its radius."""
 MARGIN = 0.005
-"""Additional gap that removing the overlaps aims at, so that it ends after a finite number of iterations."""
+"""Additional gap beyond CLEARANCE to which overlapping spheres are pushed apart. Without it, overlaps would shrink
+forever but never reach zero."""
 ITERATIONS = 1000
 """Maximum number of iterations in which overlaps are removed."""
 SWEEPS = 100
 """Number of random moves of each sphere after overlaps have been removed."""
 SHRINK = 0.95
-"""Factor by which the number of spheres is reduced until they fit, to name a volume fraction that does."""
+"""If the spheres do not fit, their number is multiplied by this factor until they do, so that the error message can
+name a volume fraction that fits."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
 """Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
@@ -59,7 +61,7 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
             f"is too large: only {count} of {len(radii)} aggregates found a place",
-            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider room",
+            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider box",
         )  # fmt: skip
     return Aggregates(centres, radii, scene.aggregate_density)
 
@@ -72,7 +74,7 @@ def random_places(
 
     The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
     Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. If `periodic`, the room repeats itself along the last axis, from `low` to `high`.
+    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis.
     """
     period = high[2] - low[2] if periodic else 0.0
     centres = _start(radii, low, high, distance, rng)
@@ -144,19 +146,20 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
         i, j, d = close_pairs(both, 2 * needed * float(radii.max()), period)
         a, b = i % count, j % count
         overlap = (np.linalg.norm(d, axis=1) < needed * (radii[a] + radii[b])) & (a != b)
-        # Old places do not overlap, so every overlap blocks the moves to the new places that it involves.
+        # At their old places the spheres do not overlap. Every overlap therefore involves one or two new places; reject
+        # the moves to these places.
         for place in (i, j):
             moved = overlap & (place >= count)
             blocked[place[moved] - count] = True
         centres[~blocked] = new[~blocked]
-        # Keep about half of the moves.
+        # Adapt the length of the moves, so that about half of them are accepted.
         size = min(size * (1.1 if np.mean(blocked) < 0.5 else 0.9), float(radii.mean()))
 
 
 def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the pairs of points closer than `reach`: both indices and the vectors from the first to the second point.
 
-    Each pair occurs once, with the smaller index first. If `period` is above 0, the room repeats itself along the last
+    Each pair occurs once, with the smaller index first. If `period` is above 0, space repeats itself along the last
     axis with this length, which must be at least twice `reach`.
     """
     count = len(x)

@@ -11,7 +11,7 @@ from ..mps.free.scene import FreeScene
 from .aggregates import MIN_CELLS
 
 MAX_FRACTION = 0.5
-"""Largest volume fraction of aggregates that random placement without overlaps achieves in rooms of six diameters."""
+"""Largest volume fraction of aggregates that random placement without overlaps achieves in boxes of six diameters."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,10 @@
 """Coupled solve of mortar velocity, rigid aggregates and pressure in one time step.
 
 Flows without aggregates solve for velocity and pressure one after the other. With aggregates, this would cause errors
-of a third in their velocities. The method of generalised conjugate residuals (Eisenstat, Elman & Schultz 1983)
-therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of Cahouet &
-Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus the viscosity
-times the net inflow per volume. A viscous solve then gives its velocities.
+of about a third in the velocities of the aggregates. The method of generalised conjugate residuals (Eisenstat, Elman &
+Schultz 1983) therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of
+Cahouet & Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus the
+viscosity times the net inflow per volume. A viscous solve then gives its velocities.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ NEGLIGIBLE = 0.1
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
 ROUGH_ERROR, CERTAIN = 3e-2, 0.9
-"""Error of the solve at which it looks for new contacts for the first time, and the fraction of the speed of approach at
-which two aggregates would still have to overlap then. The speeds are not yet accurate, but contacts that the first solve
-finds need no second one."""
+"""Limits of an early search for contacts, which avoids most repeated solves. The search takes place as soon as the
+error of the solve falls below ROUGH_ERROR. The speeds are not yet accurate then. A pair therefore counts only if it
+would overlap even at the fraction CERTAIN of its speed of approach."""
 CHECKED = {"cpu": 1, "gpu": 5}
 """Number of iterations of a viscous solve between two convergence checks, for which a GPU must wait."""
 
@@ -98,7 +98,8 @@ class CoupledSolve:
         return self.directions.vector()
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
-        # Launches are recorded once for each set of arrays; the factor of a multiple changes.
+        # Launches are recorded once for each set of arrays and then repeated; only `factor` changes between
+        # repetitions.
         key = (id(kernel), tasks, *((name, _identity(value)) for name, value in named.items() if name != "factor"))
         if key not in self._stages:
             self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
@@ -121,7 +122,10 @@ class CoupledSolve:
         self._launch(self.add_up, sums * block, block=BLOCK, count=self.tasks + self.count, slot=slot)
 
     def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
-        """Return the inner products of `weighted` and other vectors, each given as a number of vectors and an array."""
+        """Return the inner products of `weighted` with other vectors.
+
+        Each argument gives a number of vectors and the array that holds them.
+        """
         slot = 0
         for count, many in vectors:
             self._launch(
@@ -190,7 +194,7 @@ class CoupledSolve:
     def _iterate(self, tolerance: float) -> None:
         """Reduce the residual to a tolerance; raise :class:`ConvergenceError` if this fails.
 
-        If the solve is repeated with new contacts, it first uses the directions that are already known.
+        A solve that is repeated with new contacts first uses the directions that are already known.
         """
         directions = self.directions
         first = directions.orthogonal
@@ -237,8 +241,8 @@ class CoupledSolve:
     def _new_contacts(self, certain: float = 1.0) -> bool:
         """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs.
 
-        Pairs count that would overlap even if they approached by only the fraction `certain` of their speed. The known
-        search directions get the effects that they have with the new contacts.
+        A pair counts if it would overlap even at the fraction `certain` of its speed of approach. New contacts change
+        the matrix, so the effects of the known search directions are updated.
         """
         changed, directions = self.flow.aggregates.pairs.changed, self.directions
         changed.zero_()
@@ -336,5 +340,5 @@ class CoupledSolve:
 
 
 def _identity(value: Any) -> Any:
-    """Return what tells an argument of a kernel from another one: a number itself, or the identity of an array."""
+    """Return a key that identifies an argument of a kernel: the number itself, or the identity of an array."""
     return value if isinstance(value, (int, float)) else id(value)

@@ -1,4 +1,4 @@
-"""Uncertainty bands: several independent causes combined into one band, with the share of each cause."""
+"""Uncertainty bands: several independent causes combined into one band, with the contribution of each cause."""
 
 from __future__ import annotations
 

@@ -72,7 +72,8 @@ class FlowLaw:
             with np.errstate(over="ignore"):
                 return (excess / self.viscosity) ** (1 / self.index)
         if self.name == MODIFIED_BINGHAM:
-            # This form of the root of mu g + c g^2 = excess does not subtract nearly equal numbers.
+            # This form of the root of mu g + c g^2 = excess does not subtract nearly equal numbers, which would lose
+            # digits.
             root = np.sqrt(self.viscosity**2 + 4 * self.quadratic * excess)
             return 2 * excess / (self.viscosity + root)
         return excess / self.viscosity

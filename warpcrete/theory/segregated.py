@@ -1,7 +1,7 @@
-"""Steady pipe flow of concrete whose share of aggregate differs between the axis and the wall.
+"""Steady pipe flow of concrete whose aggregate fraction differs between the axis and the wall.
 
 The concrete is a yield stress fluid of two zones, the inner and the outer half of the radius. Each zone has the
-viscosity and yield stress of the concrete with the zone's own share of aggregate
+viscosity and yield stress of the concrete with the zone's own aggregate fraction
 (:func:`~warpcrete.theory.suspension.thickening`); the slip layer is unchanged. Shear stress and velocity are continuous
 between the zones, so their contributions to the flow add up in closed form.
 """

@@ -36,7 +36,7 @@ def power_thickening(factor: float, fraction: float, index: float) -> float:
     """Return the factor by which a volume `fraction` of aggregate raises the consistency k in the stress k g^n.
 
     Here g is the shear rate and n the flow `index`. `factor` is the viscosity factor f of :func:`thickening`. The
-    mortar between the aggregates is sheared sqrt(f / (1 - fraction)) times as fast as the whole. The result is
+    mortar between the aggregates is sheared sqrt(f / (1 - fraction)) times as fast as the whole concrete. The result is
     therefore sqrt(f^(n + 1) (1 - fraction)^(1 - n)) (Chateau, Ovarlez & Trung 2008), which is f for n = 1.
     """
     if index == 1.0:

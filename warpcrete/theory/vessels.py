@@ -47,8 +47,8 @@ HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
 """Resistance of a heap to stretching, divided by yield stress tau and depth h, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
-the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The stretch takes the rest, sqrt(tau^2 -
-shear^2). The mean of the rest over the depth is (pi / 4) tau.
+the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The remaining part, sqrt(tau^2 - shear^2),
+resists stretching. The mean of this part over the depth is (pi / 4) tau.
 
 In a plane the normal stresses are s and -s, which doubles this mean. About an axis, a heap that keeps its shape has the
 stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. This multiplies the mean by
@@ -279,7 +279,7 @@ def funnel_time(
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
     # Compute the pressure of the weight above the outlet minus the losses by friction and inertia [Pa], for each outlet
-    # speed and each level of the concrete in the funnel.
+    # speed and each height of the concrete's surface in the funnel.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,

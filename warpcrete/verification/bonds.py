@@ -80,7 +80,7 @@ def cantilever(device, precision) -> list[Row]:
 def torsion(device, precision) -> list[Row]:
     """Compare the torsional oscillation of a sphere with the exact solution.
 
-    The sphere is bonded to another sphere that is too heavy to rotate, and oscillates about the bond's axis.
+    The sphere oscillates about the axis of its bond to another sphere, which is too heavy to rotate.
     """
     bonds = Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12, gap=10 * GAP)
     twisting = stiffnesses(bonds)[3]

@@ -49,8 +49,8 @@ class Outcome:
     def acceptable(self) -> bool:
         """Return whether the result is acceptable.
 
-        A completed run must be within bounds. The message of a stopped run must name time, body, quantity and cures.
-        The result must also agree with `expected_outcome`.
+        A completed run must be within bounds. The message of a stopped run must name time, body, quantity and possible
+        remedies. The result must also agree with `expected_outcome`.
         """
         if self.stopped:
             named = all(word in self.stopped for word in ("t = ", "body ", "usual cures: "))

@@ -86,7 +86,7 @@ def _energy(model, state) -> float:
 
 
 def shake(table: BodyTable, seed: int = 5) -> None:
-    """Give the bodies random velocities, which excite the modes that become unstable first."""
+    """Give the bodies random velocities, which also excite the stiffest modes; these become unstable first."""
     random = np.random.default_rng(seed)
     table.velocity = random.normal(scale=0.05, size=table.velocity.shape)
     table.spin = random.normal(scale=10.0, size=table.spin.shape)

@@ -1,6 +1,6 @@
 """Verification of rigid spheres in a mortar against closed forms and published solutions.
 
-The mortar fills its room in all cases, so there is no free surface. It sticks to the walls of the room.
+The mortar fills the whole simulated box in all cases, so there is no free surface. It sticks to the box's walls.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CLOSED = ((WALL, WALL),) * 3
 
 @dataclass(frozen=True)
 class _Settings:
-    """Settings that the grid flow reads from a scene, for a flow that fills its room."""
+    """Settings that the grid flow reads from a scene, for a flow that fills the whole box."""
 
     concrete: Concrete
     time_step: float
@@ -67,7 +67,7 @@ def mortar_state(
     speed: float = 1e-3,
     regularisation: float = 1e4,
 ) -> GridState:
-    """Return the state of a mortar at rest that fills a room centred on the origin."""
+    """Return the state of a mortar at rest that fills a box centred on the origin."""
     room = Room(tuple(cells), (width,) * 3, tuple(-0.5 * n * width for n in cells), sides)
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, 2, lambda x: nearest(x)[0] > 0)
@@ -120,7 +120,7 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
 def _shear_room(across: int, wide: int) -> dict[str, Any]:
     """Return the arguments of :func:`mortar_state` for a shear flow with a shear rate of 1/s.
 
-    The room is a cube with `wide` cells along each edge, between two walls that move in opposite directions along the
+    The box is a cube with `wide` cells along each edge, between two walls that move in opposite directions along the
     last axis. `across` is the number of cells across the sphere.
     """
     width = 2 * RADIUS / across
@@ -148,7 +148,7 @@ def sheared(across: int, wide: int, shift: Sequence[float], device: str, precisi
 
     The slope is the relative increase of the stress at the walls that the sphere causes, divided by the volume fraction
     of the sphere. `across` is the number of cells across the sphere, `wide` the number of cells along each edge of the
-    cubic room, and `shift` the offset of the sphere from the centre of the room, in cells.
+    cubic box, and `shift` the offset of the sphere from the centre of the box, in cells.
     """
     room = _shear_room(across, wide)
     sphere = Aggregates(np.array([shift]) * room["width"], np.array([RADIUS]), DENSITY)
@@ -166,8 +166,8 @@ def sheared(across: int, wide: int, shift: Sequence[float], device: str, precisi
 def approaching(across: int, gap: float, shift: Sequence[float], device: str, precision: str) -> float:
     """Return the speed of two equal spheres that are pushed together, divided by the exact one (Brenner 1961).
 
-    The exact speed is that in an infinite fluid; the room is ten radii wide. `across` is the number of cells across a
-    sphere, `gap` the gap in cells, and `shift` the offset of the midpoint from the corner of a cell, in cells.
+    The exact speed is that in an infinite fluid; the simulated box is ten radii wide. `across` is the number of cells
+    across a sphere, `gap` the gap in cells, and `shift` the offset of the midpoint from the corner of a cell, in cells.
     """
     width = 2 * RADIUS / across
     half = RADIUS + 0.5 * gap * width
@@ -205,7 +205,8 @@ def falling_in_bingham(number: float, regularisation: float, device: str, precis
     radius (Beris et al. 1985).
     """
     weight, stokes = 500 * GRAVITY * 4 / 3 * np.pi * RADIUS**3, 2 / 9 * 500 * GRAVITY * RADIUS**2 / VISCOSITY
-    # The sphere starts with 30 % of its Stokes speed, because near the yield criterion mortar at rest yields slowly.
+    # The sphere starts with 30 % of its Stokes speed. From rest, the mortar would yield so slowly near the yield
+    # criterion that the run would take too long.
     sphere = Aggregates(np.zeros((1, 3)), np.array([RADIUS]), DENSITY + 500, np.array([[0.0, 0.0, -0.3 * stokes]]))
     flow = mortar_flow(
         (16,) * 3, RADIUS / 2, sphere, device, precision,

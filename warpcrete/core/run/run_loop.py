@@ -114,7 +114,8 @@ class Simulation:
     def __new__(cls: type[S], scene: object, **settings: object) -> S:
         kind: Any = cls
         if cls is Simulation:
-            # A scene type may be a subclass of another one, and its simulation is then defined later.
+            # Search the newest simulations first: the scene type of a newer one may be a subclass of that of an older
+            # one.
             kind = next((kind for kind in reversed(Simulation.kinds) if isinstance(scene, kind.scene_type)), cls)
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):

@@ -1,4 +1,4 @@
-"""Parameters of pumping aggregates through a pipe unit (Zhan et al. 2019), the motion that they describe, and knobs."""
+"""Parameters of pumping aggregates through a pipe unit (Zhan et al. 2019), motion of the piston, accuracy settings."""
 
 from __future__ import annotations
 

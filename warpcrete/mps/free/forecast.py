@@ -41,7 +41,7 @@ def forecast(
             "dimensions": scene.form,
             "surface": "free",
             "gate": f"lifted at {scene.lift_speed:g} m/s" if scene.gate else "left out",
-            "sides of the room": "slip layer" if scene.plate_slips else "concrete sticks",
+            "sides of the box": "slip layer" if scene.plate_slips else "concrete sticks",
             "walls": "slip layer" if scene.walls_slip else "concrete sticks",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
             **law_features(scene.concrete),

@@ -18,7 +18,7 @@ from ..grid.geometry import MIRROR, polygon_distance, wall_distance
 from .scene import FreeScene, Points
 
 SAMPLES = 30
-"""Number of sample points along each axis, from which the part of the initial concrete free of walls is computed."""
+"""Sample points per axis, which give the part of the initial concrete that no wall occupies."""
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:

@@ -101,7 +101,7 @@ class FreeScene(Parametrised, FreeSettings):
     lift_speed: float = 0.0
     """Speed at which the gate is lifted [m/s]."""
     plate_slips: bool = False
-    """True if the concrete slips on the sides of the room with its slip layer; otherwise it sticks to them."""
+    """True if concrete slips on the sides of the simulated box; False if it sticks to them."""
     walls_slip: bool = False
     """True if the concrete slips on blocks and walls with its slip layer; otherwise it sticks to them."""
     dimensions: Mapping[str, float] = field(default_factory=dict)
@@ -160,8 +160,8 @@ class FreeScene(Parametrised, FreeSettings):
             refuse(
                 "outline",
                 self.outline,
-                f"must lie within the room, {self.width:g} by {self.height:g} m",
-                "move the corners of the outline, or enlarge the room",
+                f"must lie within the simulated space, {self.width:g} by {self.height:g} m",
+                "move the corners of the outline, or enlarge the simulated space",
             )
         for wall in self.walls:
             if wall.motion is not None:

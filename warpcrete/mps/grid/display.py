@@ -130,7 +130,7 @@ class GridDisplay(Display):
         return np.asarray(np.ravel_multi_index(tuple(index.T), room.cells, mode="clip"))
 
     def _cell_fields(self) -> dict[str, np.ndarray]:
-        """Return shear rate [1/s], speed [m/s] and pressure [Pa] in each cell, means over it and its neighbours."""
+        """Return shear rate [1/s], speed [m/s] and pressure [Pa] per cell, averaged with its neighbours."""
         cells, shape = self._cells_of_particles(), self._layout.cells
         mass, size = self.read("particles.mass").astype(float), int(np.prod(shape))
         weight = smoothed(np.bincount(cells, mass, size).reshape(shape))

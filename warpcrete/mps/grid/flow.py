@@ -198,7 +198,7 @@ class GridFlow(Stepping):
 
     @property
     def _systems(self) -> dict[int, System]:
-        """Linear systems of velocity, pressure and crowding, by solve: VISCOSITY, PRESSURE or DENSITY."""
+        """Linear systems that each time step solves, by the keys VISCOSITY, PRESSURE and DENSITY."""
         found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
         return found if self.dispersion is None else found | {DENSITY: self.dispersion}
 

@@ -17,11 +17,11 @@ from ...geometry.walls import MeshWall, PipeWall, PlaneWall
 from ...kernels.mps.grid.cells import FIXED, INSIDE
 
 NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
-"""Numbers of the kinds of walls. NONE stands for an open cell. PLATE is the wall of a pipe or a side of the room.
-SMOOTH is an axis or plane of symmetry, without friction. GATE is a wall that will open. ROUGH is a wall that concrete
-sticks to. Larger numbers belong to walls that move."""
+"""Numbers of the kinds of walls. NONE stands for an open cell. PLATE is the wall of a pipe or a side of the simulated
+box. SMOOTH is an axis or plane of symmetry, without friction. GATE is a wall that will open. ROUGH is a wall that
+concrete sticks to. Larger numbers belong to walls that move."""
 WALL, MIRROR, OPEN_SIDE = "wall", "mirror", "open"
-"""Kinds of the sides of a room: a wall, a plane of symmetry, or an open side."""
+"""Kinds of sides of the simulated box: a wall, a plane of symmetry, or an open side."""
 NO_SLIP_VISCOSITY = 1e8
 """Viscosity of a slip layer on which concrete hardly slips [Pa s/m]."""
 MIN_QUARTER_FRACTION = 1e-3
@@ -92,8 +92,8 @@ class Room:
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
     """Return the geometry of a box with walls: which fractions of its cells, faces and edges are open.
 
-    `walls` are pairs of a distance function and a wall number. Sides of the room that are walls have the number PLATE.
-    If `axial`, the room is a section through the axis of symmetry, and volumes are weighted by the radius.
+    `walls` are pairs of a distance function and a wall number. Sides of the box that are walls have the number PLATE.
+    If `axial`, the box is a section through the axis of symmetry, and volumes are weighted by the radius.
     """
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
@@ -189,7 +189,7 @@ def nearest_wall(
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Return a function that finds the wall nearest to each of several points: its distance [m] and its number.
 
-    The points have the shape (..., axes) [m]. With `sides`, the sides of the room that are walls are included.
+    The points have the shape (..., axes) [m]. With `sides`, the sides of the box that are walls are included.
     """
     everything = [*walls, *(_room_walls(room) if sides else ())]
 
@@ -214,7 +214,7 @@ def _last_first(array: np.ndarray) -> np.ndarray:
 
 
 def _room_walls(room: Room) -> list[tuple[Distance, int]]:
-    """Return each side of a room that is a wall, as its distance function and the number of the wall."""
+    """Return each side of a box that is a wall, as its distance function and the number of the wall."""
 
     def plane(axis: int, place: float, sign: float) -> Distance:
         return lambda x: sign * (x[:, axis] - place)

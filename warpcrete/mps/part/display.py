@@ -65,7 +65,7 @@ class PartDisplay(GridDisplay):
 
     @cached_property
     def _bore(self) -> np.ndarray:
-        """Distance of the middle of each cell from the wall and the inlet, in cells, first axis first."""
+        """Distance of each cell's centre from the wall or the inlet, whichever is nearer, in cells."""
         layout = self._layout
         middles = layout.room.places([0.5] * layout.axes)
         inner = (slice(1, -1),) * layout.axes

@@ -169,7 +169,8 @@ def part_parameters(
             own |= {"unit": "mesh", "wall": part.mesh.file, "wall_scale": part.mesh.scale}
     given = modules()[SCENE].scene.declared(dict(own))
     if line.largest_stone is not None and given.sizes in ("gaussian", "uniform"):
-        # The concrete states no sieve curve. The scene's default sizes are scaled such that the largest is the line's.
+        # The concrete states no sieve curve. Scale the scene's default sizes so that the largest one equals the largest
+        # stone of the line.
         ratio = line.largest_stone / given.size_max
         names = [name for name in (*SIZE_PARAMETERS, "plug_ball") if getattr(given, name) is not None]
         own |= {name: ratio * getattr(given, name) for name in names}

@@ -83,7 +83,7 @@ class FittedConstant:
 
 @dataclass(frozen=True)
 class LineFit:
-    """Slip layer and factor of bends that were fitted to the pressures at the taps of a line."""
+    """Slip layer and factor of bends that were fitted to pressures measured at taps, the places of gauges on a line."""
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]

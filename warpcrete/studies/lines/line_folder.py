@@ -1,4 +1,4 @@
-"""Lock of the folder of a simulated line; it admits the same line after an interruption, and refuses another one."""
+"""Check that a folder belongs to this simulated line: an interrupted run may continue, another line is refused."""
 
 from __future__ import annotations
 

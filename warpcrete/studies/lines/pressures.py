@@ -76,7 +76,7 @@ class LinePressures:
     losses: list[Loss]
     """Pressure losses of each part, in the order from the start of the line to its end."""
     layer_factor: float
-    """Factor of the uncertainty of the slip layer: its resistance may be larger or smaller by this factor."""
+    """Uncertainty of the slip layer: its true resistance may be larger or smaller by this factor."""
     simulated: bool
     """True if friction comes from simulations and not from the closed form."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
@@ -184,7 +184,7 @@ class LinePressures:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressures at the line's start and its parts' ends [Pa], if another concrete fills the line."""
+        """Return the pressures at the line's start and its parts' ends [Pa], if `concrete` fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory

@@ -22,7 +22,7 @@ Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
 
 @dataclass(frozen=True)
 class Row:
-    """A parameter that the paper varies alone, with the paper's claim about it."""
+    """Parameter that the paper varies while all others stay fixed, with the paper's claim about its effect."""
 
     name: str
     """Name of the variation in the report and in the option `--only`."""
@@ -143,7 +143,7 @@ CONCRETES: dict[str, dict[str, Any]] = {
 - "literal" is the concrete of Table 1 of Zhan et al. as printed.
 - "calibrated" is the same concrete with a wall layer and wall friction that were calibrated on vertical and horizontal
   pipe (units A and B).
-- "stiff stones" has loosely packed stones with a modulus of 1e7 Pa, the same wall friction and another layer.
+- "stiff stones" has loosely packed stones with a modulus of 1e7 Pa, the same wall friction and another wall layer.
 """
 
 OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {

@@ -30,7 +30,7 @@ class Setting:
     name. Otherwise it is one of the words "as given", "finest", "combined" and "carried". The word "carried" marks a
     setting that was repeated in a variant of the scene."""
     levels: dict[str, int]
-    """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
+    """Level (value) of each accuracy parameter that differs from the scene as given, by name."""
     parameters: dict[str, Any]
     """All keyword arguments of the scene function, without the seed."""
     results: dict[int, dict[str, Any]] = field(default_factory=dict)

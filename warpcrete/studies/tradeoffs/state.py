@@ -38,7 +38,8 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        # The scene's own acceptance checks must tolerate the largest error that the study may aim at.
+        # The scene checks its own results. Widen its tolerance to the largest error that the study may aim at, so that
+        # coarse runs do not fail.
         if module.trading.tolerance:
             self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
@@ -90,7 +91,7 @@ class Trade:
 
     @property
     def given(self) -> Setting:
-        """Setting in which no knob is changed: the scene as given."""
+        """Setting without changed accuracy parameters: the scene as given."""
         return self.points[0]
 
     @property
@@ -278,7 +279,8 @@ class Trade:
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Setting, seed: int) -> Path:
-        # The base leaves out parameters with default values; None is the default of many that a setting writes out.
+        # Name the folder after the parameters that differ from the base. The base leaves out parameters with default
+        # values, so a parameter that is missing there and whose default is None counts as None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
         changed = {k: v for k, v in sorted(point.parameters.items())
@@ -372,7 +374,8 @@ class Trade:
         for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
             if len(values) < ran:
-                found.append(Error(each.name, math.inf, 0.0))  # In at least one run this quantity has no value.
+                # A run gave no value for this quantity, so its error counts as infinite.
+                found.append(Error(each.name, math.inf, 0.0))
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0

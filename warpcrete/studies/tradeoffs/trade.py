@@ -383,7 +383,7 @@ def _test_variants(
             here = slice(number, number + trade.abreast)
             trade.run_all([*finest[here], *others[here]], trade.seeds, tell)
         if any(not each.results and not each.failure.startswith("failed") for each in needed):
-            continue  # This variant was not run, because no time was left.
+            continue  # Skip this variant: the study had no time left to run it.
         if any(each.failure for each in finest[number : number + 1]):
             continue  # Without a reference, the error in this variant is unknown.
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None

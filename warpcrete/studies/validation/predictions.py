@@ -22,8 +22,8 @@ from .cases import Case
 LEAST_SLUMP = 0.005
 """Smallest predicted slump [m]: half of the 10 mm to which the slump of a cone is read."""
 LINE_DENSITY = "2400 kg/m3"
-"""Density assumed for a mix that states none [kg/m3]. Predictions of weight and slump depend on the density, and those
-of friction do not."""
+"""Density assumed for a mix without a stated density [kg/m3]. Predictions of weight and slump depend on the density,
+and those of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
@@ -118,7 +118,7 @@ def _layer(case: Case) -> list[Band]:
 
 
 def _layer_share(case: Case) -> list[Band]:
-    """Predict the slip velocity at the wall of a pipe, as a share of the largest velocity in the cross-section."""
+    """Predict the slip velocity at the wall of a pipe, divided by the largest velocity in the cross-section."""
     mix, line = mix_of_case(case), Line(radius=_number(case, "diameter", "m") / 2, length=1.0, rise=0.0)
     return [_banded(mix, lambda c, q=q: layer_share(c, line, q)) for q in case.flows]
 

@@ -40,7 +40,7 @@ class Summary:
     error: float
     """Median over the cases of the factor between prediction and measurement, less 1; 0.2 means a factor of 1.2."""
     inside: float
-    """Share of the concretes inside the bands of their cases."""
+    """Fraction of the concretes whose measured values lie in the predicted uncertainty bands."""
     factor: float
     """Median over the cases of the factor f of the prediction's uncertainty. The true value is expected between
     prediction / f and prediction * f."""
