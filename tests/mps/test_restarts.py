@@ -11,7 +11,7 @@ from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.studies.lines.losses import line_of
-from warpcrete.studies.lines.result import Stop
+from warpcrete.studies.lines.pressures import Stop
 from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.pipe import Concrete
 

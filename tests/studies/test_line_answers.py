@@ -14,7 +14,8 @@ from warpcrete.geometry.pumps import Pump, pump_of
 from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS, MODEL_ERRORS, VALVE_PRESSURE, library_factor
 from warpcrete.studies.lines.losses import line_of
-from warpcrete.studies.lines.result import Stop, lines_of
+from warpcrete.studies.lines.pressures import Stop
+from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.bands import Band
 from warpcrete.theory.pipe import Concrete

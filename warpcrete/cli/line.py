@@ -23,7 +23,8 @@ from ..mix.mix import Mix
 from ..studies.lines.fit import fit_line, fit_lines, read_taps
 from ..studies.lines.fittings import is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
-from ..studies.lines.result import Stop, lines_of
+from ..studies.lines.pressures import Stop
+from ..studies.lines.result import lines_of
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
 from .exits import CHECK_FAILED, INTERRUPTED
 from .line_inputs import LineInputs, line_inputs

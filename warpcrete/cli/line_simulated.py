@@ -18,7 +18,8 @@ from ..studies.lines.element_line import ElementLine, element_table_lines
 from ..studies.lines.elements import Elements, run_elements
 from ..studies.lines.line_folder import line_folder
 from ..studies.lines.losses import friction
-from ..studies.lines.result import LineResult, Stop, lines_of
+from ..studies.lines.pressures import Stop
+from ..studies.lines.result import LineResult, lines_of
 from ..studies.lines.run import run_line
 from .line_inputs import LineInputs
 

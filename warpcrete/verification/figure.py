@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.drawing.style import MEASURED, RUN, SECOND, legend_beside, rgb
 from .case import Case, Row
 
 
@@ -11,7 +12,7 @@ def draw(results: list[tuple[Case, list[Row]]]):
     """Return a Matplotlib figure of the errors of all results, and of the curves that the cases have computed."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.5, 9), layout="constrained")
+    figure = Figure(figsize=(15, 9), layout="constrained")
     (errors, oblique), (normalised, stability) = figure.subplots(2, 2)
     by_name = {case.name: case for case, _ in results}
     _errors(errors, results)
@@ -34,7 +35,7 @@ def _errors(axes, results) -> None:
     for case, row in rows:
         axes.plot(
             max(row.error, 1e-16), len(groups) - groups.index(case.name), "o", markersize=4,
-            color="tab:blue" if row.passed else "tab:red", alpha=0.7,
+            color=rgb(RUN) if row.passed else "tab:red", alpha=0.7,
         )  # fmt: skip
     axes.set(xscale="log", xlabel="relative error", yticks=range(len(groups), 0, -1), title="errors of all cases")
     axes.set_yticklabels(groups, fontsize=8)
@@ -44,22 +45,22 @@ def _errors(axes, results) -> None:
 def _oblique(axes, curves) -> None:
     from .impacts import TEST_4
 
-    axes.plot(TEST_4[:, 0], TEST_4[:, 1], "k.", label="published: tangential restitution")
-    axes.plot(curves["angle"], curves["tangential"], color="tab:blue", label="ours")
-    axes.plot(TEST_4[:, 0], TEST_4[:, 2] / -1000, "kx", label="published: -spin [1000 rad/s]")
-    axes.plot(curves["angle"], curves["spin"] / -1000, color="tab:orange", label="ours")
+    axes.plot(TEST_4[:, 0], TEST_4[:, 1], ".", color=rgb(MEASURED), label="tangential restitution,\npublished")
+    axes.plot(curves["angle"], curves["tangential"], color=rgb(RUN), label="this program")
+    axes.plot(TEST_4[:, 0], TEST_4[:, 2] / -1000, "x", color=rgb(MEASURED), label="-spin [1000 rad/s],\npublished")
+    axes.plot(curves["angle"], curves["spin"] / -1000, color=rgb(SECOND), label="this program")
     axes.set(xlabel="incident angle [degrees]", title="Chung & Ooi 2011, test 4: aluminium oxide")
-    axes.legend(frameon=False, fontsize=8)
+    legend_beside(axes)
 
 
 def _normalised(axes, curves) -> None:
-    for (name, values), colour in zip(curves.items(), ("tab:blue", "tab:orange"), strict=True):
+    for (name, values), colour in zip(curves.items(), (rgb(RUN), rgb(SECOND)), strict=True):
         x, ours, published, rigid = values
         axes.plot(x, published, "k.")
-        axes.plot(x, ours, color=colour, label=f"rebound {name}, half the tangent stiffness")
+        axes.plot(x, ours, color=colour, label=f"rebound {name},\nhalf the tangent stiffness")
         axes.plot(x, rigid, ":", color=colour, label="rigid plane")
     axes.set(xlabel="normalised incident angle", xlim=(0, 13.5), title="Chung & Ooi 2011, test 5: steel (dots)")
-    axes.legend(frameon=False, fontsize=8)
+    legend_beside(axes)
 
 
 def _stability(axes, curves) -> None:
@@ -80,4 +81,4 @@ def _stability(axes, curves) -> None:
     )
     axes.set_xticks([0.6, 0.8, 1, 1.4, 2, 3, 4, 6, 8], labels=["0.6", "0.8", "1", "1.4", "2", "3", "4", "6", "8"])
     axes.minorticks_off()  # fmt: skip
-    axes.legend(frameon=False, fontsize=7)
+    legend_beside(axes)

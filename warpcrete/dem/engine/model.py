@@ -20,7 +20,8 @@ from ...kernels.common.geometry import axis_functions
 from ...kernels.common.walls import wall_struct
 from ...kernels.dem.bond_parallel import MOST_KINDS, bond_functions
 from ..laws import ContactLaw
-from ..scene.scene import MUCH_STIFFER, Bonds, Scene
+from ..scene.scene import Bonds, Scene
+from ..scene.settings import MUCH_STIFFER
 from .rest import bonds_after_rest, has_layer
 
 

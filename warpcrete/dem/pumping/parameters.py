@@ -14,7 +14,7 @@ from ...core.inputs.parameters import OneOf, declared_fields
 from ...geometry.walls import Stops
 from ..laws import LawChoice, LubricationLayer, WallLawChoice
 from ..scene.concretes import elements_of
-from ..scene.scene import MUCH_STIFFER
+from ..scene.settings import MUCH_STIFFER
 from .parameter_groups import (
     UNITS,
     AggregateParameters,

@@ -19,7 +19,8 @@ from .fittings import is_in_library, library_factor
 from .folder import check_known, part_simulation, previous_run
 from .line_folder import LINE_RECORD
 from .losses import GRAVITY, friction, with_layer_factor
-from .result import LineResult, Loss, Stop
+from .pressures import Loss, Stop
+from .result import LineResult
 from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_result
 
 CELLS = 12
@@ -116,7 +117,7 @@ def run_line(
         else:
             ours = theory * library_factor(part)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, True, out, took, failed, variants, stop)
+    result = LineResult(line, concrete, flow, losses, layer_factor, True, variants, stop, out, took, failed)
     if out is not None:
         write_result(result, out)
     return result

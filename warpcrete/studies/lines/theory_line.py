@@ -15,10 +15,12 @@ from ...core.errors import between, positive
 from ...core.run.files import atomic_file, write_json
 from ...geometry.pipe_line import PipeLine
 from ...theory.pipe import Concrete
+from .figure import draw
 from .fit import LineFit
 from .fittings import library_factor
 from .losses import GRAVITY, friction
-from .result import LineResult, Loss, Stop, draw, lines_of
+from .pressures import Loss, Stop
+from .result import LineResult, lines_of
 
 LAYER_FACTOR = 2.0
 """Default factor by which the resistance of an unmeasured slip layer may be wrong, in both directions."""
@@ -61,7 +63,7 @@ def line_by_theory(
     for part in line.parts:
         theory = friction(part, concrete, flow)
         losses.append(Loss(part, theory * library_factor(part), theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, False, out, variants=variants, stop=stop, fit=fit)
+    result = LineResult(line, concrete, flow, losses, layer_factor, False, variants, stop, folder=out, fit=fit)
     if out is not None:
         write_result(result, out)
     return result

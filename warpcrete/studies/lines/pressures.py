@@ -1,0 +1,193 @@
+"""Pressure along a pump line, summed over its parts, with its uncertainty band."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.pipe_line import Part, PipeLine
+from ...theory.bands import Band, combined
+from ...theory.pipe import Concrete, after_rest
+from .fittings import MODEL_ERRORS, range_of, uncertain_kinds
+from .losses import friction, straight_friction, with_layer_factor
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Pressure losses of one part of a line, by friction and by weight."""
+
+    part: Part
+    friction: float
+    """Pressure loss by friction [Pa]."""
+    theory: float
+    """Friction of the part by the closed form [Pa]: the friction of straight pipe of the same bore and length,
+    multiplied by a factor. The factor is the one that the line's file states. If the file states none, a hose gets the
+    factor of its model, and other parts get 1."""
+    weight: float
+    """Pressure due to the weight of the concrete over the part's rise [Pa]."""
+
+    @property
+    def straight(self) -> float:
+        """Friction of a straight pipe of the same bore and length by the closed form [Pa]."""
+        return self.theory / self.part.relative
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Range of the friction of a part due to the error of the part's model, divided by that of straight pipe.
+
+        The value is None for parts without such an error, such as straight pipe.
+        """
+        return range_of(self.part, self.straight)
+
+    def at(self, end: int) -> float:
+        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
+
+        The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
+        outside these limits, it replaces the nearer one. Without a range, both limits equal the computed friction.
+        """
+        if self.range is None:
+            return self.friction
+        return (min, max)[end](self.range[end] * self.straight, self.friction)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Time for which a full line stands still, and the growth of the concrete's yield stresses meanwhile."""
+
+    rest: float
+    """Duration of the pump's stop [s]."""
+    growth: float
+    """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
+    band: tuple[float, float] | None = None
+    """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
+
+
+@dataclass(repr=False)
+class LinePressures:
+    """Pressure losses of the parts of a line, and the pressures that follow from them."""
+
+    line: PipeLine
+    concrete: Concrete
+    flow: float
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
+    losses: list[Loss]
+    """Pressure losses of each part, in the order from the start of the line to its end."""
+    layer_factor: float
+    """Uncertainty of the slip layer: its true resistance may be larger or smaller by this factor."""
+    simulated: bool
+    """True if friction comes from simulations and not from the closed form."""
+    variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
+    """Pairs of concretes; the keys are the causes of uncertainty. In each pair, the properties of one cause are at the
+    lower and at the upper end of their band. None means that only the resistance of the slip layer is uncertain, by the
+    factor `layer_factor`."""
+    stop: Stop | None = None
+    """Stop of the pump, after which the line must start again; None for no stop."""
+
+    @property
+    def pressure(self) -> float:
+        """Pressure at the start of the line [Pa]."""
+        return float(self.course(lambda loss: loss.friction + loss.weight)[1][0])
+
+    @property
+    def theory(self) -> float:
+        """Pressure at the start by the closed form, which treats bends and reducers as straight pipe [Pa]."""
+        return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
+
+    def band(self) -> Band:
+        """Return the pressure at the start of the line [Pa], its uncertainty band, and each cause's share of it."""
+        return self.bands()[1][0]
+
+    def bands(self) -> tuple[np.ndarray, list[Band]]:
+        """Return positions along the pump line [m], and the pressure there with its uncertainty band [Pa].
+
+        The positions are the start of the line and the end of each part, and both results have parts + 1 entries. The
+        uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
+        friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
+        calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
+        changed together. The friction of a simulated part was found with one concrete only. For changed constants, it
+        is multiplied by a ratio: the closed form's friction with the changed constants over that with the original
+        ones.
+        """
+        return self._bands
+
+    @functools.cached_property
+    def _bands(self) -> tuple[np.ndarray, list[Band]]:
+        """Result of :meth:`bands`, calculated at the first use and then stored."""
+        places, ours = self.course(lambda loss: loss.friction + loss.weight)
+        ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
+        for kind in uncertain_kinds(self.line.parts):
+            ends[MODEL_ERRORS[kind].cause] = [
+                self.course(lambda x, k=kind, e=end: (x.at(e) if x.part.kind == k else x.friction) + x.weight)[1]
+                .tolist()
+                for end in (0, 1)
+            ]  # fmt: skip
+        found = [
+            combined(value, {cause: (low[k], high[k]) for cause, (low, high) in ends.items()})
+            for k, value in enumerate(ours.tolist())
+        ]
+        return places, found
+
+    def restart(self, flow: float = 0.0) -> Band:
+        """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
+
+        With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
+        `flow`, it is the pressure for restarting at that flow at once. Straight pipe follows from the closed form, and
+        fittings keep the ratio of their friction to that of straight pipe.
+        """
+        stop = self.stop
+        assert stop is not None, "the line does not stop"
+
+        def pressure(concrete: Concrete, growth: float, of: Callable[[Loss], float]) -> float:
+            grown = after_rest(concrete, stop.rest, growth)
+            ratio = concrete.density / self.concrete.density
+            course = self.course(
+                lambda x: straight_friction(x.part, grown, flow) * of(x) / x.straight + x.weight * ratio
+            )[1]
+            return float(course[0])
+
+        def own(x: Loss) -> float:
+            return x.friction
+
+        value = pressure(self.concrete, stop.growth, own)
+        ends = {cause: (pressure(low, stop.growth, own), pressure(high, stop.growth, own))
+                for cause, (low, high) in self._variants().items()}  # fmt: skip
+        for kind in uncertain_kinds(self.line.parts):
+            low, high = (
+                pressure(self.concrete, stop.growth, lambda x, k=kind, e=e: x.at(e) if x.part.kind == k else x.friction)
+                for e in (0, 1)
+            )
+            ends[MODEL_ERRORS[kind].cause] = (low, high)
+        if stop.band is not None:
+            low, high = (pressure(self.concrete, each, own) for each in stop.band)
+            ends["thixotropy"] = (low, high)
+        return combined(value, ends)
+
+    def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends of all parts along the pump line [m] and the pressures there [Pa], shape (parts + 1,).
+
+        The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
+        where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
+        """
+        places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
+        found = [0.0]
+        for loss in reversed(self.losses):
+            found.append(max(found[-1] + of(loss), 0.0))
+        return places, np.array(found[::-1])
+
+    def _variants(self) -> Mapping[str, tuple[Concrete, Concrete]]:
+        if self.variants is not None:
+            return self.variants
+        low, high = (with_layer_factor(self.concrete, x) for x in (1 / self.layer_factor, self.layer_factor))
+        return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
+
+    def _course_of(self, concrete: Concrete) -> list[float]:
+        """Return the pressures at the line's start and its parts' ends [Pa], if `concrete` fills the line."""
+
+        def loss(x: Loss) -> float:
+            own = x.friction * friction(x.part, concrete, self.flow) / x.theory
+            return own + x.weight * concrete.density / self.concrete.density
+
+        return self.course(loss)[1].tolist()
