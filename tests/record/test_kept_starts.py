@@ -5,6 +5,7 @@ Only the first moments are kept, in which rounding has not grown. Other tests ma
 
 import json
 import math
+from types import SimpleNamespace
 
 import kept
 import numpy as np
@@ -189,3 +190,14 @@ def test_the_start_of_a_run_is_kept(name, tmp_path):
         "result": {key: value for key, value in result.items() if key not in OTHERS}, "checks": list(result.get("checks", {})),
         "files": sorted(path.name for path in (tmp_path / "run").iterdir()), "seen": seen.found,
         "head": (tmp_path / "run" / "series.csv").read_text(encoding="utf-8").splitlines()[0]}, tolerance)  # fmt: skip
+
+
+@pytest.mark.parametrize("live, path, sinks", [
+    (False, "run.rrd", ["file"]), ("rerun+http://127.0.0.1:9876/proxy", "run.rrd", ["file", "viewer"]),
+    ("rerun+http://127.0.0.1:9876/proxy", None, ["viewer"]),
+])  # fmt: skip
+def test_a_recording_goes_into_its_file_and_to_the_viewer(live, path, sinks, tmp_path):
+    recorder = RerunRecorder(path and tmp_path / path, live=live)
+    recorder._parts = 0
+    recorder._rr = SimpleNamespace(FileSink=lambda where: "file", GrpcSink=lambda where: "viewer")
+    assert recorder._sinks() == sinks
