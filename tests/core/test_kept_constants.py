@@ -14,8 +14,22 @@ from pathlib import Path
 import kept
 import pytest
 
-PACKAGES = ("core", "dem", "geometry", "kernels", "mix", "mps", "record", "scenes", "standards", "studies", "suspension",
-            "theory", "verification", "cli")  # fmt: skip
+PACKAGES = (
+    "core",
+    "dem",
+    "geometry",
+    "kernels",
+    "mix",
+    "mps",
+    "record",
+    "scenes",
+    "standards",
+    "studies",
+    "suspension",
+    "theory",
+    "verification",
+    "cli",
+)
 
 
 def modules_of(package):
