@@ -17,13 +17,14 @@ it::
 from __future__ import annotations
 
 import importlib
-import inspect
 import pkgutil
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from warpcrete.core.errors import known_names, refuse
+from warpcrete.core.inputs.scene_titles import scene_titles
 
 if TYPE_CHECKING:
     from .channel import scene as channel
@@ -63,9 +64,8 @@ def _second(file: ModuleType) -> ModuleType:
     """
     name = f"{file.__name__}_dem"
     if name not in sys.modules:
-        head = (file.__doc__ or "").partition("\n")[0]
-        title = head.rpartition(", ")[0] or head.rstrip(".")
-        module = sys.modules[name] = ModuleType(name, f"{title}, by discrete elements.")
+        title = _TITLES[name.rpartition(".")[2].replace("_", "-")]
+        module = sys.modules[name] = ModuleType(name, title)
         for part in ("scene", "check", "trading"):
             if hasattr(file, f"{part}_dem"):
                 setattr(module, part, getattr(file, f"{part}_dem"))
@@ -101,9 +101,9 @@ def __getattr__(name: str) -> Any:
 
 def _listing() -> str:
     """Return the names of all scene functions with their titles, one line each."""
-    titles = {name: (inspect.getdoc(module) or "").partition("\n")[0] for name, module in modules().items()}
-    return "\n".join(f"    {name.replace('-', '_'):12s} {title}" for name, title in titles.items())
+    return "\n".join(f"    {name.replace('-', '_'):12s} {title}" for name, title in _TITLES.items())
 
 
+_TITLES = scene_titles(Path(__path__[0]))
 globals().update({name.replace("-", "_"): module.scene for name, module in modules().items()})
 __doc__ = f"{__doc__}\nThe scenes are::\n\n{_listing()}\n"

@@ -128,25 +128,36 @@ def drawn(figure: Any) -> dict[str, Any]:
     found: dict[str, Any] = {"title": figure.get_suptitle()}
     for number, axes in enumerate(figure.axes):
         one: dict[str, Any] = {
-            "words": [axes.get_title(place) for place in ("left", "center", "right")] + [
-                axes.get_xlabel(), axes.get_ylabel(), axes.get_xscale(), axes.get_yscale()],
-            "x": axes.get_xlim(), "y": axes.get_ylim(), "aspect": axes.get_aspect(),
+            "words": [axes.get_title(place) for place in ("left", "center", "right")]
+            + [axes.get_xlabel(), axes.get_ylabel(), axes.get_xscale(), axes.get_yscale()],
+            "x": axes.get_xlim(),
+            "y": axes.get_ylim(),
+            "aspect": axes.get_aspect(),
             "texts": [[each.get_text(), *each.get_position()] for each in axes.texts],
             "images": [np.asarray(each.get_array()) for each in axes.images],
-        }  # fmt: skip
+        }
         legend = axes.get_legend()
         one["legend"] = [each.get_text() for each in legend.get_texts()] if legend else []
         one["lines"] = [
-            {"label": each.get_label(), "x": np.asarray(each.get_xdata(), float), "y": np.asarray(each.get_ydata(), float),
-             "style": [each.get_linestyle(), str(each.get_marker()), to_hex(each.get_color())]}
+            {
+                "label": each.get_label(),
+                "x": np.asarray(each.get_xdata(), float),
+                "y": np.asarray(each.get_ydata(), float),
+                "style": [each.get_linestyle(), str(each.get_marker()), to_hex(each.get_color())],
+            }
             for each in axes.lines
-        ]  # fmt: skip
+        ]
         one["areas"] = [
-            {"label": each.get_label(), "colour": colour(each.get_facecolor()), "values": each.get_array(),
-             "limits": each.get_clim(), "offsets": np.asarray(each.get_offsets(), float),
-             "paths": [path.vertices for path in each.get_paths()[:4]]}
+            {
+                "label": each.get_label(),
+                "colour": colour(each.get_facecolor()),
+                "values": each.get_array(),
+                "limits": each.get_clim(),
+                "offsets": np.asarray(each.get_offsets(), float),
+                "paths": [path.vertices for path in each.get_paths()[:4]],
+            }
             for each in axes.collections
-        ]  # fmt: skip
+        ]
         one["patches"] = [[each.get_path().vertices[:4], colour(each.get_facecolor())] for each in axes.patches]
         found[f"axes{number}"] = one
     return found

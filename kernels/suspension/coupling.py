@@ -36,16 +36,12 @@ number of iterations in eight flows."""
 
 @functools.cache
 def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that compute residuals, and the pressure in the preconditioner.
+    """Build the kernels that compute residuals.
 
-    - `start` sets the residual from the forces and inflows at the start of the step. It also sets `inverse`, the inverse
-      diagonal of the viscous matrix, which is 0 for faces whose velocities are not unknowns.
+    - `start` sets the residual from the forces and inflows at the start of the step. It also sets `inverse`, the
+      inverse diagonal of the viscous matrix, which is 0 for faces whose velocities are not unknowns.
     - `pressure_force` computes the forces of a pressure field on the faces.
     - `inflow` computes the net inflow into the cells that a change of the velocities causes.
-    - `resist` sets the matrix of the preconditioner's pressure solve.
-    - `request` sets the right-hand side of this pressure solve, whose solution removes the net inflow of the residual.
-    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus a multiple
-      of the net inflow (Cahouet & Chabard 1988).
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -56,12 +52,13 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     Matrix, Solve = systems.Matrix, systems.Solve
     Vector = vector_struct(scalar)
     f = grid_functions(scalar, of)
-    own, entry = share_functions(serial), row_place(serial)
+    own = share_functions(serial)
 
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         g: Grid, tasks: wp.int32, bodies: Bodies, cover: Cover, matrix: Matrix, viscous: Solve, projection: Solve,
-        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector, inverse: wp.array(dtype=scalar),
+        mesh: Fields, inflow: wp.array(dtype=scalar), again: wp.int32, residual: Vector,
+        inverse: wp.array(dtype=scalar),
     ):  # fmt: skip
         task = wp.tid()
         if task < tasks:
@@ -111,6 +108,25 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                         flux = f.open_area(g, geometry, face, axis) * change[r]
                         into += wp.where(side == 0, flux, -flux)
         result[number] = sign * into
+
+    return SimpleNamespace(start=start, pressure_force=pressure_force, inflow=inflow)
+
+
+@functools.cache
+def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
+    """Build the kernels of the pressure in the preconditioner, with one task per cell.
+
+    - `resist` sets the matrix of the preconditioner's pressure solve.
+    - `request` sets the right-hand side of this pressure solve, whose solution removes the net inflow of the residual.
+    - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus a multiple
+      of the net inflow (Cahouet & Chabard 1988).
+    """
+    Grid = grid_parameters_struct(scalar, 3)
+    Cover = body_structs(scalar).Cover
+    fields, systems = grid_structs(scalar, 3), system_structs(scalar)
+    Fields, Geometry = fields.Fields, fields.Geometry
+    Matrix, Solve, Vector = systems.Matrix, systems.Solve, vector_struct(scalar)
+    f, entry = grid_functions(scalar, of), row_place(serial)
 
     @wp.kernel(enable_backward=False, module="unique")
     def resist(
@@ -174,14 +190,27 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             value = solved[number] + yielding[number] * residual.cells[number]
         result.cells[number] = value
 
-    return SimpleNamespace(
-        start=start, pressure_force=pressure_force, inflow=inflow, resist=resist, request=request, press=press
-    )
+    return SimpleNamespace(resist=resist, request=request, press=press)
 
 
 @functools.cache
-def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels of the method of generalised conjugate residuals.
+def cell_weight_function(scalar, of: GridKind):
+    """Build the function that returns the weight of a cell's net inflow in inner products."""
+    Grid, Fields = grid_parameters_struct(scalar, 3), grid_structs(scalar, 3).Fields
+    f = grid_functions(scalar, of)
+
+    @wp.func
+    def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32) -> scalar:
+        """Return the weight of a cell's net inflow in inner products: the pressure that removes a unit of inflow."""
+        inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
+        return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))
+
+    return cell_weight
+
+
+@functools.cache
+def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
+    """Build the kernels that make search directions orthogonal.
 
     They run with `tasks` tasks for faces and cells and one more task for each aggregate. Partial sums of the inner
     product number k begin at index k times the number of tasks. `many` holds `count` vectors one after the other.
@@ -189,24 +218,11 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     - `weigh` multiplies a vector by the weights of the inner product of two vectors.
     - `products` computes partial sums of the inner products of a weighted vector and each of several vectors.
     - `combine` subtracts multiples of several vectors from a vector.
-    - `advance` adds a multiple of a search direction to the solution, and subtracts that of its effect from the
-      residual. It then computes partial sums of two squared norms: of the residual, and of the flow's momentum, with
-      which residuals are compared.
-    - `finish` adds the solution to the velocities and pressures of the flow.
     """
     Grid = grid_parameters_struct(scalar, 3)
-    structs = body_structs(scalar)
-    Bodies, Cover = structs.Bodies, structs.Cover
-    Fields = grid_structs(scalar, 3).Fields
-    Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
-    f = grid_functions(scalar, of)
+    Bodies, Fields = body_structs(scalar).Bodies, grid_structs(scalar, 3).Fields
+    Vector, cell_weight = vector_struct(scalar), cell_weight_function(scalar, of)
     own, ranges = share_functions(serial), range_functions(scalar, serial)
-
-    @wp.func
-    def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32) -> scalar:
-        """Return the weight of a cell's net inflow in inner products: the pressure that removes a unit of inflow."""
-        inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
-        return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def weigh(
@@ -273,6 +289,23 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 result.linear[b] = result.linear[b] + factor * many.linear[k * aggregates + b]
                 result.angular[b] = result.angular[b] + factor * many.angular[k * aggregates + b]
 
+    return SimpleNamespace(weigh=weigh, products=products, combine=combine)
+
+
+@functools.cache
+def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
+    """Build the kernels that change the solution, with `tasks` tasks and one more task for each aggregate.
+
+    - `advance` adds a multiple of a search direction to the solution, and subtracts that of its effect from the
+      residual. It then computes partial sums of two squared norms: of the residual, and of the flow's momentum, with
+      which residuals are compared.
+    - `finish` adds the solution to the velocities and pressures of the flow.
+    """
+    Grid = grid_parameters_struct(scalar, 3)
+    Bodies, Fields = body_structs(scalar).Bodies, grid_structs(scalar, 3).Fields
+    Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
+    own, cell_weight = share_functions(serial), cell_weight_function(scalar, of)
+
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def advance(
         g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), matrix: Matrix, mesh: Fields,
@@ -326,4 +359,4 @@ def algebra_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             bodies.velocity[b] = bodies.velocity[b] + solution.linear[b]
             bodies.spin[b] = bodies.spin[b] + solution.angular[b]
 
-    return SimpleNamespace(weigh=weigh, products=products, combine=combine, advance=advance, finish=finish)
+    return SimpleNamespace(advance=advance, finish=finish)

@@ -49,8 +49,8 @@ RESULTANT = """
     }
     return sum;
 """
-"""C++ sources for the faces `first` to `end` - 1 of the list `faces`, which all move with one aggregate. The faces of an
-axis have the indices from axis * slots on."""
+"""C++ sources for the faces `first` to `end` - 1 of the list `faces`, which all move with one aggregate. The faces of
+an axis have the indices from axis * slots on."""
 
 
 @functools.cache
@@ -63,8 +63,8 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
-    Bodies, Cover = structs.Bodies, structs.Cover
-    Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
+    Cover = structs.Cover
+    Vector = vector_struct(scalar)
     vec3, vec6 = types(scalar).vec3, wp.types.vector(6, scalar)
     name = "double" if scalar is wp.float64 else "float"
 
@@ -216,8 +216,8 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels `update`, which updates solution and residual, and `shift`, which ends an iteration."""
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
-    Bodies, Cover = structs.Bodies, structs.Cover
-    Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
+    Bodies = structs.Bodies
+    Vector = vector_struct(scalar)
     own, ranges = share_functions(serial), range_functions(scalar, serial)
     v = velocity_functions(scalar, of)
 
@@ -273,7 +273,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
-    Bodies, Cover = structs.Bodies, structs.Cover
+    Cover = structs.Cover
     Vector = vector_struct(scalar)
     body, v = body_functions(scalar, of), velocity_functions(scalar, of)
     vec3 = types(scalar).vec3

@@ -81,14 +81,34 @@ mix:
   concrete: {yield_stress: 60 Pa, viscosity: 30 Pa s, flow_index: 1.3, uncertainty: 10 %}
   layer: {tribometer: [[0.2, 110], [0.4, 190], [0.6, 260]]}
 """
-FILES = {"site.yaml": LINE, "taps.csv": TAPS, "pumped.csv": PUMPED, "parts.yaml": PARTS,
-         "slump.yaml": SLUMP, "measured.yaml": MEASURED, "herschel.yaml": HERSCHEL}  # fmt: skip
+FILES = {
+    "site.yaml": LINE,
+    "taps.csv": TAPS,
+    "pumped.csv": PUMPED,
+    "parts.yaml": PARTS,
+    "slump.yaml": SLUMP,
+    "measured.yaml": MEASURED,
+    "herschel.yaml": HERSCHEL,
+}
 FORMULA = ["--theory"]
 COMMANDS = {
     "theory": [
         ["theory"],
-        ["theory", "--flow", "10 m3/h", "--flow", "35 m3/h", "--pressure", "2 bar", "--diameter", "0.125", "--rise", "0",
-         "--length", "12"],
+        [
+            "theory",
+            "--flow",
+            "10 m3/h",
+            "--flow",
+            "35 m3/h",
+            "--pressure",
+            "2 bar",
+            "--diameter",
+            "0.125",
+            "--rise",
+            "0",
+            "--length",
+            "12",
+        ],
         ["theory", "--flow-index", "1.4", "--quadratic-viscosity", "0", "--rest", "10 min"],
         ["theory", "--concrete", "no3", "--quadratic-viscosity", "3", "--pressure", "9000"],
         ["theory", "--concrete", "no3", "--pressure", "100"],
@@ -99,19 +119,56 @@ COMMANDS = {
     "line": [
         ["line", "site.yaml", *FORMULA],
         ["line", "site.yaml", *FORMULA, "--practice", "--rest", "20 min", "--layer-factor", "0.8"],
-        ["line", "site.yaml", *FORMULA, "--concrete", "measured.yaml", "--flow", "20 m3/h", "--rest", "10 min",
-         "--thixotropy", "0.2 Pa/s"],
+        [
+            "line",
+            "site.yaml",
+            *FORMULA,
+            "--concrete",
+            "measured.yaml",
+            "--flow",
+            "20 m3/h",
+            "--rest",
+            "10 min",
+            "--thixotropy",
+            "0.2 Pa/s",
+        ],
         ["line", "site.yaml", *FORMULA, "--concrete", "parts.yaml", "--pump-pressure", "20 bar", "--flow", "60 m3/h"],
         ["line", "burj-khalifa", *FORMULA],
         ["line", "shanghai-tower", *FORMULA, "--practice"],
-        ["line", "--slump", "180mm", "--stone", "20mm", "--diameter", "125mm", "--length", "190m", "--rise", "20m",
-         "--flow", "30m3/h", *FORMULA],
-        ["line", "--spread", "600mm", "--stone", "8mm", "--diameter", "100mm", "--length", "60m", "--flow", "10m3/h",
-         *FORMULA],
+        [
+            "line",
+            "--slump",
+            "180mm",
+            "--stone",
+            "20mm",
+            "--diameter",
+            "125mm",
+            "--length",
+            "190m",
+            "--rise",
+            "20m",
+            "--flow",
+            "30m3/h",
+            *FORMULA,
+        ],
+        [
+            "line",
+            "--spread",
+            "600mm",
+            "--stone",
+            "8mm",
+            "--diameter",
+            "100mm",
+            "--length",
+            "60m",
+            "--flow",
+            "10m3/h",
+            *FORMULA,
+        ],
         ["line", "site.yaml", "--fit", "taps.csv"],
     ],
     "list": [["list"]],
-}  # fmt: skip
+}
 
 
 @pytest.fixture

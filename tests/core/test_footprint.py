@@ -14,7 +14,11 @@ def test_views_and_foreign_memory_count_for_their_owners():
     own, other = (wp.zeros(count, dtype=wp.float64, device="cpu") for count in (100, 50))
     numbers = np.zeros(1000)
     foreign = wp.array(numbers, dtype=wp.float64, device="cpu", copy=False)
-    found = footprint(first=[own, own[:10], {"x": (foreign,)}], second={"again": own, "other": other},
-                      third=[other[5:], wp.zeros(0, dtype=float, device="cpu")], fourth=SimpleNamespace(x=own))  # fmt: skip
+    found = footprint(
+        first=[own, own[:10], {"x": (foreign,)}],
+        second={"again": own, "other": other},
+        third=[other[5:], wp.zeros(0, dtype=float, device="cpu")],
+        fourth=SimpleNamespace(x=own),
+    )
     assert found == {"first": own.capacity, "second": other.capacity, "third": 0, "fourth": 0}
     assert footprint(view=[other[5:]]) == {"view": other.capacity}

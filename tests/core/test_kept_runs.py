@@ -57,8 +57,11 @@ def with_tables(run):
         run.result["profile"] = {"place": along("m", metres), "friction_ahead": along("Pa", 1e3 - 2e4 * metres)}
         run.result["parts"] = [{"what": "bend", "loss": quantity(2e3, "Pa"), "loss_theory": quantity(1.6e3, "Pa")}]
     if isinstance(run.scene, FreeScene):
-        run.result["surface"] = {"place": along("m", metres), "base": along("m", 0.1 * metres),
-                                 "height": along("m", 0.3 - metres)}  # fmt: skip
+        run.result["surface"] = {
+            "place": along("m", metres),
+            "base": along("m", 0.1 * metres),
+            "height": along("m", 0.3 - metres),
+        }
         run.result["spread_heap"] = quantity(0.4, "m")
     return run
 
@@ -90,7 +93,18 @@ def test_what_a_run_comes_to_is_kept(name):
     kept.compare(f"run-{name.replace(', ', '-').replace(' ', '-')}", found)
 
 
-FIGURES = ("channel", "tube, rested", "part, level", "slump", "lbox", "funnel", "lcpc", "pipe", "pipe, plate", "part-dem")
+FIGURES = (
+    "channel",
+    "tube, rested",
+    "part, level",
+    "slump",
+    "lbox",
+    "funnel",
+    "lcpc",
+    "pipe",
+    "pipe, plate",
+    "part-dem",
+)
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -121,10 +135,16 @@ def test_figures_of_elements_are_kept():
     made.series = uneven(made.series)
     run = made.run()
     place = np.linspace(0.05, 0.95, 10)
-    columns = {"place": place, "axial_stress": 9e3 - 5e3 * place, "pressure": 6e3 - 3e3 * place,
-               "wall_stress": 400 + 100 * place, "solid_fraction": 0.4 + 0.1 * place,
-               "velocity": np.where(place < 0.9, 0.3, np.nan), "velocity_0.25R": 0.35 - 0.1 * place,
-               "velocity_0.75R": 0.25 - 0.1 * place}  # fmt: skip
+    columns = {
+        "place": place,
+        "axial_stress": 9e3 - 5e3 * place,
+        "pressure": 6e3 - 3e3 * place,
+        "wall_stress": 400 + 100 * place,
+        "solid_fraction": 0.4 + 0.1 * place,
+        "velocity": np.where(place < 0.9, 0.3, np.nan),
+        "velocity_0.25R": 0.35 - 0.1 * place,
+        "velocity_0.75R": 0.25 - 0.1 * place,
+    }
     run.tables["stations"] = Table(columns, {})
     strokes = scenes.pipe(strokes=2, pause=0.5, stroke=0.2, ramp=0.05, rest=600.0, thixotropy=0.2)
     stroked = replace(RUNS["pipe"](), scene=strokes)
@@ -132,11 +152,18 @@ def test_figures_of_elements_are_kept():
     rng = np.random.default_rng(3)
     count = 40
     bodies = SimpleNamespace(
-        template=np.arange(count) % 2, size=rng.uniform(0.005, 0.02, count), position=rng.uniform(0, 0.2, (count, 3)),
-        velocity=rng.normal(0, 0.1, (count, 3)), orientation=np.tile([0.0, 0.6, 0.0, 0.8], (count, 1)),
+        template=np.arange(count) % 2,
+        size=rng.uniform(0.005, 0.02, count),
+        position=rng.uniform(0, 0.2, (count, 3)),
+        velocity=rng.normal(0, 0.1, (count, 3)),
+        orientation=np.tile([0.0, 0.6, 0.0, 0.8], (count, 1)),
         templates=templates("reference")[:2],
-    )  # fmt: skip
+    )
     shown = SimpleNamespace(bodies=bodies, scene=strokes)
-    figures = {"stations": plot_stations(run), "strokes": plot_strokes(stroked.run()),
-               "aggregates": plot_aggregates(shown), "above": plot_aggregates({"a": shown, "b": shown}, 1, 2)}  # fmt: skip
+    figures = {
+        "stations": plot_stations(run),
+        "strokes": plot_strokes(stroked.run()),
+        "aggregates": plot_aggregates(shown),
+        "above": plot_aggregates({"a": shown, "b": shown}, 1, 2),
+    }
     kept.compare("figure-elements", {key: kept.drawn(each) for key, each in figures.items()})

@@ -21,24 +21,45 @@ from warpcrete.mps.part.layout import part_layout
 from warpcrete.mps.part.scene import PartScene
 
 VARIANTS = {
-    "channel": ({"spacing": 0.01}, {"spacing": 0.01, "ends": "piston", "aggregates": True},
-                {"rest": 600.0, "ends": "periodic", "thixotropy": 0.1, "concrete": "no2", "flow_index": 1.2}),
+    "channel": (
+        {"spacing": 0.01},
+        {"spacing": 0.01, "ends": "piston", "aggregates": True},
+        {"rest": 600.0, "ends": "periodic", "thixotropy": 0.1, "concrete": "no2", "flow_index": 1.2},
+    ),
     "tube": ({"spacing": 0.02, "slip_viscosity": 1e7}, {"diameter": 0.15, "flow": 2e-3, "ends": "piston"}),
-    "part": ({"spacing": 0.0125, "straight": 0.2, "diameter": 0.1},
-             {"unit": "bend-level", "spacing": 0.0125, "straight": 0.2, "diameter": 0.1, "outlet_diameter": 0.08, "taper": 0.2},
-             {"unit": "bend-to-vertical", "spacing": 0.0125, "straight": 0.2, "diameter": 0.1, "gravity": 0.0}),
-    "slump": ({"spacing": 0.02}, {"spacing": 0.02, "top_diameter": 0.1, "mould_height": 0.2, "lift_time": 3.0,
-                                  "concrete": "no3"}),
-    "funnel": ({"spacing": 0.016},), "lcpc": ({"spacing": 0.02},),
+    "part": (
+        {"spacing": 0.0125, "straight": 0.2, "diameter": 0.1},
+        {
+            "unit": "bend-level",
+            "spacing": 0.0125,
+            "straight": 0.2,
+            "diameter": 0.1,
+            "outlet_diameter": 0.08,
+            "taper": 0.2,
+        },
+        {"unit": "bend-to-vertical", "spacing": 0.0125, "straight": 0.2, "diameter": 0.1, "gravity": 0.0},
+    ),
+    "slump": (
+        {"spacing": 0.02},
+        {"spacing": 0.02, "top_diameter": 0.1, "mould_height": 0.2, "lift_time": 3.0, "concrete": "no3"},
+    ),
+    "funnel": ({"spacing": 0.016},),
+    "lcpc": ({"spacing": 0.02},),
     "lbox": ({"spacing": 0.02},),
-    "pipe": ({}, {"unit": "bend-to-vertical", "shapes": "reference", "wall": "mesh", "facets": 12},
-             {"unit": "horizontal", "bonds": True, "hydration": 0.1, "plug": "plate"},
-             {"unit": "bend-to-horizontal", "strokes": 3, "pause": 0.5, "stroke": 0.2, "ramp": 0.05, "rest": 600.0},
-             {"diameter": 0.1, "size_min": 4e-3, "size_max": 16e-3, "plug_layers": 3, "stop_when_blocked": True}),
+    "pipe": (
+        {},
+        {"unit": "bend-to-vertical", "shapes": "reference", "wall": "mesh", "facets": 12},
+        {"unit": "horizontal", "bonds": True, "hydration": 0.1, "plug": "plate"},
+        {"unit": "bend-to-horizontal", "strokes": 3, "pause": 0.5, "stroke": 0.2, "ramp": 0.05, "rest": 600.0},
+        {"diameter": 0.1, "size_min": 4e-3, "size_max": 16e-3, "plug_layers": 3, "stop_when_blocked": True},
+    ),
     "part-dem": ({}, {"unit": "bend-level", "outlet_diameter": 0.1, "taper": 0.3, "wear": True}),
-    "slump-dem": ({}, {"law": "plastic", "top_diameter": 0.1, "mould_height": 0.2}), "funnel-dem": ({"law": "bonds"},),
-    "lbox-dem": ({},), "jring-dem": ({"law": "mortar"},), "lcpc-dem": ({"law": "linear"},),
-}  # fmt: skip
+    "slump-dem": ({}, {"law": "plastic", "top_diameter": 0.1, "mould_height": 0.2}),
+    "funnel-dem": ({"law": "bonds"},),
+    "lbox-dem": ({},),
+    "jring-dem": ({"law": "mortar"},),
+    "lcpc-dem": ({"law": "linear"},),
+}
 CASES = [(name, place) for name, given in VARIANTS.items() for place in range(len(given))]
 NOT_NEWS = re.compile(r"^(parameters|vessel\.test|test|published)\b|\.(concrete|bulk_law|layer_law)\.")
 """Lines of parameters and of standard tests, which are kept once, by another test."""
@@ -71,9 +92,13 @@ def of_flow(scene):
         return {"layout": free_layout(scene), "volume": start_volume(scene), "extent": scene.extent}
     if isinstance(scene, PartScene):
         s = np.linspace(0, scene.axis.length, 9)
-        return {"layout": part_layout(scene), "bore": scene.bore(s), "weight": scene.weight(s),
-                "theory": [scene.theory(float(x)) for x in s[::4]],
-                "friction": [scene.friction(0.0, float(x)) for x in s[1:]]}  # fmt: skip
+        return {
+            "layout": part_layout(scene),
+            "bore": scene.bore(s),
+            "weight": scene.weight(s),
+            "theory": [scene.theory(float(x)) for x in s[::4]],
+            "friction": [scene.friction(0.0, float(x)) for x in s[1:]],
+        }
     return {"layout": layout(scene), "theory": scene.theory(), "restart": scene.restart() if scene.gained else None}
 
 
@@ -88,8 +113,10 @@ def test_a_scene_is_kept(name, place):
         same = set(kept.described(before))
         lines = [line for line in lines if line not in same]
     given = module.scene.parameters(**VARIANTS[name][place])
-    knobs = [[knob.name, knob.chosen, [[level.label, level.changes, level.converted] for level in knob.levels]]
-             for knob in module.trading.knobs(given)]  # fmt: skip
+    knobs = [
+        [knob.name, knob.chosen, [[level.label, level.changes, level.converted] for level in knob.levels]]
+        for knob in module.trading.knobs(given)
+    ]
     variants = module.trading.variants(given) if place == 0 else {}
     settled = list(kept.described({"knobs": knobs, "variants": variants}))
     kept.compare(f"scene-{name}-{place}", "\n".join([*lines, *more, *settled]))
@@ -99,5 +126,10 @@ def test_a_scene_is_kept(name, place):
 def test_what_the_help_of_a_scene_shows_is_kept(name):
     """The options of the short page and of the whole page, in their order."""
     pages = [CliRunner().invoke(cli, ["run", name, option]).output for option in ("--help", "--help-all")]
-    kept.compare(f"help-{name}", {"short": re.findall(r"^  (?:-\w, )?--([\w-]+)", pages[0], re.M),
-                                  "all": re.findall(r"^  (?:-\w, )?--([\w-]+)", pages[1], re.M)})  # fmt: skip
+    kept.compare(
+        f"help-{name}",
+        {
+            "short": re.findall(r"^  (?:-\w, )?--([\w-]+)", pages[0], re.M),
+            "all": re.findall(r"^  (?:-\w, )?--([\w-]+)", pages[1], re.M),
+        },
+    )

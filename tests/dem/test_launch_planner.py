@@ -113,9 +113,15 @@ def test_a_scene_alone_rebuilds_stale_lists_only_and_learns_how_long_they_last()
 
 @pytest.mark.parametrize(
     "parallel, threads, launched, rounds, steps",
-    [(True, 1, 0, 0, 64), (True, 1, 0, 4, 32), (False, 1, 999, 0, 2), (False, 2, 256, 0, 2), (False, 2, 257, 0, 8),
-     (False, 2, 257, 8, 2)],
-)  # fmt: skip
+    [
+        (True, 1, 0, 0, 64),
+        (True, 1, 0, 4, 32),
+        (False, 1, 999, 0, 2),
+        (False, 2, 256, 0, 2),
+        (False, 2, 257, 0, 8),
+        (False, 2, 257, 8, 2),
+    ],
+)
 def test_graphs_grow_when_threads_keep_their_shares(parallel, threads, launched, rounds, steps):
     planner = LaunchPlanner(parallel, 1)
     planner.count_steps(launched - launched // 2)
@@ -135,8 +141,10 @@ def room(monkeypatch):
     monkeypatch.setattr(batch_run.wp, "Stream", lambda device, priority: priority)
 
     def make(needs, is_cuda=True, threads=1):
-        return [SimpleNamespace(device=SimpleNamespace(is_cuda=is_cuda), model=need, threads=threads, scene=None)
-                for need in needs]  # fmt: skip
+        return [
+            SimpleNamespace(device=SimpleNamespace(is_cuda=is_cuda), model=need, threads=threads, scene=None)
+            for need in needs
+        ]
 
     return make
 

@@ -301,6 +301,14 @@ def test_own_entries_go_before_the_mix_and_that_before_the_base(tmp_path):
     assert (found.slip_yield, found.viscosity) == (5, 9) and found.yield_stress == read_mix(path).concrete.yield_stress
 
 
+def test_a_file_has_the_last_word_on_what_its_base_says_besides_a_mix(tmp_path):
+    written(tmp_path, SPREADING | STONES, name="base.yaml", flow={"slip_yield": 3, "slip_viscosity": 700})
+    child = tmp_path / "child.yaml"
+    child.write_text("base: base.yaml\nflow: {slip_yield: 5}\n", encoding="utf-8")
+    for found in (completed(str(child)).flow, read_mix(child).flow, concrete(str(child)).mix.flow):
+        assert (found["slip_yield"], found["slip_viscosity"]) == (5, 700)
+
+
 def test_the_command_prints_and_writes_a_concrete(tmp_path):
     path, plain = written(tmp_path, SPREADING | STONES, name="mix.yaml", source="site"), tmp_path / "plain.yaml"
     done = CliRunner().invoke(cli, ["mix", str(path), "--out", str(plain)])

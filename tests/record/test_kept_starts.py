@@ -5,6 +5,7 @@ Only the first moments are kept, in which rounding has not grown. Other tests ma
 
 import json
 import math
+from types import SimpleNamespace
 
 import kept
 import numpy as np
@@ -33,14 +34,21 @@ def clumps():
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     place = np.array([[0.0115 * k, 0.004 * (k % 2), 0.006] for k in range(6)])
     bodies = tuple(
-        Bodies(positions=place[k::2], sizes=[0.01, 0.012, 0.014], template=shapes[k], orientations=turned[k::2],
-               spins=random.normal(scale=20, size=(3, 3)), velocities=random.normal(scale=0.3, size=(3, 3)))
+        Bodies(
+            positions=place[k::2],
+            sizes=[0.01, 0.012, 0.014],
+            template=shapes[k],
+            orientations=turned[k::2],
+            spins=random.normal(scale=20, size=(3, 3)),
+            velocities=random.normal(scale=0.3, size=(3, 3)),
+        )
         for k in range(2)
-    )  # fmt: skip
+    )
     motion = Prescribed(velocity=(0.1, 0.0, 0.2), spin=(3.0, 0.0, 5.0), ramp_time=0.0)
     plate = PlaneWall(name="plate", point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), drawn_radius=0.1, motion=motion)
-    return Scene(name="clumps", duration=2e-3, sample_interval=1e-3, gravity=(0.0, 0.0, 0.0), bodies=bodies,
-                 walls=(plate,))  # fmt: skip
+    return Scene(
+        name="clumps", duration=2e-3, sample_interval=1e-3, gravity=(0.0, 0.0, 0.0), bodies=bodies, walls=(plate,)
+    )
 
 
 STARTS = {
@@ -51,7 +59,12 @@ STARTS = {
     "slump": lambda: scenes.slump(**FREE, duration=0.06, sample_interval=0.02, lift_time=0.2),
     "part": lambda: scenes.part(concrete="no1", unit="bend-to-vertical", straight=0.2, spacing=0.0125, duration=0.03),
 }
-COLOURINGS = {"clumps": ("force", "speed", "size"), "pipe": ("force", "speed", "size"), "slump": ("shear", "speed"), "part": ("shear", "pressure")}
+COLOURINGS = {
+    "clumps": ("force", "speed", "size"),
+    "pipe": ("force", "speed", "size"),
+    "slump": ("shear", "speed"),
+    "part": ("shear", "pressure"),
+}
 NETWORK = ("clumps", "pipe")
 """Scenes of which force chains are recorded."""
 LOOSE = 1e-2
@@ -165,7 +178,9 @@ def hdf(path):
 
     found = {}
     with h5py.File(path) as file:
-        file.visititems(lambda name, each: found.update({name: each[()] if isinstance(each, h5py.Dataset) else dict(each.attrs)}))
+        file.visititems(
+            lambda name, each: found.update({name: each[()] if isinstance(each, h5py.Dataset) else dict(each.attrs)})
+        )
     return {name: each if isinstance(each, dict) else np.asarray(each, float) for name, each in found.items()}
 
 
@@ -180,12 +195,43 @@ def test_the_start_of_a_run_is_kept(name, tmp_path):
     look.logged = {}
     recorders += [look, UsdRecorder(tmp_path / "scene.usdc", velocities=False), ParaViewRecorder(tmp_path)]
     run = Simulation(scene, device="cpu", threads=1, recorders=recorders).run()
-    kept.compare(f"recorded-{name}", {
-        "rerun": look.logged, "views": look.views, "usd": usd(tmp_path / "scene.usdc"),
-        "paraview": {path.name: hdf(path) for path in sorted(tmp_path.glob("*.vtkhdf"))}}, tolerance)  # fmt: skip
+    kept.compare(
+        f"recorded-{name}",
+        {
+            "rerun": look.logged,
+            "views": look.views,
+            "usd": usd(tmp_path / "scene.usdc"),
+            "paraview": {path.name: hdf(path) for path in sorted(tmp_path.glob("*.vtkhdf"))},
+        },
+        tolerance,
+    )
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
-    kept.compare(f"start-{name}", {
-        "series": {key: column for key, column in run.series.items() if key not in COUNTS}, "units": run.units, "tables": {key: table.columns for key, table in run.tables.items()},
-        "result": {key: value for key, value in result.items() if key not in OTHERS}, "checks": list(result.get("checks", {})),
-        "files": sorted(path.name for path in (tmp_path / "run").iterdir()), "seen": seen.found,
-        "head": (tmp_path / "run" / "series.csv").read_text(encoding="utf-8").splitlines()[0]}, tolerance)  # fmt: skip
+    kept.compare(
+        f"start-{name}",
+        {
+            "series": {key: column for key, column in run.series.items() if key not in COUNTS},
+            "units": run.units,
+            "tables": {key: table.columns for key, table in run.tables.items()},
+            "result": {key: value for key, value in result.items() if key not in OTHERS},
+            "checks": list(result.get("checks", {})),
+            "files": sorted(path.name for path in (tmp_path / "run").iterdir()),
+            "seen": seen.found,
+            "head": (tmp_path / "run" / "series.csv").read_text(encoding="utf-8").splitlines()[0],
+        },
+        tolerance,
+    )
+
+
+@pytest.mark.parametrize(
+    "live, path, sinks",
+    [
+        (False, "run.rrd", ["file"]),
+        ("rerun+http://127.0.0.1:9876/proxy", "run.rrd", ["file", "viewer"]),
+        ("rerun+http://127.0.0.1:9876/proxy", None, ["viewer"]),
+    ],
+)
+def test_a_recording_goes_into_its_file_and_to_the_viewer(live, path, sinks, tmp_path):
+    recorder = RerunRecorder(path and tmp_path / path, live=live)
+    recorder._parts = 0
+    recorder._rr = SimpleNamespace(FileSink=lambda where: "file", GrpcSink=lambda where: "viewer")
+    assert recorder._sinks() == sinks

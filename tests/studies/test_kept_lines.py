@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 import trimesh
 
+from warpcrete.core.run.files import write_json
 from warpcrete.core.units import quantity
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.lines import line_of
 from warpcrete.mps.common.mixes import concrete_of
+from warpcrete.record.run_folder import TableRecorder
 from warpcrete.scenes import modules
 from warpcrete.studies.lines import elements as by_elements
 from warpcrete.studies.lines.blocking import BlockingProbability, _counted, _parameters
 from warpcrete.studies.lines.element_line import ElementLine, SeedResult, WallLaw, element_table_lines
 from warpcrete.studies.lines.elements import Elements, part_parameters
 from warpcrete.studies.lines.fittings import library_factor, range_of
+from warpcrete.studies.lines.folder import part_simulation, previous_run
 from warpcrete.studies.lines.result import Stop, lines_of
 from warpcrete.studies.lines.run import run_line
 from warpcrete.studies.running import outcome_of
@@ -26,11 +29,18 @@ from warpcrete.studies.running import outcome_of
 run_module = importlib.import_module("warpcrete.studies.lines.run")
 FLOW = 30 / 3600
 PARTS = [
-    {"straight": 10}, {"bend": {"to": "up", "radius": 0.5}}, {"straight": 20}, {"reducer": {"to": 0.1, "length": 1}},
-    {"straight": 2}, {"bend": {"to": "level", "angle": 4, "radius": 0.4}}, {"valve": {"equivalent": 20}},
-    {"hose": {"length": 4, "factor": 2.5}}, {"straight": 5}, {"bend": {"to": "right", "angle": 60, "radius": 0.12}},
+    {"straight": 10},
+    {"bend": {"to": "up", "radius": 0.5}},
+    {"straight": 20},
+    {"reducer": {"to": 0.1, "length": 1}},
+    {"straight": 2},
+    {"bend": {"to": "level", "angle": 4, "radius": 0.4}},
+    {"valve": {"equivalent": 20}},
+    {"hose": {"length": 4, "factor": 2.5}},
     {"straight": 5},
-]  # fmt: skip
+    {"bend": {"to": "right", "angle": 60, "radius": 0.12}},
+    {"straight": 5},
+]
 
 
 @pytest.fixture
@@ -46,15 +56,21 @@ def meshed(tmp_path):
     vertices[:, 2] *= 1 - 0.2 * middle
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "valve.stl")
     path = tmp_path / "valve.stl"
-    return line_of({"diameter": 0.125, "parts": [{"straight": 2}, {"bore": {"file": str(path), "length": 0.3}}, {"straight": 1}]})
+    return line_of(
+        {"diameter": 0.125, "parts": [{"straight": 2}, {"bore": {"file": str(path), "length": 0.3}}, {"straight": 1}]}
+    )
 
 
 def result_of(scene):
     """A result that depends on the scene only."""
     size = scene.parameters["spacing"] * scene.parameters["flow"]
-    return {"finished": True, "wall_stress": quantity(1e7 * size, "Pa"), "middle_loss": quantity(3e8 * size, "Pa"),
-            "speed": {"wall_time": quantity(2.0, "s")},
-            "checks": {"steady": {"passed": scene.name != "part", "found": "no"}}}  # fmt: skip
+    return {
+        "finished": True,
+        "wall_stress": quantity(1e7 * size, "Pa"),
+        "middle_loss": quantity(3e8 * size, "Pa"),
+        "speed": {"wall_time": quantity(2.0, "s")},
+        "checks": {"steady": {"passed": scene.name != "part", "found": "no"}},
+    }
 
 
 @pytest.mark.parametrize("kind", ["line", "meshed"])
@@ -63,25 +79,54 @@ def test_a_simulated_line_is_kept(kind, line, meshed, monkeypatch):
     asked, told = [], []
 
     def part_simulation(scene, check, out, called, digest, **settings):
-        asked.append([called, scene.name, check.__module__, len(digest), settings["device"], settings["threads"],
-                      {k: v for k, v in scene.parameters.items() if v is not None and k != "wall"}])  # fmt: skip
+        asked.append(
+            [
+                called,
+                scene.name,
+                check.__module__,
+                len(digest),
+                settings["device"],
+                settings["threads"],
+                {k: v for k, v in scene.parameters.items() if v is not None and k != "wall"},
+            ]
+        )
         settings["progress"]("running", 0.5, {})
         done = SimpleNamespace(finished=True, result=result_of(scene))
         return SimpleNamespace(begin=lambda checkpoint: None, run=lambda: done), None
 
     monkeypatch.setattr(run_module, "part_simulation", part_simulation)
     settings = dict(simulate=True, cells=10, layer_factor=1.5, device="cpu", threads=2)
-    found = run_line(line, concrete_of("no1"), FLOW, stop=Stop(600.0, 0.4, (0.1, 0.9)), **settings,
-                     progress=lambda phase, fraction, figures: told.append([phase, fraction]))  # fmt: skip
+    found = run_line(
+        line,
+        concrete_of("no1"),
+        FLOW,
+        stop=Stop(600.0, 0.4, (0.1, 0.9)),
+        **settings,
+        progress=lambda phase, fraction, figures: told.append([phase, fraction]),
+    )
     some = run_line(line, concrete_of("no2"), FLOW, unless_known=True, **settings)
     columns, units = found._columns()
-    kept.compare(f"line-{kind}", {
-        "asked": asked, "told": told, "record": found.record(), "lines": lines_of(found, True), "columns": columns,
-        "units": units, "figure": kept.drawn(found.plot()), "took": found.took, "failed": found.failed,
-        "some": [[loss.friction, loss.theory, loss.weight, loss.at(0), loss.at(1), loss.range] for loss in some.losses],
-        "course": found.course(lambda loss: loss.friction), "volume": [found.volume, found.residence_time, found.power],
-        "restart": [found.restart(), found.restart(FLOW)],
-        "library": [[library_factor(part), range_of(part, 1e3)] for part in line.parts]})  # fmt: skip
+    kept.compare(
+        f"line-{kind}",
+        {
+            "asked": asked,
+            "told": told,
+            "record": found.record(),
+            "lines": lines_of(found, True),
+            "columns": columns,
+            "units": units,
+            "figure": kept.drawn(found.plot()),
+            "took": found.took,
+            "failed": found.failed,
+            "some": [
+                [loss.friction, loss.theory, loss.weight, loss.at(0), loss.at(1), loss.range] for loss in some.losses
+            ],
+            "course": found.course(lambda loss: loss.friction),
+            "volume": [found.volume, found.residence_time, found.power],
+            "restart": [found.restart(), found.restart(FLOW)],
+            "library": [[library_factor(part), range_of(part, 1e3)] for part in line.parts],
+        },
+    )
     assert found.volume == pytest.approx(line.bores.volume(0, line.length))
 
 
@@ -94,38 +139,61 @@ def seed_result(line, seed):
 
 def test_a_line_by_elements_is_kept(line, monkeypatch):
     elements = Elements(shapes="reference", seeds=2, stiffer=4.0)
-    found = ElementLine(line, "zhan", FLOW, [seed_result(line, 0), seed_result(line, 1)], ["a remark"], {"bend": 3.0}, 4.0)
+    found = ElementLine(
+        line, "zhan", FLOW, [seed_result(line, 0), seed_result(line, 1)], ["a remark"], {"bend": 3.0}, 4.0
+    )
     kinds = dict(by_elements._kinds(line))
     parameters = [
         part_parameters(part, key[-1] == by_elements.PRESSED_RUN, line, concrete, FLOW, given, 3)
-        for key, part in kinds.items() for concrete, given in (("zhan", elements), ("zhan", Elements(coarse=1.5)))
-    ]  # fmt: skip
-    columns = {"axial_stress": np.array([np.nan, 1e3, 2e3, 5e3]), "wall_stress": np.array([1.0, 50.0, 70.0, 110.0]),
-               "bulk_density": np.array([np.nan, 2300.0, 2310.0, 2290.0])}  # fmt: skip
+        for key, part in kinds.items()
+        for concrete, given in (("zhan", elements), ("zhan", Elements(coarse=1.5)))
+    ]
+    columns = {
+        "axial_stress": np.array([np.nan, 1e3, 2e3, 5e3]),
+        "wall_stress": np.array([1.0, 50.0, 70.0, 110.0]),
+        "bulk_density": np.array([np.nan, 2300.0, 2310.0, 2290.0]),
+    }
     law = WallLaw.of(0.1, columns, 6e3)
     runs = {
-        key: SimpleNamespace(tables={"stations": SimpleNamespace(columns=columns)}, result={"middle_ratio": 1.2 + 0.1 * k},
-                             scene=SimpleNamespace(parameters={"modulus": 1e5 * (k + 1)}))
+        key: SimpleNamespace(
+            tables={"stations": SimpleNamespace(columns=columns)},
+            result={"middle_ratio": 1.2 + 0.1 * k},
+            scene=SimpleNamespace(parameters={"modulus": 1e5 * (k + 1)}),
+        )
         for k, key in enumerate(kinds)
-    }  # fmt: skip
-    kept.compare("line-elements", {
-        "record": found.record(), "table": element_table_lines(found, {"flow": [1e3 * k for k in range(len(line.parts))]}),
-        "pressures": found.pressures, "course": found.packed[1].course(line), "blocked": found.blocked(), "repr": repr(found),
-        "law": law, "gradients": [law.gradient(p) for p in (0.0, 1e3, 5.5e3, 2e4)], "seed": by_elements._seed_result(kinds, runs),
-        "names": [by_elements._run_name(key, part, 2) for key, part in kinds.items()], "parameters": parameters,
-        "blocking": _parameters(line.parts[3], line, "zhan", FLOW, elements, 4)})  # fmt: skip
+    }
+    kept.compare(
+        "line-elements",
+        {
+            "record": found.record(),
+            "table": element_table_lines(found, {"flow": [1e3 * k for k in range(len(line.parts))]}),
+            "pressures": found.pressures,
+            "course": found.packed[1].course(line),
+            "blocked": found.blocked(),
+            "repr": repr(found),
+            "law": law,
+            "gradients": [law.gradient(p) for p in (0.0, 1e3, 5.5e3, 2e4)],
+            "seed": by_elements._seed_result(kinds, runs),
+            "names": [by_elements._run_name(key, part, 2) for key, part in kinds.items()],
+            "parameters": parameters,
+            "blocking": _parameters(line.parts[3], line, "zhan", FLOW, elements, 4),
+        },
+    )
 
 
 def test_a_probability_of_blocking_is_kept(line):
     own = _parameters(line.parts[3], line, "zhan", FLOW, Elements(coarse=1.0), 0)
     results = {
-        str(k): {"blocked": float(k % 3 == 0), "slowest_advance": 0.05 * k, "packing": {"bodies": 900 + k}} for k in range(9)
+        str(k): {"blocked": float(k % 3 == 0), "slowest_advance": 0.05 * k, "packing": {"bodies": 900 + k}}
+        for k in range(9)
     }
     study = SimpleNamespace(results=results, failures={"x": "burst"}, cases=[SimpleNamespace(parameters=own)])
     found = _counted(study, line.parts[3], Elements(coarse=1.0))
     enlarged = BlockingProbability(line.parts[1], 20, 0, 0, 0, 500, 0.02, 2.0, 0.5)
-    kept.compare("line-blocking", {"record": found.record(), "lines": found.lines, "enlarged": enlarged.lines,
-                                   "interval": enlarged.interval})  # fmt: skip
+    kept.compare(
+        "line-blocking",
+        {"record": found.record(), "lines": found.lines, "enlarged": enlarged.lines, "interval": enlarged.interval},
+    )
 
 
 def folder_with(path, result=None, checkpoint=False, failed=""):
@@ -152,20 +220,14 @@ def test_what_a_folder_says_of_its_run(tmp_path):
 
 def test_runs_of_parts_are_used_again_if_they_are_the_same(tmp_path):
     """Another number, another file, another mesh or a modified scene is another run."""
-    from warpcrete.core.run.files import write_json
-    from warpcrete.record.run_folder import TableRecorder
-    from warpcrete.studies.lines.folder import part_simulation, previous_run
-
     channel = modules()["channel"]
     scene = channel.scene(spacing=0.02)
     parts = tmp_path / "line" / "parts"
     record = {"parameters": json.loads(json.dumps(dict(scene.parameters))), "files": scene.parameters.files}
 
     def stored(name, result={"finished": True}, checkpoint=False, **more):  # noqa: B006
-        folder = folder_with(parts / name, result, checkpoint) if parts.is_dir() else None
-        if folder is None:
-            parts.mkdir(parents=True)
-            folder = folder_with(parts / name, result, checkpoint)
+        parts.mkdir(parents=True, exist_ok=True)
+        folder = folder_with(parts / name, result, checkpoint)
         write_json(folder / "scene.json", record | more)
         return folder
 
@@ -188,7 +250,7 @@ def test_runs_of_parts_are_used_again_if_they_are_the_same(tmp_path):
     simulation, checkpoint = part_simulation(scene, channel.check, tmp_path / "line", "new", device="cpu", threads=1)
     assert checkpoint == begun / "checkpoint.npz" and simulation.checkpoint_path == checkpoint
     (begun / "scene.json").unlink()
-    for name in ("a", "a-2"):
+    for _ in range(2):  # no folder is made before the run begins
         simulation, checkpoint = part_simulation(scene, channel.check, tmp_path / "line", "a", device="cpu", threads=1)
         assert checkpoint is None and simulation.recorders[0].folder.name == "a-2"
     whole = stored("g-0123")

@@ -29,12 +29,23 @@ FAILED = {"balance": {"passed": False, "found": "9 %"}, "finished": {"passed": T
 
 def measured(k, **more):
     """A result.json that depends on the number of the run only."""
-    speed = {"packing_time": {"value": 1.0 + k, "unit": "s"}, "settling_time": {"value": 0.25, "unit": "s"},
-             "wall_time": {"value": 10.0 + k**2, "unit": "s"}, "memory": {"value": 1e7 + 1e6 * k, "unit": "B"}}  # fmt: skip
+    speed = {
+        "packing_time": {"value": 1.0 + k, "unit": "s"},
+        "settling_time": {"value": 0.25, "unit": "s"},
+        "wall_time": {"value": 10.0 + k**2, "unit": "s"},
+        "memory": {"value": 1e7 + 1e6 * k, "unit": "B"},
+    }
     pressure = 2e4 + 700 * np.sin(1.0 + k)
-    return {"finished": True, "steps": 1000 + 10 * k, "spheres": 50 + k, "speed": speed, "checks": {},
-            "peak_pressure": {"value": pressure, "unit": "Pa"}, "end_pressure": {"value": 0.8 * pressure, "unit": "Pa"},
-            "coordination_number": 5 + 0.1 * k} | more  # fmt: skip
+    return {
+        "finished": True,
+        "steps": 1000 + 10 * k,
+        "spheres": 50 + k,
+        "speed": speed,
+        "checks": {},
+        "peak_pressure": {"value": pressure, "unit": "Pa"},
+        "end_pressure": {"value": 0.8 * pressure, "unit": "Pa"},
+        "coordination_number": 5 + 0.1 * k,
+    } | more
 
 
 QUANTITIES = [
@@ -46,10 +57,14 @@ QUANTITIES = [
 ]
 VARIED = {
     "numbers": dict(varied={"velocity": [0.1, 0.3], "diameter": [0.1, 0.2]}, repeat=2),
-    "words": dict(varied={"shapes": ["spheres", "reference"], "friction": [0.1, 0.2]}, one_at_a_time=True,
-                  defaults={"shapes": "spheres", "friction": 0.1}, repeat=2),
+    "words": dict(
+        varied={"shapes": ["spheres", "reference"], "friction": [0.1, 0.2]},
+        one_at_a_time=True,
+        defaults={"shapes": "spheres", "friction": 0.1},
+        repeat=2,
+    ),
     "seeds": dict(varied={}, repeat=3),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", VARIED)
@@ -63,19 +78,35 @@ def test_a_study_is_kept(tmp_path, kind):
     study.results.pop(lost)
     study.failures[lost], study.not_at_fault = "the worker died", {lost}
     study.write(figure=False)
-    kept.compare(f"study-{kind}", {
-        "cases": [[case.name, case.varied, case.parameters] for case in cases], "study": study, "rows": study.rows(),
-        "table": columns_of(study), "csv": (tmp_path / "study.csv").read_text(encoding="utf-8").splitlines(),
-        "markdown": (tmp_path / "study.md").read_text(encoding="utf-8").splitlines(), "repr": repr(study)[:50],
-        "figure": kept.drawn(study.plot())})  # fmt: skip
+    kept.compare(
+        f"study-{kind}",
+        {
+            "cases": [[case.name, case.varied, case.parameters] for case in cases],
+            "study": study,
+            "rows": study.rows(),
+            "table": columns_of(study),
+            "csv": (tmp_path / "study.csv").read_text(encoding="utf-8").splitlines(),
+            "markdown": (tmp_path / "study.md").read_text(encoding="utf-8").splitlines(),
+            "repr": repr(study)[:50],
+            "figure": kept.drawn(study.plot()),
+        },
+    )
 
 
 def made_trade(folder, **more):
     """A trade of the pipe with results for the scene as given, single knobs, all of them, and a failure."""
     pipe = importlib.import_module("warpcrete.scenes.pipe")
-    record = {"scene": "pipe", "parameters": {"seed": 2}, "quantities": ["peak_pressure", "end_pressure"],
-              "knobs": ["time step", "coarse-graining"], "repeat": 3, "seeded": True, "device": "cpu", "threads": 2,
-              "provenance": {"device_name": "cpu", "processor": "a processor"}} | more  # fmt: skip
+    record = {
+        "scene": "pipe",
+        "parameters": {"seed": 2},
+        "quantities": ["peak_pressure", "end_pressure"],
+        "knobs": ["time step", "coarse-graining"],
+        "repeat": 3,
+        "seeded": True,
+        "device": "cpu",
+        "threads": 2,
+        "provenance": {"device_name": "cpu", "processor": "a processor"},
+    } | more
     trade = Trade(folder, pipe, record)
     trade.point(GIVEN, {})
     trade.point(REFERENCE, {knob.name: len(knob.levels) - 1 for knob in trade.knobs})
@@ -98,22 +129,37 @@ def test_a_trade_is_kept(tmp_path, kind):
     trade = made_trade(tmp_path, **({"abreast": 4} if kind == "abreast" else {}))
     first, second = trade.points[1:3]
     trade.promises = [
-        Promise(0.2, first, Error("peak_pressure", -0.03, 0.01), {"twice": Error("end_pressure", 0.02, 0.05), "no": None}, 0.15),
+        Promise(
+            0.2,
+            first,
+            Error("peak_pressure", -0.03, 0.01),
+            {"twice": Error("end_pressure", 0.02, 0.05), "no": None},
+            0.15,
+        ),
         Promise(0.1, second, bound=0.07),
         Promise(0.05, None),
-    ]  # fmt: skip
+    ]
     write_trade(trade)
     record = json.loads((tmp_path / "trade.json").read_text(encoding="utf-8"))
     bounds = {trade.label(p): [trade.promised(p), trade.bound_in_variants(p, trade.points[1:3])] for p in trade.points}
     shifts = {knob.name: [trade.shift(knob, level) for level in range(len(knob.levels))] for knob in trade.knobs}
     seeds = [trade._folder(point, 2).name for point in trade.points]
-    kept.compare(f"trade-{kind}", {
-        "markdown": (tmp_path / "trade.md").read_text(encoding="utf-8").splitlines(),
-        "csv": (tmp_path / "trade.csv").read_text(encoding="utf-8").splitlines(), "record": record, "bounds": bounds,
-        "shifts": shifts, "folders": seeds, "measured": [trade.label(p) for p in trade.measured],
-        "ratios": [[trade.ratio(knob, level) for level in range(len(knob.levels))] for knob in trade.knobs],
-        "expected": [trade.expected(point) for point in trade.points], "repr": repr(trade)[:60],
-        "figure": kept.drawn(draw_trade(trade))})  # fmt: skip
+    kept.compare(
+        f"trade-{kind}",
+        {
+            "markdown": (tmp_path / "trade.md").read_text(encoding="utf-8").splitlines(),
+            "csv": (tmp_path / "trade.csv").read_text(encoding="utf-8").splitlines(),
+            "record": record,
+            "bounds": bounds,
+            "shifts": shifts,
+            "folders": seeds,
+            "measured": [trade.label(p) for p in trade.measured],
+            "ratios": [[trade.ratio(knob, level) for level in range(len(knob.levels))] for knob in trade.knobs],
+            "expected": [trade.expected(point) for point in trade.points],
+            "repr": repr(trade)[:60],
+            "figure": kept.drawn(draw_trade(trade)),
+        },
+    )
 
 
 class Linear:
@@ -132,21 +178,41 @@ def test_a_calibration_is_kept(tmp_path):
     raw = {
         "vary": {"viscosity": [10.0, 100.0], "slip_viscosity": [300.0, 3000.0], "slip_yield": [0.0, 100.0]},
         "targets": [
-            {"scene": "tube", "parameters": own | {"flow": 1e-3}, "quantity": "pressure", "value": 9000.0,
-             "uncertainty": "3%"},
-            {"scene": "tube", "parameters": own | {"flow": 2e-3}, "quantity": "pressure", "value": 12000.0,
-             "uncertainty": 200.0},
+            {
+                "scene": "tube",
+                "parameters": own | {"flow": 1e-3},
+                "quantity": "pressure",
+                "value": 9000.0,
+                "uncertainty": "3%",
+            },
+            {
+                "scene": "tube",
+                "parameters": own | {"flow": 2e-3},
+                "quantity": "pressure",
+                "value": 12000.0,
+                "uncertainty": 200.0,
+            },
             {"scene": "slump", "parameters": own, "quantity": "spread", "value": 0.6, "uncertainty": "5%"},
-            {"scene": "funnel", "parameters": own, "quantity": "funnel_time", "value": 9.0, "uncertainty": "5%",
-             "held_out": True},
+            {
+                "scene": "funnel",
+                "parameters": own,
+                "quantity": "funnel_time",
+                "value": 9.0,
+                "uncertainty": "5%",
+                "held_out": True,
+            },
         ],
-    }  # fmt: skip
+    }
     task = task_of(raw, modules())
     rng = np.random.default_rng(5)
     samples = rng.uniform(0.2, 0.6, (400, 3)) * [1, 0.05, 1] + [0, 0.6, 0]
     samples[:, 2] = 0.9 - samples[:, 0] + 0.01 * rng.normal(size=400)
-    emulators = [Linear(8e3, [500, 3e3, 1e3], 50.0), Linear(9e3, [900, 5e3, 1e3], 50.0), Linear(0.6, [0, 0, 1e-4], 0.01),
-                 Linear(5.0, [9.0, 0, 0], 0.1)]  # fmt: skip
+    emulators = [
+        Linear(8e3, [500, 3e3, 1e3], 50.0),
+        Linear(9e3, [900, 5e3, 1e3], 50.0),
+        Linear(0.6, [0, 0, 1e-4], 0.01),
+        Linear(5.0, [9.0, 0, 0], 0.1),
+    ]
     found = Calibration(tmp_path, task, {}, took=12.0)
     found.posterior = Posterior(task, dict(zip(task.targets, emulators)), samples, np.array([0.31, 0.995, 0.6]))
     for number in range(6):
@@ -157,11 +223,20 @@ def test_a_calibration_is_kept(tmp_path):
         trial.suspect = ["balance"] if number in (2, 5) else []
         found.trials.append(trial)
     places = [task.places(task.values(units)) for units in ([0.1, 0.2, 0.3], [1.0, 0.0, 0.5])]
-    kept.compare("calibration", {
-        "report": report(found).splitlines(), "answer": answer(found), "concrete": concrete_of(found, modules()),
-        "task": task, "groups": [[target.label for target in group] for group in task.groups], "places": places,
-        "errors": [found.posterior.emulator_error_ratio(target) for target in task.targets],
-        "figure": kept.drawn(draw_calibration(found)), "repr": repr(found).split(", folder")[0]})  # fmt: skip
+    kept.compare(
+        "calibration",
+        {
+            "report": report(found).splitlines(),
+            "answer": answer(found),
+            "concrete": concrete_of(found, modules()),
+            "task": task,
+            "groups": [[target.label for target in group] for group in task.groups],
+            "places": places,
+            "errors": [found.posterior.emulator_error_ratio(target) for target in task.targets],
+            "figure": kept.drawn(draw_calibration(found)),
+            "repr": repr(found).split(", folder")[0],
+        },
+    )
     bare = Calibration(tmp_path, task, {}, found.trials, settled=True)
     assert report(bare).endswith("No answer yet: 6 trials done.") and bare.findings == [] and bare.best == {}
 
@@ -173,8 +248,18 @@ def test_every_setting_of_a_study_reaches_its_runs(tmp_path, monkeypatch):
     tube = modules()["tube"]
     got = {}
     monkeypatch.setattr(study, "run_listed", lambda *cases, **settings: got.update(settings, cases=cases))
-    given = dict(device="cpu", precision="float64", processes=3, frames=7.0, checkpoint_every=11.0, scheduler=None,
-                 workers=None, progress=print, rerun=True, usd=False)  # fmt: skip
+    given = dict(
+        device="cpu",
+        precision="float64",
+        processes=3,
+        frames=7.0,
+        checkpoint_every=11.0,
+        scheduler=None,
+        workers=None,
+        progress=print,
+        rerun=True,
+        usd=False,
+    )
     study.run_study("tube", tube, {"flow": [1e-3, 2e-3]}, base={"diameter": 0.1}, out=tmp_path / "s", **given)
     name, module, cases = got.pop("cases")
     assert got == given | {"out": tmp_path / "s"} and (name, module) == ("tube", tube)
@@ -185,15 +270,31 @@ def test_every_setting_of_a_study_reaches_its_runs(tmp_path, monkeypatch):
     assert len(got["cases"][2]) == 18 and {case.parameters["seed"] for case in got["cases"][2]} == {5, 6, 7}
     study.run_study("tube", tube, {"flow": [1e-3, 2e-3], "diameter": [0.1, 0.2, 0.3]}, one_at_a_time=True, **seeds)
     assert [tuple(case.varied.values()) for case in got["cases"][2][::3]] == [
-        (1e-3, 0.1), (2e-3, 0.1), (None, 0.1), (None, 0.2), (None, 0.3)]  # fmt: skip
+        (1e-3, 0.1),
+        (2e-3, 0.1),
+        (None, 0.1),
+        (None, 0.2),
+        (None, 0.3),
+    ]
     monkeypatch.undo()
     record = {}
-    monkeypatch.setattr(study, "_continue", lambda out, module, processes, cluster, progress: record.update(
-        json.loads((out / "study.json").read_text(encoding="utf-8")), got=(out, module, processes, cluster, progress)))  # fmt: skip
+    monkeypatch.setattr(
+        study,
+        "_continue",
+        lambda out, module, processes, cluster, progress: record.update(
+            json.loads((out / "study.json").read_text(encoding="utf-8")),
+            got=(out, module, processes, cluster, progress),
+        ),
+    )
     study.run_listed("tube", tube, cases, out=tmp_path / "t", figure=False, **given)
     assert record["got"] == (tmp_path / "t", tube, 3, None, print)
     assert record["command"] == {"frames": 7.0, "checkpoint_every": 11.0, "rerun": True, "usd": False}
-    assert (record["scene"], record["device"], record["precision"], record["figure"]) == ("tube", "cpu", "float64", False)
+    assert (record["scene"], record["device"], record["precision"], record["figure"]) == (
+        "tube",
+        "cpu",
+        "float64",
+        False,
+    )
     assert [case["parameters"]["flow"] for case in record["cases"]] == [1e-3, 2e-3]
     made = {}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import os
 import signal
 import threading
@@ -17,7 +16,7 @@ from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_l
 from .console import prepare_streams
 from .help_pages import GroupedCommand, full_help_option
 from .option_types import DEVICE, FLOW, GROWTH, LENGTH, POWER, PRESSURE, TIME, Completed
-from .scene_commands import LazyGroup, WordCommand, by_method, load, scenes
+from .scene_commands import LazyGroup, WordCommand, by_method, load, scenes, titles
 from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
 
 EXIT_TIMEOUT = 3.0
@@ -40,8 +39,8 @@ def cli(trust: bool) -> None:
 @cli.command("list")
 def list_scenes() -> None:
     """List the scenes, one line each."""
-    for name, module in scenes().items():
-        click.echo(f"{name:12s} {(inspect.getdoc(module) or '').partition(chr(10))[0]}")
+    for name, title in titles().items():
+        click.echo(f"{name:12s} {title}")
 
 
 @cli.group("run", cls=LazyGroup, invoke_without_command=True, context_settings={"max_content_width": 110})

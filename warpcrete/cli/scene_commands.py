@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import re
 from pathlib import Path
@@ -13,6 +14,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from ..core.errors import WarpcreteError
+from ..core.inputs.scene_titles import scene_titles
 from .help_pages import GroupedCommand
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
@@ -51,6 +53,13 @@ def by_method(arguments: list[str]) -> list[str]:
         raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
     left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
     return left
+
+
+def titles() -> dict[str, str]:
+    """Return the titles of all scenes by the scenes' names, without importing the scenes."""
+    package = importlib.util.find_spec("warpcrete.scenes")
+    assert package is not None and package.submodule_search_locations is not None
+    return scene_titles(Path(package.submodule_search_locations[0]))
 
 
 class LazyGroup(click.Group):

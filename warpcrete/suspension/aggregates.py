@@ -92,7 +92,8 @@ class BodyState:
         self.cover = allocate(
             structs.Cover, device, claims=3 * slots, owner=3 * slots, closing=3 * slots, closer=3 * slots, shared=slots,
             touches=3 * slots, toucher=3 * slots, covered=3 * slots, solid=4 * slots, count=count, touched=count,
-            first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()), part=int(room.sum()), lever=int(room.sum()),
+            first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()), part=int(room.sum()),
+            lever=int(room.sum()),
         )  # fmt: skip
         entries = count * int(CAPACITY)
         self.pairs = allocate(

@@ -169,7 +169,9 @@ class _Step:
             change = np.where(mass != 0, after - before, 0.0)
             kinetic += float(np.sum(mass * change * (after - 0.5 * change)))
             damping += float(np.sum(0.5 * mass * change**2))
-        momentum = np.sum(self.mass[2] * (self.u - self.start)[2]) + np.sum(heavy * (self.after[0] - self.before[0])[:, 2:])
+        momentum = np.sum(self.mass[2] * (self.u - self.start)[2]) + np.sum(
+            heavy * (self.after[0] - self.before[0])[:, 2:]
+        )
         return kinetic / self.dt, damping / self.dt, float(momentum) / self.dt
 
     def _dissipation(self) -> tuple[float, float]:

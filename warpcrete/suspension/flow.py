@@ -16,11 +16,11 @@ from ..kernels.mps.grid.pressure import pressure_kernels
 from ..kernels.mps.grid.transfer import gather_kernel
 from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
+from ..kernels.suspension import coupling
 from ..kernels.suspension.blocks import block_kernel
 from ..kernels.suspension.bodies import cover_kernels, motion_kernels, release_kernels
-from ..kernels.suspension.coupling import residual_kernels
 from ..kernels.suspension.leaving import leaving_kernels
-from ..kernels.suspension.pairs import pair_kernels
+from ..kernels.suspension.neighbours import neighbour_kernels
 from ..kernels.suspension.strain import strain_kernels
 from ..mps.grid.flow import GridFlow
 from ..mps.grid.geometry import MIRROR, OPEN_SIDE, WALL
@@ -52,7 +52,8 @@ class SuspensionStep(GridStep):
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
         cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
-        pairs, motion, strain = pair_kernels(scalar, kind), motion_kernels(scalar, kind), strain_kernels(scalar, kind)
+        motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
+        neighbours = neighbour_kernels(scalar, kind)
         count = flow.aggregates.count
         return [
             *self._alone(bins.clear, slots),
@@ -73,9 +74,9 @@ class SuspensionStep(GridStep):
             *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
-            *self._alone(pairs.locate, count, points=flow.aggregates.points),
+            *self._alone(neighbours.locate, count, points=flow.aggregates.points),
             flow.aggregates.sort,
-            *self._alone(pairs.find, count, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
+            *self._alone(neighbours.find, count, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
                          sides=flow.sides, mirrors=flow.mirrors,
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
             *(self._alone(leaving_kernels(scalar, kind).weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
@@ -87,7 +88,7 @@ class SuspensionStep(GridStep):
                          viscous=flow.viscous.arrays),
             *self.blocks(),
             *self._divergence(),
-            *self._alone(residual_kernels(scalar, serial, kind).resist, slots, matrix=flow.viscous.matrix,
+            *self._alone(coupling.pressure_kernels(scalar, serial, kind).resist, slots, matrix=flow.viscous.matrix,
                          pressures=flow.projection.matrix, drag=flow.drag, yielding=flow.coupled.yielding),
             *self._complete(flow.projection),
         ]  # fmt: skip

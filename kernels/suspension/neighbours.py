@@ -1,0 +1,189 @@
+"""Search for the neighbours of aggregates: other aggregates, sides of the room and other walls."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED
+from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.places import grid_functions
+from ..mps.structs import mps_types
+from .bodies import body_functions, body_structs
+from .pairs import CAPACITY, LOOKED_AT, WALL, pair_functions, pair_struct
+
+
+@functools.cache
+def wall_gap_function(scalar, of: GridKind):
+    """Build the function that returns the distance of a point from the nearest wall, its gradient, and the wall."""
+    t = mps_types(scalar, 3)
+    vec, whole = t.vec, t.whole
+    Grid = grid_parameters_struct(scalar, 3)
+    Geometry = grid_structs(scalar, 3).Geometry
+    f = grid_functions(scalar, of)
+
+    @wp.func
+    def wall_gap(g: Grid, geometry: Geometry, x: vec):
+        base = whole()
+        s = vec()
+        for b in range(3):
+            half = wp.where(b == 0, scalar(0.0), scalar(0.5))
+            along = (x[b] - g.origin[b]) / g.width[b] - half
+            base[b] = wp.int32(wp.floor(along))
+            if b < 2 or wp.static(not of.periodic):
+                base[b] = wp.clamp(base[b], 0, g.n[b] - 1)
+            s[b] = along - scalar(base[b])
+        value = scalar(0.0)
+        slope = vec()
+        nearest = scalar(1.0e30)
+        wall = wp.int32(0)
+        for n in range(8):
+            c = whole(base[0] + n % 2, base[1] + n / 2 % 2, base[2] + n / 4)
+            weight = vec()
+            sign = vec()
+            for b in range(3):
+                upper = c[b] - base[b]
+                weight[b] = wp.where(upper == 0, scalar(1.0) - s[b], s[b])
+                sign[b] = wp.where(upper == 0, scalar(-1.0), scalar(1.0)) / g.width[b]
+            number = f.at(g, c)
+            distance = geometry.gap[number]
+            value += weight[0] * weight[1] * weight[2] * distance
+            slope += distance * vec(
+                sign[0] * weight[1] * weight[2], weight[0] * sign[1] * weight[2], weight[0] * weight[1] * sign[2]
+            )
+            if distance < nearest:
+                nearest = distance
+                wall = geometry.surface[number]
+        return value, slope, wall
+
+    return wall_gap
+
+
+@functools.cache
+def others_function(scalar, of: GridKind):
+    """Build the function that stores the numbers of the aggregates near an aggregate, and returns their count."""
+    Grid = grid_parameters_struct(scalar, 3)
+    Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
+    body = body_functions(scalar, of)
+
+    @wp.func
+    def list_others(
+        g: Grid, bodies: Bodies, pairs: Pairs, grid: wp.uint64, span: wp.float32, b: wp.int32, reach: scalar
+    ) -> wp.int32:
+        x = bodies.centre[b]
+        first = b * CAPACITY
+        count = wp.int32(0)
+        # The hash grid yields neighbours in any order, and in a short periodic pipe more than once. They are sorted, so
+        # that sums over neighbours are always added up in the same order.
+        for image in range(wp.static(3 if of.periodic else 1)):
+            here = wp.vec3f(x)
+            if wp.static(of.periodic):
+                here[2] = here[2] + wp.float32(image - 1) * wp.float32(g.n[2]) * wp.float32(g.width[2])
+            for o in wp.hash_grid_query(grid, here, span):
+                away = wp.length(body.nearest_image(g, bodies.centre[o] - x))
+                if o != b and away - (bodies.radius[b] + bodies.radius[o]) < reach:
+                    at = count
+                    known = wp.bool(False)
+                    for k in range(count):
+                        if pairs.other[first + k] == o:
+                            known = True
+                    if count == CAPACITY:
+                        pairs.full[0] = 1
+                    elif not known:
+                        while at > 0 and pairs.other[first + wp.max(at - 1, 0)] > o:
+                            pairs.other[first + at] = pairs.other[first + at - 1]
+                            at -= 1
+                        pairs.other[first + at] = o
+                        count += 1
+        return count
+
+    return list_others
+
+
+@functools.cache
+def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
+    """Build the kernels `locate` and `find`, each with one task per aggregate.
+
+    - `locate` copies the centres of the aggregates to the points of the hash grid.
+    - `find` finds the neighbours of each aggregate. `span` is the largest distance of the centres of neighbours.
+    """
+    vec = mps_types(scalar, 3).vec
+    Grid = grid_parameters_struct(scalar, 3)
+    fields = grid_structs(scalar, 3)
+    Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
+    Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
+    f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), pair_functions(scalar, of)
+    wall_gap, list_others = wall_gap_function(scalar, of), others_function(scalar, of)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def locate(bodies: Bodies, points: wp.array(dtype=wp.vec3f)):
+        points[wp.tid()] = wp.vec3f(bodies.centre[wp.tid()])
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def find(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
+        pairs: Pairs, grid: wp.uint64, span: wp.float32, sides: wp.int32, mirrors: wp.int32,
+        cutoff: scalar, roughness: scalar, longest: scalar,
+    ):  # fmt: skip
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        dt = scalar(mesh.clock[DT])
+        x = bodies.centre[b]
+        radius = bodies.radius[b]
+        reach = scalar(LOOKED_AT) * wp.max(g.width)
+        pairs.smallest_gap[b] = scalar(1.0e30)
+        count = list_others(g, bodies, pairs, grid, span, b, reach)
+        first = b * CAPACITY
+        for k in range(count):
+            o = pairs.other[first + k]
+            d = body.nearest_image(g, bodies.centre[o] - x)
+            away = wp.length(d)
+            n = d / away
+            approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
+            reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
+            pair.store(
+                g, pairs, b, k, o, n, away - (radius + bodies.radius[o]), approach, scalar(0.0), reduced, radius,
+                cutoff, roughness, dt, longest,
+            )  # fmt: skip
+        # Neighbours also include the sides of the room that are walls or planes of symmetry. A plane of symmetry acts
+        # like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed of approach.
+        for side in range(6):
+            if (sides >> side) % 2 == 1:
+                axis = side / 2
+                n = vec()
+                n[axis] = wp.where(side % 2 == 0, scalar(-1.0), scalar(1.0))
+                gap = x[axis] - g.origin[axis] - radius
+                if side % 2 == 1:
+                    gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
+                part = wp.where((mirrors >> side) % 2 == 1, scalar(0.5), scalar(1.0))
+                if gap < reach:
+                    approach = wp.dot(bodies.velocity[b], n)
+                    count = pair.store(
+                        g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
+                        part * roughness, dt, longest,
+                    )  # fmt: skip
+        # Other walls are looked for at the centre and at six points of the surface, because the distance of the grid is
+        # that from the nearest wall, which may be a side of the room.
+        for probe in range(7):
+            e = vec()
+            if probe > 0:
+                e[(probe - 1) / 2] = wp.where(probe % 2 == 1, scalar(-1.0), scalar(1.0))
+            distance, slope, wall = wall_gap(g, geometry, x + radius * e)
+            steep = wp.length(slope)
+            if steep > scalar(0.1):
+                n = -slope / steep
+                gap = distance + radius * wp.dot(e, n) - radius
+                if gap < reach and not pair.is_known(pairs, b, count, n, gap, radius):
+                    moving = vec()
+                    for axis in range(3):
+                        moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
+                    still = wp.dot(moving, n)
+                    approach = wp.dot(bodies.velocity[b], n) - still
+                    count = pair.store(
+                        g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
+                        longest,
+                    )  # fmt: skip
+        pairs.count[b] = count
+
+    return SimpleNamespace(locate=locate, find=find)

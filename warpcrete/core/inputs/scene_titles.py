@@ -1,0 +1,24 @@
+"""Names and titles of all scenes, read from their files without importing the scenes and Warp."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+
+def scene_titles(folder: Path) -> dict[str, str]:
+    """Return the title of each scene in a folder of scene files, by the scene's name.
+
+    The title is the first line of the file's docstring. A file that also holds the same test by discrete elements, as
+    the function `scene_dem`, has two scenes.
+    """
+    found: dict[str, str] = {}
+    for path in folder.glob("[!_]*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        name, title = path.stem.replace("_", "-"), (ast.get_docstring(tree) or "").partition("\n")[0]
+        if "scene" in functions:
+            found[name] = title
+        if "scene_dem" in functions:
+            found[f"{name}-dem"] = f"{title.rpartition(', ')[0] or title.rstrip('.')}, by discrete elements."
+    return dict(sorted(found.items()))
