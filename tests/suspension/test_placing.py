@@ -67,10 +67,10 @@ def test_pushing_apart_does_not_leave_the_spheres_in_narrow_gaps():
     """
     counts = []
     for seed in range(4):
-        centres, _radii = places(0.3, 10, seed)
+        centres = places(0.3, 10, seed)[0]
         high = 10 * RADIUS
         inner = np.abs(centres[:, :2]).max(1) < 0.7 * high
-        i, j, _d = close_pairs(centres, 2.12 * RADIUS, 2 * high)
+        i, j, _ = close_pairs(centres, 2.12 * RADIUS, 2 * high)
         counts.append((inner[i].sum() + inner[j].sum()) / inner.sum())
         density = inner.sum() / (2 * high * (1.4 * high) ** 2) * 4 / 3 * np.pi * (1.01 * RADIUS) ** 3
     shell = 24 * density * (2.12 / 2.02 - 1) * (1 - density / 2) / (1 - density) ** 3

@@ -3,6 +3,7 @@
 import pytest
 from conftest import verification
 
-from warpcrete.verification import suspensions
+from warpcrete.verification import suspensions, suspensions_many
 
 test_suspensions = pytest.mark.thorough(verification(suspensions))
+test_suspensions_many = pytest.mark.thorough(verification(suspensions_many))

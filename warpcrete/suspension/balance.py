@@ -17,7 +17,7 @@ PAIRS = (0, 1), (0, 2), (1, 2)
 
 @dataclass(frozen=True)
 class Balance:
-    """Power of all forces at the end of a time step [W], and change of momentum along the last axis [N]."""
+    """Power of all forces in a time step [W], at the velocities of its end, and momentum along the last axis [N]."""
 
     walls: float
     """Power that moving walls supply, by friction and by pushing aggregates."""
@@ -39,6 +39,8 @@ class Balance:
     """Power that the implicit Euler method dissipates in a step of finite length."""
     momentum: float
     """Increase of the momentum of mortar and aggregates per time."""
+    held: float
+    """Momentum of mortar and aggregates at the end of the step [kg m/s]."""
     impulse: float
     """Force of walls, weight and other external forces; equals `momentum` unless a wall is normal to the axis."""
     impulse_scale: float
@@ -141,23 +143,26 @@ class _Step:
         gravity = np.array(self.flow.g.gravity)
         weight = self.mass * gravity.reshape(3, 1, 1, 1)
         friction, speed, stiffness = wall_friction(self.flow)
-        held = stiffness > 0
+        rubs = stiffness > 0
         lubrication, contacts, by_walls, pushed = self._pairs()
-        kinetic, damping, momentum = self._inertia()
+        kinetic, damping, momentum, held = self._inertia()
         viscous, yielding = self._dissipation()
-        on_walls = friction[2][held[2]]
+        on_walls = friction[2][rubs[2]]
         return Balance(
             walls=by_walls - float(np.sum(friction * speed)),
             weight=float(np.sum(force * velocity) + np.sum(torque * spin) + np.sum(weight * self.u)),
             viscous=viscous, yielding=yielding,
-            film=float(np.sum(friction[held] ** 2 / stiffness[held])), lubrication=lubrication, contacts=contacts,
-            kinetic=kinetic, damping=damping, momentum=momentum,
+            film=float(np.sum(friction[rubs] ** 2 / stiffness[rubs])), lubrication=lubrication, contacts=contacts,
+            kinetic=kinetic, damping=damping, momentum=momentum, held=held,
             impulse=float(pushed + force[:, 2].sum() + weight[2].sum() - on_walls.sum()),
             impulse_scale=float(np.abs(force[:, 2]).sum() + np.abs(weight[2]).sum() + np.abs(on_walls).sum()),
         )  # fmt: skip
 
-    def _inertia(self) -> tuple[float, float, float]:
-        """Return the increase of kinetic energy, the loss by the implicit method, and the increase of momentum."""
+    def _inertia(self) -> tuple[float, float, float, float]:
+        """Return the increase of kinetic energy, the loss by the implicit method, and increase and value of momentum.
+
+        The increases are those per time.
+        """
         bodies = self.flow.aggregates.bodies
         heavy, round = (a.numpy().astype(float)[:, None] for a in (bodies.extra_mass, bodies.extra_inertia))
         kinetic = damping = 0.0
@@ -169,10 +174,11 @@ class _Step:
             change = np.where(mass != 0, after - before, 0.0)
             kinetic += float(np.sum(mass * change * (after - 0.5 * change)))
             damping += float(np.sum(0.5 * mass * change**2))
-        momentum = np.sum(self.mass[2] * (self.u - self.start)[2]) + np.sum(
-            heavy * (self.after[0] - self.before[0])[:, 2:]
-        )
-        return kinetic / self.dt, damping / self.dt, float(momentum) / self.dt
+        ends = [
+            float(np.sum(self.mass[2] * u[2]) + np.sum(heavy[:, 0] * bodies[:, 2]))
+            for u, bodies in ((self.start, self.before[0]), (self.u, self.after[0]))
+        ]
+        return kinetic / self.dt, damping / self.dt, (ends[1] - ends[0]) / self.dt, ends[1]
 
     def _dissipation(self) -> tuple[float, float]:
         """Return the power that the plastic viscosity and the yield stress of the mortar dissipate."""
@@ -224,8 +230,7 @@ class _Step:
         relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
         approach = np.sum(relative * normal, 1) - still
         hold = hold * touching
-        # Each pair of aggregates is stored twice, once for either of them, so each entry counts half of the pair's
-        # power.
+        # A pair of aggregates has two entries, and each of them counts half of its power.
         share = np.where(wall, 1.0, 0.5)
         apart = hold / flow.scene.time_step * (rough - gap)
         force = -((slow + hold) * approach + apart)

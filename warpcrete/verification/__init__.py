@@ -12,7 +12,20 @@ import math
 from collections.abc import Iterator
 
 from ..core.errors import WarpcreteError
-from . import assemblies, bonds, clumps, contacts, flows, impacts, spreading, stability, starting, suspensions, vessels
+from . import (
+    assemblies,
+    bonds,
+    clumps,
+    contacts,
+    flows,
+    impacts,
+    spreading,
+    stability,
+    starting,
+    suspensions,
+    suspensions_many,
+    vessels,
+)
 from .case import Case, Row
 
 __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
@@ -32,6 +45,7 @@ def cases() -> list[Case]:
         vessels,
         spreading,
         suspensions,
+        suspensions_many,
     )
     return [case for module in modules for case in module.CASES]
 

@@ -1,0 +1,197 @@
+"""Verification of suspensions of many spheres: viscosity, yield stress, volumes, momentum and energy.
+
+The spheres lie between two walls that move in opposite directions along the last axis, in which the room is periodic.
+The other two sides are planes of symmetry. Spheres cannot cross walls and planes of symmetry, so fewer of them lie
+there. All results therefore refer to the core, the middle half of the room across both pairs of sides: the stress on
+the part of the walls beside the core, the shear rate in the core, and the volume fraction in the core.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..mps.grid.geometry import MIRROR, OPEN_SIDE, ROUGH, WALL
+from ..mps.grid.layout import Motion
+from ..suspension.aggregates import Aggregates
+from ..suspension.balance import Balance, step_with_balance, wall_friction
+from ..suspension.flow import SuspensionFlow
+from ..suspension.placing import close_pairs, random_places
+from ..suspension.solve import Tolerances
+from .case import Case, Row
+from .suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow
+
+RATE = 1e-5
+"""Shear rate [1/s], so low that the inertia of the mortar does not matter."""
+YIELD_STEPS = 15
+SEEDS = 3
+"""Number of random structures, over which results are averaged."""
+
+
+@dataclass(frozen=True)
+class Core:
+    """Mean values in the core of a sheared suspension."""
+
+    stress: float
+    """Shear stress, divided by the viscosity of the mortar [1/s]."""
+    rate: float
+    """Shear rate [1/s]."""
+    fraction: float
+    """Volume fraction of the spheres."""
+
+    @property
+    def viscosity(self) -> float:
+        """Viscosity divided by that of the mortar."""
+        return self.stress / self.rate
+
+
+def suspension(
+    fraction: float, seed: int, device: str, precision: str, *, across: int = 4, wide: int = 8, long: int = 6,
+    rate: float = RATE, strain: float = 0.01, extra_density: float = 0.0, yield_stress: float = 0.0,
+    coupled: float = 1e-4,
+) -> SuspensionFlow:  # fmt: skip
+    """Return a suspension of equal spheres at random places between two moving walls.
+
+    `across` is the number of cells across a sphere. The room is `wide` diameters wide across both pairs of sides, and
+    `long` diameters long. Each time step shears it by `strain`.
+    """
+    width = 2 * RADIUS / across
+    cells = (wide * across, wide * across, long * across)
+    high = 0.5 * width * np.array(cells)
+    radii = np.full(round(fraction * wide * wide * long * 6 / np.pi), RADIUS)
+    centres = random_places(
+        radii, -high, high, lambda x: (high - np.abs(x))[:, :2].min(1), np.random.default_rng(seed), periodic=True
+    )
+    assert centres is not None
+    speed = float(high[0]) * rate
+    return mortar_flow(
+        cells, width, Aggregates(centres, radii, DENSITY + extra_density), device, precision,
+        tolerances=Tolerances(coupled=coupled), sides=((WALL, WALL), (MIRROR, MIRROR), (OPEN_SIDE, OPEN_SIDE)),
+        walls=[(lambda x: x[:, 0] + high[0], ROUGH + 1), (lambda x: high[0] - x[:, 0], ROUGH + 2)],
+        motions=(Motion((0.0, 0.0, -speed)), Motion((0.0, 0.0, speed))), periodic=True, speed=speed,
+        yield_stress=yield_stress, time_step=strain / rate, regularisation=1e2 / rate,
+    )  # fmt: skip
+
+
+def core_of(flow: SuspensionFlow) -> Core:
+    """Return the mean values in the core of a suspension at the end of the last step."""
+    layout, inner = flow.state.layout, (slice(1, -1),) * 3
+    wide, deep, long = layout.room.cells
+    middle = slice(deep // 4, deep - deep // 4)
+    friction = wall_friction(flow)[0][2, 0][:, 1:-1][:, middle]
+    half = friction.shape[2] // 2
+    pull = 0.5 * float(friction[..., :half].sum() - friction[..., half:].sum())
+    velocity = flow.state.faces("velocity")[2][inner][:, middle].mean((0, 1))
+    solid = flow.aggregates.cover.solid.numpy()[: flow.state.slots].reshape(flow.state.shape)[inner] / 2**20
+    x = (np.arange(wide) + 0.5 - 0.5 * wide) * layout.spacing
+    near = np.abs(x) < 0.25 * wide * layout.spacing
+    return Core(
+        stress=pull / (VISCOSITY * velocity_area(long, middle, layout.spacing)),
+        rate=float(np.polyfit(x[near], velocity[near], 1)[0]),
+        fraction=float(solid[:, middle].mean((0, 1))[near].mean()),
+    )
+
+
+def velocity_area(long: int, middle: slice, width: float) -> float:
+    """Return the area of a wall beside the core [m2]."""
+    return long * (middle.stop - middle.start) * width**2
+
+
+def mean_core(cores: list[Core]) -> Core:
+    """Return the mean stress, shear rate and fraction of several cores."""
+    return Core(*(float(np.mean([getattr(c, name) for c in cores])) for name in ("stress", "rate", "fraction")))
+
+
+def random_structure(fraction: float, seed: int, device: str, precision: str, across: int = 4, wide: int = 8) -> Core:
+    """Return the core of a suspension of spheres at random places, before the flow changes their structure."""
+    flow = suspension(fraction, seed, device, precision, across=across, wide=wide)
+    flow.take(1)
+    return core_of(flow)
+
+
+def sheared_structure(fraction: float, seed: int, device: str, precision: str) -> tuple[Core, float]:
+    """Return the mean core of a suspension at shear strains from 1 to 2, and the overlapping part of its volume."""
+    flow = suspension(fraction, seed, device, precision, wide=6, strain=0.1)
+    flow.take(10)
+    cores = []
+    for _ in range(10):
+        flow.take(1)
+        cores.append(core_of(flow))
+    return mean_core(cores), overlapping_part(flow)
+
+
+def overlapping_part(flow: SuspensionFlow) -> float:
+    """Return the volume that two spheres share, divided by the volume of all spheres."""
+    room = flow.state.layout.room
+    centres = flow.aggregates.bodies.centre.numpy().astype(float)
+    d = np.linalg.norm(close_pairs(centres, 2 * RADIUS, room.cells[2] * room.width[2])[2], axis=1)
+    lenses = np.pi * (4 * RADIUS + d) * (2 * RADIUS - d) ** 2 / 12
+    return float(lenses.sum() / (len(centres) * 4 / 3 * np.pi * RADIUS**3))
+
+
+def yield_factor(fraction: float, seed: int, bingham: float, device: str, precision: str) -> tuple[float, float]:
+    """Return by which factor spheres at random places raise the yield stress, and the expected factor.
+
+    `bingham` is the yield stress of the mortar, divided by its viscosity and the shear rate of the room. The factor is
+    the stress in the core minus that without yield stress at the same shear rate, over the yield stress of the mortar.
+    The expected factor is sqrt((1 - fraction) f), where f is the computed relative viscosity of the same structure
+    (Chateau, Ovarlez & Trung 2008).
+    """
+    plain = random_structure(fraction, seed, device, precision)
+    flow = suspension(
+        fraction, seed, device, precision, strain=1e-3, yield_stress=bingham * VISCOSITY * RATE, coupled=1e-3
+    )
+    flow.take(YIELD_STEPS)
+    core = core_of(flow)
+    factor = (core.stress - plain.viscosity * core.rate) / (bingham * RATE)
+    return factor, float(np.sqrt((1 - plain.fraction) * plain.viscosity))
+
+
+def high_frequency_viscosity(fraction: float) -> float:
+    """Return the relative viscosity of spheres with the random structure of a fluid at rest, without contacts.
+
+    The formula of Lionberger & Russel (1994) is a fit to the simulations of Ladd (1990).
+    """
+    part = fraction * (1 + fraction - 0.189 * fraction**2)
+    return (1 + 1.5 * part) / (1 - part)
+
+
+def balance_case(device: str, precision: str) -> list[Row]:
+    """Check that power and momentum of steps with moving walls, weight, contacts and yield stress are balanced."""
+    coupled, allowed = (1e-4, 1e-3) if precision == "float32" else (1e-9, 1e-8)
+    flow = suspension(
+        0.35, 0, device, precision, wide=4, long=4, rate=1.0, strain=0.05, extra_density=400.0, yield_stress=20.0,
+        coupled=coupled,
+    )  # fmt: skip
+    steps: list[Balance] = [step_with_balance(flow) for _ in range(3)]
+    power = max(abs(step.error) for step in steps)
+    momentum = max(abs(step.momentum - step.impulse) / step.impulse_scale for step in steps)
+    return [
+        Row("supplied minus spent power, over all power", power, 0.0, allowed, scale=1.0),
+        Row("momentum minus impulse, over all forces", momentum, 0.0, allowed, scale=1.0),
+    ]
+
+
+def random_case(device: str, precision: str) -> list[Row]:
+    """Compare the viscosity of spheres at random places with that of a fluid of spheres (Lionberger & Russel 1994)."""
+    found = []
+    for fraction, allowed in ((0.05, 0.06), (0.1, 0.06), (0.2, 0.06), (0.3, 0.06), (0.4, 0.12)):
+        core = mean_core([random_structure(fraction, seed, device, precision) for seed in range(SEEDS)])
+        expected = high_frequency_viscosity(core.fraction)
+        found.append(Row(f"viscosity at a fraction of {core.fraction:.3f}", core.viscosity, expected, allowed))
+    return found
+
+
+def yield_case(device: str, precision: str) -> list[Row]:
+    """Compare the yield stress of a suspension at a Bingham number of 1 with Chateau, Ovarlez & Trung (2008)."""
+    factor, expected = yield_factor(0.2, 0, 1.0, device, precision)
+    return [Row("yield stress over that of the mortar", factor, expected, 0.15)]
+
+
+GROUP = "aggregates in mortar"
+CASES = [
+    Case("balance of many spheres", "conservation laws", balance_case, GROUP),
+    Case("viscosity of a random suspension", "Lionberger & Russel 1994", random_case, GROUP, slow=True),
+    Case("yield stress of a suspension", "Chateau et al. 2008", yield_case, GROUP, slow=True),
+]
