@@ -86,8 +86,8 @@ def scene(parameters: SlumpParameters) -> FreeScene:
                    f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
                    f"use {MAX_PART * top:.2g} m or less")  # fmt: skip
         if given.lift_time and given.precision == "float32":
-            refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which then "
-                                                 "hardly deforms, and the solve does not converge",
+            refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
+                                                 "then hardly deforms, and the solve does not converge",
                    "use 'precision' float64, or 'lift_time' = 0")  # fmt: skip
         quarter = {"depth": width, "round": True, "sides": {"left": "mirror", "front": "mirror"}}
     return vessel_scene(
