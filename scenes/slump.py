@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
+from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -15,12 +16,17 @@ from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import SLUMP
+from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 from warpcrete.theory.vessels import cone_volume, long_heap_spread
 
 PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
 """Slumps that Xu, Li & Jiang (2021) measured for their concretes [m]."""
 TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 """Top diameter, base diameter and height of the mould in EN 12350-2 [m]."""
+RELEASED = "the friction of the mould is neglected: concrete is released from below as the mould rises"
+QUARTER = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
+MAX_PART = 0.7
+"""Largest diameter of an aggregate, divided by the radius of the mould's top, which is the width of a quarter there."""
 SHELL, ABOVE = 3, 3
 """Thickness of the mould's wall, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
@@ -33,7 +39,7 @@ fail the check.
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlumpParameters(FreeConcrete):
+class SlumpParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the mould and of the plate; defaults follow EN 12350-2."""
 
     top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = TOP
@@ -56,7 +62,8 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     """Model a cone of concrete on a plate whose mould is lifted: slump, spread, T500.
 
     The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
-    concrete is a yield stress fluid, and the flow is symmetric about the axis.
+    concrete is a yield stress fluid, and the flow is symmetric about the axis. With aggregates, a quarter of the cone
+    is simulated in space, between two planes of symmetry.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -71,12 +78,25 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     gate = ((base, 0.0), (base + thick, 0.0), (top + thick, height), (top, height)) if given.lift_time else ()
     standard = (given.top_diameter, given.base_diameter, given.mould_height) == (TOP, BASE, HEIGHT)
     as_printed = given.concrete in PUBLISHED and all(getattr(given, name) is None for name in CONSTANTS)
-    return FreeScene(
+    width = base / rings * math.ceil(room * rings / base)
+    quarter: dict[str, Any] = {}
+    if given.aggregate_fraction:
+        if given.aggregate_largest > MAX_PART * top:
+            refuse("aggregate_largest", given.aggregate_largest,
+                   f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
+                   f"use {MAX_PART * top:.2g} m or less")  # fmt: skip
+        if given.lift_time and given.precision == "float32":
+            refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
+                                                 "then hardly deforms, and the solve does not converge",
+                   "use 'precision' float64, or 'lift_time' = 0")  # fmt: skip
+        quarter = {"depth": width, "round": True, "sides": {"left": "mirror", "front": "mirror"}}
+    return vessel_scene(
+        given,
         name="slump",
         test=SLUMP,
         concrete=concrete,
-        axial=True,
-        width=base / rings * math.ceil(room * rings / base),
+        axial=not quarter,
+        width=width,
         height=height * (rows + ABOVE) / rows,
         spacing=given.spacing,
         outline=outline,
@@ -85,9 +105,8 @@ def scene(parameters: SlumpParameters) -> FreeScene:
         plate_slips=given.plate == "slips",
         dimensions=SLUMP.sizes(given),
         published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
-        remarks=("the friction of the mould is neglected: concrete is released from below as the mould rises",)
-        if gate
-        else (),
+        remarks=(RELEASED,) * bool(gate) + (QUARTER,) * bool(quarter),
+        **quarter,
         **given.settings(),
     )
 

@@ -26,11 +26,12 @@ class SuspensionDisplay(FreeDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, in the middle of the simulated box.
+        """Coordinate y [m] of the cutting plane, in the middle of the concrete at the start.
 
         No aggregate crosses a plane of symmetry, so a cut along it would show none of them.
         """
-        return 0.5 * self.simulation.scene.depth
+        scene = self.simulation.scene
+        return 0.5 * float(scene.extent[1, 0] if scene.round else scene.depth)
 
     def surface(self, cut: bool = False) -> Surface:
         """Return the surfaces of concrete and aggregates; with `cut`, only the part behind the cutting plane."""

@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 
 from ..core.errors import refuse
-from ..mps.free.layout import free_walls
-from ..mps.grid.geometry import MIRROR, nearest_wall, polygon_distance
+from ..mps.free.layout import free_walls, section_distance
+from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
 from .aggregates import Aggregates
 from .scene import SuspensionScene
@@ -39,7 +39,7 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
     """
     rng = np.random.default_rng(scene.seed)
     radii = _radii(scene, layout, rng)
-    nearest, outline = nearest_wall(layout.room, free_walls(scene)), polygon_distance(scene.outline)
+    nearest, outline = nearest_wall(layout.room, free_walls(scene)), section_distance(scene, scene.outline)
     origin, width = np.array(layout.room.origin), np.array(layout.room.width)
     top = origin + np.array(layout.room.cells) * width
     mirrors = [(axis, side) for axis, sides in enumerate(layout.room.sides) for side in (0, 1) if sides[side] == MIRROR]

@@ -112,7 +112,7 @@ class FreeDisplay(GridDisplay):
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""
-        word = "spread" if self._axial else "position of the front"
+        word = "spread" if self.simulation.scene.about_axis else "position of the front"
         test = self.simulation.scene.test
         if test and test.outflow:
             return (
@@ -138,7 +138,7 @@ class FreeDisplay(GridDisplay):
         """Return the drawn walls: the plate, the walls of the scene, and the mould or gate, which moves."""
         scene, found = self.simulation.scene, []
         below = -0.005
-        if self._axial:
+        if scene.about_axis:
             found.append(_revolved("plate", np.array([[0.0, below], [scene.width, below]]), PLATE, False))
             if scene.gate:
                 corners = np.array(scene.outline)

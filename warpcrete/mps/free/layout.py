@@ -24,7 +24,7 @@ from ..grid.geometry import (
 )
 from ..grid.layout import GridLayout
 from ..grid.state import NO_SLIP_VISCOSITY
-from .scene import SIDES, FreeScene
+from .scene import SIDES, FreeScene, Points
 
 PARTICLES_PER_AXIS = {2: 3, 3: 2}
 """Number of particles per cell along each axis, by number of axes.
@@ -62,7 +62,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
         when = np.maximum(height, 0.0).reshape(-1, *[1] * (axes - 1)) / scene.lift_speed
         opens = np.where(_differing_cells(geometry, opened), when, NEVER_OPENS)
     per_axis = PARTICLES_PER_AXIS[axes]
-    outline, nearest = polygon_distance(scene.outline), nearest_wall(room, shut)
+    outline, nearest = section_distance(scene, scene.outline), nearest_wall(room, shut)
 
     def concrete(points: np.ndarray) -> np.ndarray:
         return (outline(points) < 0) & (nearest(points)[0] > 0)
@@ -100,14 +100,22 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
     """Return the distance function and the number of each wall except the gate, which is lifted."""
-    walls: list[tuple[Distance, int]] = [(polygon_distance(block), ROUGH) for block in scene.blocks]
+    walls: list[tuple[Distance, int]] = [(section_distance(scene, block), ROUGH) for block in scene.blocks]
     return walls + [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
 
 
 def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
     """Return the distance function and the number of each wall at the start, the gate included."""
     walls = _standing_walls(scene)
-    return [*walls, (polygon_distance(scene.gate), GATE)] if scene.gate else walls
+    return [*walls, (section_distance(scene, scene.gate), GATE)] if scene.gate else walls
+
+
+def section_distance(scene: FreeScene, polygon: Points) -> Distance:
+    """Return a function that gives the signed distance of points from the body of a polygon [m], negative inside."""
+    distance = polygon_distance(polygon)
+    if scene.round:
+        return lambda points: distance(np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], 1))
+    return distance
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:

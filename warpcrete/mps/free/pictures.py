@@ -25,11 +25,11 @@ def plot_free(run: Run) -> Any:
         place, base, height = (
             1e3 * np.array(run.result["surface"][name]["value"]) for name in ("place", "base", "height")
         )
-        if scene.axial:
+        if scene.about_axis:
             place, base, height = -np.r_[place[::-1], -place], np.r_[base[::-1], base], np.r_[height[::-1], height]
         shape.fill_between(place, base, base + height, color="0.75", label=f"after {run.series['time'][-1]:.3g} s")
     corners = 1e3 * np.clip(np.array([*scene.outline, scene.outline[0]]), 0.0, [scene.width, scene.height])
-    for side in (1, -1) if scene.axial else (1,):
+    for side in (1, -1) if scene.about_axis else (1,):
         shape.plot(
             side * corners[:, 0],
             corners[:, 1],
@@ -46,10 +46,12 @@ def plot_free(run: Run) -> Any:
             shape.plot(1e3 * side * np.r_[r, half], 1e3 * np.r_[depth, 0.0], "--", color=rgb(THEORY), linewidth=1.4,
                        label="heap, closed form" if side == 1 else None)  # fmt: skip
     shape.set(
-        aspect="equal", xlabel="distance from the axis [mm]" if scene.axial else "position [mm]", ylabel="height [mm]"
+        aspect="equal",
+        xlabel="distance from the axis [mm]" if scene.about_axis else "position [mm]",
+        ylabel="height [mm]",
     )
     legend_beside(shape)
-    for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.axial else ())):
+    for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.about_axis else ())):
         corners = 1e3 * np.clip(np.array([*block, block[0]]), 0.0, [scene.width, scene.height])
         shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0)
     unit = "m"
@@ -67,7 +69,7 @@ def _curves(scene: FreeScene) -> Mapping[str, str]:
     """Return the columns of the time series that are drawn over time, each with its label."""
     if scene.test and scene.test.curves:
         return scene.test.curves
-    return {"spread": "spread" if scene.axial else "position of the front", "top": "highest point"}
+    return {"spread": "spread" if scene.about_axis else "position of the front", "top": "highest point"}
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

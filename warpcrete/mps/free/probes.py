@@ -29,12 +29,25 @@ UNITS = {
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return the horizontal positions of all vertical columns of cells [m], and the height of concrete in each [m].
 
-    In three dimensions the height is averaged over the depth of the simulated space.
+    In three dimensions the height is averaged over the depth of the simulated space, or around the axis of a round vessel.
     """
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing
     full = (flow.state.cells("fill") * flow.state.cells("room")).sum(0) * layout.step
+    if flow.scene.round:
+        return across, _means_of_rings(layout, full)
     return across, full if layout.axes == 2 else full.mean(0)
+
+
+def _means_of_rings(layout: GridLayout, values: np.ndarray) -> np.ndarray:
+    """Return the means over columns of cells about the axis of a round vessel.
+
+    `values` has the shape (..., ny, nx), and the result the shape (..., nx). Each ring is one cell wide, as a cell of
+    an axisymmetric flow.
+    """
+    x, y = ((np.arange(n) + 0.5) * h for n, h in zip(layout.cells[:2], layout.room.width[:2], strict=True))
+    ring = np.floor(np.hypot(x, y[:, None]) / layout.spacing).astype(int)
+    return np.stack([values[..., ring == k].mean(-1) for k in range(layout.cells[0])], -1)
 
 
 def bases(flow: GridFlow) -> np.ndarray:
@@ -44,7 +57,9 @@ def bases(flow: GridFlow) -> np.ndarray:
     """
     step, room = flow.state.layout.step, flow.state.cells("room")
     full = flow.state.cells("fill") * room
-    if full.ndim == 3:
+    if flow.scene.round:
+        full, room = (_means_of_rings(flow.state.layout, values) for values in (full, room))
+    elif full.ndim == 3:
         full, room = full.mean(1), room.mean(1)
     lowest = np.argmax(full > 0, axis=0)
     return np.where((full > 0).any(0), (lowest + ((1 - room) * (full > 0)).sum(0)) * step, 0.0)
@@ -53,6 +68,9 @@ def bases(flow: GridFlow) -> np.ndarray:
 def reach(flow: GridFlow) -> float:
     """Return how far the concrete reaches from the axis or the left side [m], at the height where it is widest."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
+    if flow.scene.round:
+        # The radius of a quarter of a disc with the same area.
+        return float(np.sqrt(4 / np.pi * fill.sum((1, 2)) * layout.spacing * layout.room.width[1]).max())
     if not layout.axial:
         return float((fill.sum(-1) * layout.spacing).max())
     radius = (np.arange(layout.cells[0]) + 0.5) * layout.spacing
@@ -83,12 +101,12 @@ def speeds(flow: GridFlow) -> np.ndarray:
     return np.sqrt(square)[(state.cells("fill") > HALF) & (state.cells("room") > HALF)]
 
 
-def _at_start(layout: GridLayout) -> Specimen:
+def _at_start(layout: GridLayout, about_axis: bool) -> Specimen:
     """Return the properties of the concrete that a test measures, before the first step, from the initial particles."""
     top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.particle_spacing for axis in (-1, 0))
     return Specimen(
         top=lambda radius: top,
-        spread=lambda: 2 * end if layout.axial else end,
+        spread=lambda: 2 * end if about_axis else end,
         height_around=lambda inner, outer: top if inner < end else 0.0,
         depth=lambda low, high, width: top if low < end else 0.0,
         front=lambda: 0.0,
@@ -104,7 +122,7 @@ def specimen(flow: GridFlow) -> Specimen:
     mass = flow.state.particles.mass.numpy().astype(float)
     return Specimen(
         top=lambda radius: top,
-        spread=lambda: 2 * far if layout.axial else far,
+        spread=lambda: 2 * far if flow.scene.about_axis else far,
         height_around=lambda inner, outer: float(np.mean(height[(across >= inner) & (across <= outer)])),
         # The median of the heights ignores concrete that clings to the walls of a vessel's column.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
@@ -122,7 +140,7 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     `whole` is the initial volume of the concrete, in the unit of :func:`volume`. The volume error is the volume that
     the flow gains or loses at its surface by numerical errors. Concrete that has left through an open side is no error.
     """
-    concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout)
+    concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout, flow.scene.about_axis)
     row = dict.fromkeys(UNITS, 0.0)
     row |= {"top": concrete.top(0.0), "spread": concrete.spread(), "inside": concrete.inside}
     if flow.steps:

@@ -27,7 +27,7 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
     `volume` is the initial volume of the concrete [m3]: per metre of depth in a plane, and per radian about an axis.
     """
     # Each plane of symmetry doubles the volume, because only one half is simulated.
-    around = 2 * math.pi if scene.axial else 2 ** list(scene.sides.values()).count(MIRROR)
+    around = 2 * math.pi if scene.axial else 2 ** _mirrors(scene)
     concrete = dict(concrete=scene.concrete, density=scene.concrete.density)
     weight = dict(gravity=scene.gravity, whole=around * volume)
     return Outcome(scene.test, scene.dimensions, series, **concrete, **weight) if scene.test else None
@@ -76,8 +76,15 @@ def start_volume(scene: FreeScene) -> float:
     volume.
     """
     held = (*scene.blocks, scene.gate) if scene.gate else scene.blocks
-    area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.axial)
+    area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.about_axis)
+    if scene.round:
+        return area * 2 * math.pi / 2 ** _mirrors(scene)
     return area * (scene.depth or 1.0) * _free_part(scene, held)
+
+
+def _mirrors(scene: FreeScene) -> int:
+    """Return the number of planes of symmetry."""
+    return list(scene.sides.values()).count(MIRROR)
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:

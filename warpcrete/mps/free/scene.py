@@ -64,7 +64,8 @@ class FreeSettings(Declared):
 class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel: an axisymmetric, plane or three-dimensional flow with a free surface; SI units.
 
-    Each polygon is a section of a body that extends through the whole depth of the simulated space.
+    Each polygon is a section of a body. The body extends through the whole depth of the simulated space, or is a body of
+    revolution if the flow is about an axis or if `round` is true.
     """
 
     name: str
@@ -84,6 +85,8 @@ class FreeScene(Parametrised, FreeSettings):
     """Polygon that the concrete fills at the start, except where there are walls."""
     depth: float = 0.0
     """Depth of the simulated space [m]; 0 for a flow in a plane or about an axis."""
+    round: bool = False
+    """True if the polygons of a flow in space are sections of bodies of revolution about the axis x = y = 0."""
     blocks: tuple[Points, ...] = ()
     """Polygons that are walls."""
     walls: tuple[Wall, ...] = ()
@@ -123,6 +126,13 @@ class FreeScene(Parametrised, FreeSettings):
                 self.depth,
                 "must be 0 for a flow about an axis, because only a flow in space has a depth",
                 "use 0",
+            )
+        if self.round and not self.depth:
+            refuse(
+                "round",
+                self.round,
+                "needs a room in space",
+                "set 'depth' to the width of the room, or use 'axial' for a flow about an axis",
             )
         if self.walls and not self.depth:
             refuse(
@@ -205,6 +215,11 @@ class FreeScene(Parametrised, FreeSettings):
         concrete = self.concrete
         return (f"{self.name}, concrete {concrete.name} ({concrete.yield_stress:.3g} Pa, "
                 f"{concrete.viscosity:.3g} Pa s)")  # fmt: skip
+
+    @property
+    def about_axis(self) -> bool:
+        """True if the vessel is a body of revolution, so that results are those of a heap about the axis."""
+        return self.axial or self.round
 
     @property
     def form(self) -> str:
