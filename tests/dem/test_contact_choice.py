@@ -47,6 +47,20 @@ class Around(Toy):
 
 
 @pytest.mark.parametrize("name", TAKING)
+def test_what_a_trade_may_change_without_a_law_and_with_one(name):
+    """A law has its own stiffness, and a step or a law that is given leaves nothing of it to choose."""
+    module = scenes.modules()[name]
+
+    def names(**more):
+        return [knob.name for knob in module.trading.knobs(module.scene.parameters(**more))]
+
+    usual = names()
+    assert {"time step", "precision", "stiffness"} <= set(usual)
+    assert names(contact=HERTZ) == [knob for knob in usual if knob != "stiffness"]
+    assert names(time_step=1e-5) == [knob for knob in usual if knob != "time step"]
+
+
+@pytest.mark.parametrize("name", TAKING)
 @pytest.mark.parametrize("law", [Toy(push=0.25), HERTZ, RollingResistance(contact=Contact(friction=0.3))])
 def test_a_scene_takes_a_law_records_it_by_name_and_makes_it_again(name, law, tmp_path):
     module = scenes.modules()[name]

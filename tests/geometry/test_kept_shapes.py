@@ -100,6 +100,7 @@ def test_meshes_are_kept(tmp_path):
             "begin": surface.begin,
             "end": surface.end,
             "sections": surface.sections(s, 8),
+            "inside": surface._inside(s),
             "distance": surface.distance(probes),
             "radii": equal_radii(surface.sections(s, 8)),
             "kept": [len(surface.faces), surface.origin.sum()],

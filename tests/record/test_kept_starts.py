@@ -110,6 +110,8 @@ class Seen(Recorder):
 class Logged(RerunRecorder):
     """A recorder for Rerun that also remembers what it logs: under each path the values of every component."""
 
+    logged: dict
+
     def _log(self, path, what, static=False):
         found = {}
         for batch in what.as_component_batches():
