@@ -29,7 +29,8 @@ UNITS = {
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return the horizontal positions of all vertical columns of cells [m], and the height of concrete in each [m].
 
-    In three dimensions the height is averaged over the depth of the simulated space, or around the axis of a round vessel.
+    In three dimensions the height is averaged over the depth of the simulated space, or around the axis of a round
+    vessel.
     """
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing

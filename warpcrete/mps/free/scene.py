@@ -64,8 +64,8 @@ class FreeSettings(Declared):
 class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel: an axisymmetric, plane or three-dimensional flow with a free surface; SI units.
 
-    Each polygon is a section of a body. The body extends through the whole depth of the simulated space, or is a body of
-    revolution if the flow is about an axis or if `round` is true.
+    Each polygon is a section of a body. The body extends through the whole depth of the simulated space, or is a body
+    of revolution if the flow is about an axis or if `round` is true.
     """
 
     name: str
