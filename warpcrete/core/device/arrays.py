@@ -205,11 +205,6 @@ class KernelModule(Protocol):
         """Kernels by name."""
         ...
 
-    @property
-    def options(self) -> Mapping[str, object]:
-        """Options of the compiler, by name."""
-        ...
-
 
 def declared(struct: Struct) -> Struct:
     """Return `struct` unchanged, so that a type checker regards it as a :class:`Struct`.

@@ -13,7 +13,6 @@ import warp as wp
 
 from ..errors import DeviceError, one_of, refuse
 from .arrays import Scalar
-from .headers import share_headers
 
 PRECISIONS = ("float32", "float64")
 SCALARS: dict[str, Scalar] = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
@@ -69,11 +68,6 @@ def find_device(name: str | None) -> wp.Device:
 def quiet_init() -> None:
     """Start Warp without its banner, its compile messages and its warning about a missing NVIDIA driver."""
     wp.config.log_level = wp.LOG_ERROR
-    _init_silently()
-    share_headers()
-
-
-def _init_silently() -> None:
     try:
         ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
         wp.init()

@@ -210,17 +210,8 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Return modules with their block sizes, in the order in which they are compiled.
-
-    Modules with the most kernel parameters compile longest and therefore come first. Before them comes one module for
-    each set of compiler flags: the first module with new flags also precompiles Warp's headers, and several threads
-    should not do this for the same flags.
-    """
-    ordered = sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
-    first: dict[object, KernelModule] = {}
-    for module, _ in ordered:
-        first.setdefault(module.options.get("cpu_compiler_flags"), module)
-    return sorted(ordered, key=lambda each: each[0] not in first.values())
+    """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
+    return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
 Step: TypeAlias = list[list[Stage]]
