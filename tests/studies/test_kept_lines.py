@@ -22,7 +22,8 @@ from warpcrete.studies.lines.element_line import ElementLine, SeedResult, WallLa
 from warpcrete.studies.lines.elements import Elements, part_parameters
 from warpcrete.studies.lines.fittings import library_factor, range_of
 from warpcrete.studies.lines.folder import part_simulation, previous_run
-from warpcrete.studies.lines.result import Stop, lines_of
+from warpcrete.studies.lines.pressures import Stop
+from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.run import run_line
 from warpcrete.studies.running import outcome_of
 

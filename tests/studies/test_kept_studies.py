@@ -233,7 +233,7 @@ def test_a_calibration_is_kept(tmp_path):
             "groups": [[target.label for target in group] for group in task.groups],
             "places": places,
             "errors": [found.posterior.emulator_error_ratio(target) for target in task.targets],
-            "figure": kept.drawn(draw_calibration(found)),
+            "figure": kept.drawn(draw_calibration(found, modules())),
             "repr": repr(found).split(", folder")[0],
         },
     )

@@ -85,6 +85,7 @@ def test_a_promise_is_tried_with_seeds_that_no_other_run_had(monkeypatch):
     point = Setting("x", {}, {})
     trade = SimpleNamespace(
         exact=False, has_seeds=True, seeds=[7, 8, 9], chosen_knobs=(), measured=[point], promises=[],
+        reference=point,
         promised=lambda point: 0.0, run=lambda point, seeds, tell: ran.extend(seeds) or True,
         errors_of=lambda point, seeds: [Error("pressure", 0.01, 0.0)] if list(seeds) == ran[:3] else [],
     )  # fmt: skip
