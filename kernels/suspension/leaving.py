@@ -55,16 +55,18 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
         radius = bodies.radius[b]
         volume = scalar(4.0 / 3.0 * wp.pi) * radius * radius * radius
         left = scalar(0.0)
+        gone = wp.bool(False)
         for side in range(6):
             if (opens >> side) % 2 == 1:
                 h = beyond(g, bodies, b, side)
+                gone = gone or h == scalar(2.0) * radius
                 left += scalar(wp.pi / 3.0) * h * h * (scalar(3.0) * radius - h)
-        left = wp.min(left, volume)
+        left = wp.where(gone, volume, wp.min(left, volume))
         extra = excess * volume + g.density * left
         bodies.extra_mass[b] = extra
         bodies.extra_inertia[b] = scalar(0.4) * extra * radius * radius
         bodies.force[b] = extra * g.gravity
-        if left == volume:
+        if gone:
             bodies.force[b] = vec()
             pairs.count[b] = 0
             pairs.smallest_gap[b] = scalar(1.0e30)

@@ -87,7 +87,7 @@ def others_function(scalar, of: GridKind):
                     for k in range(count):
                         if pairs.other[first + k] == o:
                             known = True
-                    if count == CAPACITY:
+                    if not known and count == CAPACITY:
                         pairs.full[0] = 1
                     elif not known:
                         while at > 0 and pairs.other[first + wp.max(at - 1, 0)] > o:

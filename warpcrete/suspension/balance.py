@@ -94,7 +94,8 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
             reached[k] = (1 - on[k]) * velocity[axis] + on[k] * field.next(velocity[axis], across)
     force = np.where(known, force, 0.0)
     speed = np.where(known, reached - force / np.where(known, stiffness, 1.0), 0.0)
-    return tuple(a.reshape(3, 3, *a.shape[1:]) for a in (force, speed, np.where(known, stiffness, 0.0)))
+    shape = (3, 3, *force.shape[1:])
+    return force.reshape(shape), speed.reshape(shape), np.where(known, stiffness, 0.0).reshape(shape)
 
 
 class _Grid:
@@ -229,7 +230,8 @@ class _Step:
         velocity = self.after[0]
         relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
         approach = np.sum(relative * normal, 1) - still
-        hold = hold * touching
+        # Contacts that the last solve has found do not act in it.
+        hold = hold * (touching == 1)
         # A pair of aggregates has two entries, and each of them counts half of its power.
         share = np.where(wall, 1.0, 0.5)
         apart = hold / flow.scene.time_step * (rough - gap)

@@ -153,6 +153,11 @@ class SuspensionFlow(GridFlow):
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
 
+    @property
+    def holdings(self) -> dict[str, Any]:
+        """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
+        return super().holdings | {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
+
     def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))
         self._before, self._after, self._blocks = part.before(), part.after(), part.blocks()

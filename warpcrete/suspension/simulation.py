@@ -17,6 +17,11 @@ from .scene import SuspensionScene
 
 UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1", "aggregates_inside": "1"}
 """Units of the columns of the time series that describe the aggregates."""
+SOLVE_BYTES = 4 * 8 * 64
+"""Memory of a cell for the search directions of the coupled solve and their effects [bytes], in single precision.
+
+A direction and its effect have eight numbers for each cell. A solve of at most 60 iterations stores up to 64 of them.
+"""
 DEEPEST = 0.3
 """Overlap of two aggregates, divided by a radius, above which the run stops with an error."""
 
@@ -39,7 +44,7 @@ class SuspensionSimulation(FreeSimulation):
     def place_flow(self) -> SuspensionFlow:
         """Return the flow in its initial state, with particles, aggregates and grid."""
         scene = self.scene
-        check_memory(free_cells(scene), self.device, self.precision)
+        check_memory(free_cells(scene), self.device, self.precision, more=SOLVE_BYTES)
         layout = free_layout(scene)
         self.volume = float(np.sum(layout.mass)) * layout.volume
         return SuspensionFlow(

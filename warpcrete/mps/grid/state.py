@@ -179,10 +179,13 @@ class GridState:
         self.flags.assign(found["flags"])
 
 
-def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
-    """Raise :class:`CapacityError` if a grid with these numbers of cells does not fit in memory."""
+def check_memory(cells: tuple[int, ...], device: Any, precision: str, more: int = 0) -> None:
+    """Raise :class:`CapacityError` if a grid with these numbers of cells does not fit in memory.
+
+    `more` is the memory of a cell that is needed beyond that of a plain flow [bytes], in single precision.
+    """
     slots = math.prod(n + 2 for n in cells)
-    needed = slots * SLOT_BYTES[len(cells)] * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
+    needed = slots * (SLOT_BYTES[len(cells)] + more) * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
     free = memory_free(device)
     if needed > MEMORY_FRACTION * free:
         raise CapacityError(
