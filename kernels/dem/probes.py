@@ -13,7 +13,7 @@ from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
-# The next constants are the columns of values that are summed over the contacts of each sphere.
+# The next constants are the numbers of columns. Each column holds a value that is summed over a sphere's contacts.
 CONTACTS: int = wp.constant(0)  # number of pairs in contact
 OVERLAP_SUM: int = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.

@@ -194,8 +194,9 @@ class ElementSimulation(Simulation):
     def reaching(self, time: float) -> Coroutine:
         """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
 
-        The scene may contain a rest of the concrete, at or before `time`. If this rest has not been applied yet, the
-        simulation first advances to the moment of the rest and applies it there.
+        In some scenes the concrete stands still for a given time, for example ten minutes. This standstill is not
+        simulated: at a given moment of the run, bonds and slip layer gain the strength that they would gain. If this
+        moment is at or before `time` and has not been reached yet, the simulation first advances to it.
         """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:

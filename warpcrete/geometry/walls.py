@@ -49,8 +49,9 @@ class Stops:
 class Prescribed:
     """Motion of a wall with a prescribed speed, whatever forces act on the wall.
 
-    The speed rises linearly from rest over `ramp_time` and is constant afterwards. With `stops`, the speed first falls
-    and rises again for the given number of strokes, with pauses at rest; then it stays constant.
+    The speed rises linearly from rest over `ramp_time` and is constant afterwards. With `stops`, the wall moves in
+    strokes: between two strokes, the speed falls to zero, the wall rests, and the speed rises again. After the last
+    stroke, the speed stays constant.
     """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)

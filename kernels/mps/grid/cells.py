@@ -30,7 +30,7 @@ from ..structs import mps_types
 OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
 GATE = wp.constant(3)  # Number of the wall that opens at a given time.
-# The following constants are kinds of faces, except ROUGH, which is the number that identifies a wall.
+# The following constants are kinds of faces. The exception is ROUGH, which is a further value of `solid`.
 AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
 FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity normal to it.
@@ -45,7 +45,7 @@ DRIVE = 3
 # Indices of the array `clock`, which contains the time and the variables of the step control.
 DT = wp.constant(0)  # Time step [s].
 NOW = wp.constant(1)  # Present time [s].
-UNTIL = wp.constant(2)  # Time at which the flow must stop [s].
+UNTIL = wp.constant(2)  # Simulated time at which the present series of steps must end [s].
 WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
 SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
 CELLS_PER_SECOND = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].

@@ -209,9 +209,10 @@ def wall_kernel(scalar, of: GridKind):
                                     )  # fmt: skip
                                 if hold > stiff:
                                     # Concrete that sticks to a wall would need an infinite stiffness. Use the stiffness
-                                    # of a film whose thickness is 1 / STICKY of a cell. To compensate for this film,
-                                    # compute the friction from the velocity at a point inside the concrete, half the
-                                    # thickness of the film away from the wall.
+                                    # of a film whose thickness is 1 / STICKY of a cell. Where the velocity rises
+                                    # linearly from the wall, a film makes the stress too small, as if the wall were
+                                    # further away. The velocity is therefore taken at a point that is further inside
+                                    # the concrete, by half the thickness of the film.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))

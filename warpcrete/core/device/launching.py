@@ -354,7 +354,9 @@ class Launcher:
             for call in calls:
                 call()
             return
-        if len(calls) == 1:  # Run a single call in the calling thread, because this thread is not pinned to a core.
+        # A thread of the pool is pinned to a core, which another program may be using. A single call therefore runs
+        # in the calling thread, which the system can move to a free core.
+        if len(calls) == 1:
             with defer_interrupts():
                 calls[0]()
             return

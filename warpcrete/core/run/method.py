@@ -49,7 +49,8 @@ class Quantity:
 def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float | Quantified]:
     """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as numbers.
 
-    `known` is the method's data about a run, which is passed to the function `of` of each quantity.
+    `known` contains what the simulation method knows about a run. Each quantity computes its value from it with its
+    function `of`.
     """
     found: dict[str, float | Quantified] = {}
     for each in quantities:

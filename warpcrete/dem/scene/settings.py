@@ -198,7 +198,7 @@ class Rest(Declared):
     def layer_gained(self) -> float:
         """Increase of the yield stress of a wall's lubrication layer during the rest [Pa].
 
-        The layer acts only where contacts are, on a fraction of the wall's area. The stress `gained` is divided by this
-        fraction, so that it is the mean increase over the whole wall.
+        The layer acts only where contacts are, on a fraction of the wall's area. To give the whole wall a mean increase
+        of `gained`, the increase at the contacts is `gained` divided by this fraction.
         """
         return self.gained / self.coverage

@@ -55,7 +55,7 @@ class Stepping(ABC):
     _launcher: Launcher
     _step: Step | None
     _goal: int = 0
-    """Number of steps at which the flow stops."""
+    """Total number of time steps after which the simulation pauses, because it has reached its goal."""
 
     @property
     @abstractmethod

@@ -97,8 +97,8 @@ def library_factor(part: Part) -> float:
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # A pipe that widens has the friction of straight pipe with the same bores, because the interpolation is
-        # constant outside the table.
+        # The table begins with a radius that does not change, which causes no additional loss. In a pipe that widens,
+        # the change is negative, so the interpolation returns this first value.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 

@@ -178,8 +178,8 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
             ratio = rest + (1.0 - rest) * whole / min(others)
             if ratio < MAX_TIME_RATIO:
                 yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
-    # Contacts, rather than bonds, limit the time step. Suggest fewer dashpots if the step without them is known, which
-    # it is only in scenes without bonds.
+    # If contacts limit the time step, and not bonds, weaker dashpots at contacts save time. How much they save is known
+    # only in scenes without bonds, because only there the forecast contains the time step without dashpots.
     if alone < 1.05 * whole and not any(name.startswith("contacts and ") for name in forecast.limits):
         ratio = rest + (1.0 - rest) * alone / forecast.limits.get("contacts without dashpots", alone)
         if ratio < MAX_TIME_RATIO:

@@ -397,11 +397,11 @@ class Trade:
         return next((p for p in self.tried if p.variant == point.variant and p.levels == levels), None)
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Return the largest error of a knob's level against the finest level that was measured; infinity on failure.
+        """Return the error that a knob causes at one of its levels, compared with its finest level that was measured.
 
-        A knob is an accuracy parameter such as the time step, and a level is one of its values. A difference that the
-        scatter between seeds explains counts as zero. The knob does not cause such a difference, and the differences of
-        all knobs would add up.
+        A knob is an accuracy parameter such as the time step, and a level is one of its values. The result is the
+        largest error of all measured quantities, or infinity if a run failed. A difference that the scatter between
+        seeds explains counts as zero, because the knob need not be its cause.
         """
         point = self._alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None
