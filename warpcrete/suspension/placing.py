@@ -172,7 +172,7 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
         x, origin = np.concatenate([x, x[up] + shift, x[down] - shift]), np.concatenate([origin, up, down])
     cell = np.floor((x - x.min(0)) / reach).astype(np.int64) + 1
     shape = [int(n) + 2 for n in cell.max(0)]
-    key = np.ravel_multi_index(tuple(cell.T), tuple(shape))
+    key: np.ndarray = np.asarray(np.ravel_multi_index(tuple(cell.T), tuple(shape)))
     order = np.argsort(key, kind="stable")
     ranked, first, second = key[order], [], []
     own, own_place = key[:count], np.arange(count)
