@@ -1,4 +1,4 @@
-"""What commands without a simulation print and write, word by word and number by number (see `kept`)."""
+"""Compare what commands without a simulation print and write with stored texts and numbers (see `kept`)."""
 
 import json
 from pathlib import Path
@@ -173,7 +173,7 @@ COMMANDS = {
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Folder with the files of the commands, in which they are called."""
+    """Make a folder with the files that the commands read, and work in it."""
     for name, text in FILES.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -181,7 +181,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def answer(words):
-    """What a command printed and how it ended."""
+    """Return the output and the exit code of a command."""
     done = command(*words)
     return f"$ {' '.join(words)}\n{done.stdout}{done.stderr}exit code {done.returncode}"
 

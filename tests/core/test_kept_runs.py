@@ -1,4 +1,4 @@
-"""What runs of every scene come to, in numbers, words and figures, kept as it is (see `kept`).
+"""Compare results, reports and figures of runs of every scene with stored ones (see `kept`).
 
 The runs are made up, and their columns go up and down, so that another row, window, sign or unit gives another number.
 """
@@ -27,7 +27,7 @@ STEADILY = ("time", "travel")
 
 
 def uneven(series):
-    """The columns of a series, each with waves of its own; times and travels rise unevenly."""
+    """Return the columns of a series, each with its own waves; times and travels rise unevenly."""
     found = {}
     for name, column in series.items():
         k = np.arange(len(column))
@@ -40,7 +40,7 @@ def uneven(series):
 
 
 def with_tables(run):
-    """The run with the results of which figures are drawn, where its method has some."""
+    """Return the run with additional results, from which its method draws figures."""
     metres = np.linspace(0, 0.05, 6)
     run.units.update({name: "Pa" if "pressure" in name else "m" for name in run.series})
 
@@ -67,7 +67,7 @@ def with_tables(run):
 
 
 def told(run, module):
-    """All that is said of a run: quantities, the lines of the report, verdicts with their reasons."""
+    """Return all statements about a run: quantities, lines of the report, and checks with their reasons."""
     method = method_of(run.scene)
     shown = [*report_of(method.quantities, run), *method.report(run)]
     return {
@@ -121,7 +121,7 @@ def test_the_figure_of_a_run_is_kept(name):
 
 
 def test_figures_with_particles_are_kept():
-    """The particles behind the middle, with a bar for their colours if these stand for numbers."""
+    """Draw the particles behind the middle, with a colour bar if the colours stand for numbers."""
     run = with_tables(RUNS["tube"]().run())
     rng = np.random.default_rng(4)
     particles = rng.uniform(-0.05, 0.05, (30, 3)), rng.integers(0, 255, (30, 3)), 0.01

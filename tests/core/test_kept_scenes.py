@@ -66,7 +66,7 @@ NOT_NEWS = re.compile(r"^(parameters|vessel\.test|test|published)\b|\.(concrete|
 
 
 def of_elements(scene):
-    """What a run of discrete elements begins with."""
+    """Return the arrays and settings with which a run of discrete elements begins."""
     model = build_model(scene, find_device("cpu"), "float64")
     placed = placed_bodies(scene)
     placed.material, placed.group = sorted(set(placed.material)), sorted(set(placed.group))
@@ -87,7 +87,7 @@ def of_elements(scene):
 
 
 def of_flow(scene):
-    """Cells or particles of a flow, and what theory says of it."""
+    """Return the cells or particles of a flow, and its results by theory."""
     if isinstance(scene, FreeScene):
         return {"layout": free_layout(scene), "volume": start_volume(scene), "extent": scene.extent}
     if isinstance(scene, PartScene):
@@ -124,7 +124,7 @@ def test_a_scene_is_kept(name, place):
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_what_the_help_of_a_scene_shows_is_kept(name):
-    """The options of the short page and of the whole page, in their order."""
+    """Compare the options of the short and of the complete help page, in their order."""
     pages = [CliRunner().invoke(cli, ["run", name, option]).output for option in ("--help", "--help-all")]
     kept.compare(
         f"help-{name}",

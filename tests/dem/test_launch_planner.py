@@ -54,7 +54,7 @@ def two_scenes(steps, estimated, goal=1000):
 
 
 def test_scenes_of_a_batch_come_to_their_estimates_together():
-    """From one to the next in one piece; who had to wait waits for it; no piece begins that lists will not last for."""
+    """Check the pieces into which a round of steps is divided, and which scenes wait between them."""
     planner = LaunchPlanner(True, 2)
     assert planner.launch_sizes(*two_scenes((20, 20), (20, 20))) == [20, 20]
     assert planner.launch_sizes(*two_scenes((40, 33), (40, 20))) == [20, 20]

@@ -51,7 +51,7 @@ def arrays(struct):
 
 
 def changed(stored, rng):
-    """Other arrays of the same shapes, no two of them alike."""
+    """Return arrays of the same shapes with other values; no two arrays are equal."""
     return {
         name: (rng.uniform(1, 2, array.shape) * 100).astype(array.dtype) if array.dtype.fields is None else array
         for name, array in stored.items()
@@ -59,7 +59,7 @@ def changed(stored, rng):
 
 
 def comes_back(make, own):
-    """Every array of a state comes back from what was stored, under its own name, into another state."""
+    """A state that loads a checkpoint has all arrays of the stored state, each under its own name."""
     first, second = make(), make()
     stored = {name: array.copy() for name, array in first.state_dict().items()}
     assert own <= set(stored)

@@ -28,7 +28,7 @@ FREE = dict(concrete="own", density=2300.0, viscosity=30.0, yield_stress=500.0, 
 
 
 def clumps():
-    """Clumps of two shapes that spin, move and press on each other and on a plate that turns."""
+    """Return a scene of clumps of two shapes, which spin, move, and press on each other and on a turning plate."""
     shapes, random = reference()[:2], np.random.default_rng(3)
     turned = random.normal(size=(6, 4))
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
@@ -77,7 +77,7 @@ COUNTS = ("viscosity_iterations", "pressure_iterations", "steps")
 
 
 class Seen(Recorder):
-    """All that displays have at the last frame."""
+    """Recorder that collects everything that displays offer at the last frame."""
 
     def __init__(self, colourings):
         self.colourings = colourings
@@ -108,7 +108,7 @@ class Seen(Recorder):
 
 
 class Logged(RerunRecorder):
-    """A recorder for Rerun that also remembers what it logs: under each path the values of every component."""
+    """Recorder for Rerun that also stores what it logs: the values of every component, by path."""
 
     logged: dict
 
@@ -129,7 +129,7 @@ class Logged(RerunRecorder):
 
 
 def numbers_in(values):
-    """All numbers and words of nested lists and dictionaries, one after the other."""
+    """Return all numbers and words of nested lists and dictionaries, one after the other."""
     if isinstance(values, dict):
         values = values.values()
     if isinstance(values, str | bytes | bytearray) or not hasattr(values, "__iter__"):
@@ -151,7 +151,7 @@ def views_of(view):
 
 
 def usd(path):
-    """Every attribute of every prim of a stage, at its first and last time."""
+    """Return every attribute of every prim of a stage, at its first and last time."""
     from pxr import Usd
 
     stage = Usd.Stage.Open(str(path))
@@ -175,7 +175,7 @@ def flat(value):
 
 
 def hdf(path):
-    """All datasets and attributes of a file for ParaView."""
+    """Return all datasets and attributes of a file for ParaView."""
     import h5py
 
     found = {}

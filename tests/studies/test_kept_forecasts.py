@@ -22,12 +22,12 @@ SCENES = {
     "pipe": lambda: scenes.pipe(**TINY),
 }
 MEASURED = ("memory", "contacts", "governing")
-"""Entries that depend on how a few steps go."""
+"""Entries that are measured in a few steps, and therefore not compared."""
 
 
 @pytest.fixture
 def clocks(monkeypatch):
-    """Every call takes a millisecond, a step a fifth of it, and a rebuild or a sample twice as long."""
+    """Pretend that every call takes a millisecond, a step a fifth of that, and a rebuild or a sample twice as long."""
     ticks = itertools.count()
     monkeypatch.setattr(of_elements, "time", SimpleNamespace(perf_counter=lambda: 1e-3 * next(ticks)))
     monkeypatch.setattr(of_elements, "median_time", lambda call, device: (call() and 0.0) or 2e-3)

@@ -51,7 +51,7 @@ def line(tmp_path):
 
 @pytest.fixture
 def meshed(tmp_path):
-    """A line with a bore that is wider than it is high."""
+    """Return a line with a bore that is wider than it is high."""
     vertices, faces = Axis((0, 0, 0), (1, 0, 0), (Line(0.3),)).swept(np.linspace(0, 0.3, 7), 0.0625, 32)
     middle = np.sin(np.pi * vertices[:, 0] / 0.3) ** 2
     vertices[:, 2] *= 1 - 0.2 * middle
@@ -63,7 +63,7 @@ def meshed(tmp_path):
 
 
 def result_of(scene):
-    """A result that depends on the scene only."""
+    """Return a made-up result that depends on the scene only."""
     size = scene.parameters["spacing"] * scene.parameters["flow"]
     return {
         "finished": True,

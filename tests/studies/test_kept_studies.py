@@ -28,7 +28,7 @@ FAILED = {"balance": {"passed": False, "found": "9 %"}, "finished": {"passed": T
 
 
 def measured(k, **more):
-    """A result.json that depends on the number of the run only."""
+    """Return the content of a result.json that depends only on the number of the run."""
     speed = {
         "packing_time": {"value": 1.0 + k, "unit": "s"},
         "settling_time": {"value": 0.25, "unit": "s"},
@@ -94,7 +94,7 @@ def test_a_study_is_kept(tmp_path, kind):
 
 
 def made_trade(folder, **more):
-    """A trade of the pipe with results for the scene as given, single knobs, all of them, and a failure."""
+    """Return a trade of the pipe with results for the scene as given, single knobs, all knobs, and a failed run."""
     pipe = importlib.import_module("warpcrete.scenes.pipe")
     record = {
         "scene": "pipe",
