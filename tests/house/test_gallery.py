@@ -23,7 +23,9 @@ def script():
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # Dataclasses look their module up.
+    sys.path.insert(0, str(GALLERY))  # A script finds the modules beside it.
     spec.loader.exec_module(module)
+    sys.path.remove(str(GALLERY))
     return module
 
 
