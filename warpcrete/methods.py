@@ -18,8 +18,8 @@ __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
-    # Suspensions come before free-surface flows, because the type of their scenes is derived from that of free-surface
-    # flows.
+    # `method_of` returns the first method in this list whose scene type fits. The scene type of suspensions is a
+    # subclass of that of free-surface flows, so suspensions must come first.
     SUSPENSIONS,
     FREE_FLOWS,
     PARTS_OF_LINES,

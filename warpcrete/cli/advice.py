@@ -18,10 +18,10 @@ def chosen(
 ) -> dict[str, Any]:
     """Return the parameters to change so that the run reaches the requested accuracy in the shortest time.
 
-    They come from a trade-off between speed and accuracy that was measured before: from the folder `trade`, or from one
-    that is shipped with the package. The function prints to stderr which settings it chose, their expected error, and
-    under which conditions this error was not measured. Raises :class:`click.UsageError` if no trade-off is available or
-    the accuracy is not a percentage.
+    The parameters come from an earlier measurement of the trade-off between speed and accuracy. The measurement is in
+    the folder `trade`, or it is one of those that come with the package. The function prints to stderr which settings
+    it chose, their expected error, and the conditions under which this error was not measured. Raises
+    :class:`click.UsageError` if no measured trade-off is available or `accuracy` is not a percentage.
     """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': has no effect without --accuracy; add, for example, --accuracy 5%")

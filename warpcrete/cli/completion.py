@@ -22,7 +22,7 @@ def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[Co
 
 
 def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
-    """Return the typed number followed by each unit that the user may state instead of `unit`."""
+    """Complete an amount: return the typed number followed by each unit that can be converted to `unit`."""
     typed = NUMBER.fullmatch(incomplete)
     if typed is None:
         return []
@@ -31,41 +31,41 @@ def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
 
 
 def concretes(incomplete: str) -> list[CompletionItem]:
-    """Return the shipped concretes."""
+    """Complete a concrete: return names of concretes that come with the package, and let the shell add files."""
     return names(shipped(), incomplete, files=True)
 
 
 def mixes(incomplete: str) -> list[CompletionItem]:
-    """Return the shipped concretes that are described by their mix."""
+    """Complete a mix: return names of those concretes of the package that are described by their mix."""
     return names([name for name in shipped() if concrete(name).mix], incomplete, files=True)
 
 
 def lines(incomplete: str) -> list[CompletionItem]:
-    """Return the shipped lines."""
+    """Complete a pump line: return names of pump lines that come with the package, and let the shell add files."""
     from ..geometry.lines import shipped_lines
 
     return names(shipped_lines(), incomplete, files=True)
 
 
 def schemas(incomplete: str) -> list[CompletionItem]:
-    """Return the kinds of files that have a JSON schema."""
+    """Complete a kind of file: return the kinds that have a JSON schema, such as `line`."""
     from .schemas import FOLDER
 
     return names(sorted(path.stem for path in FOLDER.glob("*.json")), incomplete)
 
 
 def kinds(incomplete: str) -> list[CompletionItem]:
-    """Return the kinds of measurements that `warpcrete validate` compares."""
+    """Complete a kind of measurement that `warpcrete validate` compares with predictions."""
     from ..studies.validation.kinds import UNITS as kinds_of_cases
 
     return names(kinds_of_cases, incomplete)
 
 
 def papers(incomplete: str) -> list[CompletionItem]:
-    """Return the papers whose runs `warpcrete reproduce` repeats."""
+    """Complete the name of a paper whose runs `warpcrete reproduce` repeats."""
     return names(("xu", "zhan"), incomplete)
 
 
 def devices(incomplete: str) -> list[CompletionItem]:
-    """Return the usual names of devices."""
+    """Complete the name of a device, `cpu` or `cuda`."""
     return names(DEVICES, incomplete)

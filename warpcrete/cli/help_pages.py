@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import click
 
-# The command `theory` uses this module when it is defined, so the module must not import Warp.
+# Every start of the program imports this module, so it must not import Warp, which takes half a second to load.
 
 HELP_OPTIONS = {"--help", "--help-all"}
 FULL_HELP = "warpcrete.full_help"
@@ -14,7 +14,7 @@ FULL_HELP = "warpcrete.full_help"
 
 
 class ParameterOption(click.Option):
-    """Command-line option of a declared parameter, with the group under which help pages list the option."""
+    """Command-line option that sets a parameter of a scene, with the heading under which help pages list it."""
 
     group = ""
     common = True
@@ -29,10 +29,9 @@ class GroupedCommand(click.Command):
     common: ClassVar[tuple[str, ...]] = (
         "out", "device", "live", "colour", "accuracy", "resume", "quiet",
     )  # fmt: skip
-    """Names of those options of the command itself that the short help shows, in addition to options of common
-    parameters."""
+    """Names of options that `--help` shows although they set no parameter of a scene, such as the device."""
     title = "Recording and running."
-    """Title of the section with the command's own options."""
+    """Title of the section of a help page that lists options which set no parameter of a scene."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {}

@@ -31,9 +31,9 @@ from .line_inputs import LineInputs, line_inputs
 from .option_amounts import THIXOTROPY_BAND, growth_of, option_amount
 
 ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5.0}
-"""Options that only discrete elements use, with their default values."""
+"""Options of `warpcrete line` that affect only simulations by discrete elements, with their default values."""
 FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
-"""Options that only simulations use, with their default values."""
+"""Options of `warpcrete line` that have no effect if nothing is simulated, with their default values."""
 
 
 def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
@@ -116,11 +116,12 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 
 
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the uncertainty of the concrete as keyword arguments for computing a line.
+    """Return the uncertainty of the concrete, as keyword arguments of the functions that compute a line's pressure.
 
-    If the concrete has a mix and no option states a factor, the uncertainty consists of pairs of concretes. The two
-    concretes of a pair have a property at the lower and at the upper end of its band. In all other cases, the
-    uncertainty is a factor, which states how wrong the resistance of the slip layer may be.
+    If the concrete has a mix and the option `--layer-factor` is missing, the argument is `variants`: a pair of
+    concretes for each cause of uncertainty, with the affected properties at the lower and at the upper ends of their
+    uncertainty bands. Otherwise the argument is `layer_factor`, the factor by which the resistance of the slip layer
+    may be wrong.
     """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:
@@ -134,7 +135,8 @@ def _simulated(
 ) -> bool:  # fmt: skip
     """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed.
 
-    With `unless_known`, only parts that the table of simulated parts does not cover are simulated.
+    With `unless_known`, parts whose pressure loss is in the package's table of simulated parts are not simulated
+    again.
     """
     if given.guessed:
         raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")
@@ -165,9 +167,9 @@ def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, sett
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
-    """Print the verdicts of the rules of practice on blocking of the line.
+    """Print whether the line and its concrete satisfy the rules of practice against blocking.
 
-    The verdicts are also written to blocking.json in the folder of the line, if there is one.
+    If `folder` is not None, also write these verdicts to the file blocking.json in this folder.
     """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)

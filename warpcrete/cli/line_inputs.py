@@ -25,7 +25,7 @@ DENSITY = 2350.0
 FINEST = 4e-3
 """Diameter of the smallest coarse aggregate [m] that is assumed if the user states only the largest stone."""
 SHAPE = ("diameter", "length", "rise")
-"""Options that describe a straight pump line, so that the user needs no file of a line."""
+"""Options that describe a straight pump line, for a user who has no file that describes the line."""
 EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
 
 
@@ -51,7 +51,7 @@ class LineInputs:
 
 
 def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
-    """Return line, concrete and flow as the options of the command state them.
+    """Return the line, concrete and flow that the options of the command describe.
 
     Raises :class:`SceneError` for an impossible value, and `click.UsageError` for a missing or superfluous option.
     """
@@ -72,7 +72,7 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
 
 
 def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = "") -> float | None:
-    """Return an option as a positive number in `unit`, or None if it is missing."""
+    """Return the value of the option `name` as a positive number in `unit`, or None if the option is missing."""
     if settings[name] is None:
         return None
     found = amount(name, settings[name], unit)
@@ -108,7 +108,7 @@ def _straight(settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
-    """Return a mix made from the slump, spread and largest stone on the command line; None if none was given."""
+    """Return a mix made from the options for slump, spread and largest stone; None without slump and spread."""
     cones = {name: settings[name] for name in ("slump", "spread") if settings[name] is not None}
     if not cones:
         return None
@@ -123,7 +123,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 
 
 def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
-    """Return the flow [m3/s] from the command's option; without the option, that from the file of the line."""
+    """Return the volume flow [m3/s] that the option `--flow` states, or else the file of the line."""
     rate = _amount("flow", settings, "m3/s")
     if rate is None:
         if line.flow is None and settings["fit"] is None:
@@ -135,9 +135,9 @@ def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
 
 
 def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
-    """Return the line with a pump whose limits come from the command's options.
+    """Return the line with a pump whose limits of pressure, flow and power come from the command's options.
 
-    If no option states a limit, the limit of the line's own pump holds.
+    A limit that no option states is taken from the pump in the line's file, if the file describes a pump.
     """
     stated = {key: value for key, value in limits.items() if value is not None}
     if not stated:

@@ -17,9 +17,10 @@ from ..mix.mix import Mix, read_mix
 
 
 def run(name: str, out: Path | None, bore: str | None = None) -> None:
-    """Print the properties that follow from a mix, and the rules against blocking in a `bore`.
+    """Print the properties that follow from a mix, and whether it satisfies the rules against blocking.
 
-    With `out`, also write the concrete's file.
+    `bore` is the inner diameter of the pipe as the user typed it, such as "125 mm"; without it, the rules that need a
+    diameter cannot be judged. With `out`, also write the concrete's file to this path.
     """
     wide = None
     if bore is not None:
@@ -62,7 +63,7 @@ STIFF = 700.0
 
 
 def _cone(mix: Mix) -> str:
-    """Return a command line that simulates a slump cone of the mix with discrete elements."""
+    """Return a `warpcrete run` command that simulates the slump test of the mix with discrete elements."""
     law = "mortar" if mix.concrete.yield_stress < STIFF else "plastic"
     found = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
     found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix.concrete.viscosity:.4g}"

@@ -11,8 +11,8 @@ from .scene_commands import load
 class Completed(click.ParamType):
     """Type of a text option whose value the shell completes.
 
-    The function `by` of the module `completion` returns the possible values. Its arguments are those in `first`,
-    followed by the text that is typed so far.
+    `by` is the name of a function in the module `completion`, which returns the possible values. The function is called
+    with the arguments in `first`, followed by the text that the user has typed so far.
     """
 
     name = "text"

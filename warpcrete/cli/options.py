@@ -39,7 +39,7 @@ class SceneCommand(GroupedCommand):
 
 
 def _value_of(option: str, words: list[str]) -> str | None:
-    """Return the value of a command-line option, searched for in a command's `words`; None if the option is missing."""
+    """Return the value that follows the option `option` in the `words` of a command line; None if it is missing."""
     for place, word in enumerate(words):
         if word == option and place + 1 < len(words):
             return words[place + 1]
@@ -49,7 +49,7 @@ def _value_of(option: str, words: list[str]) -> str | None:
 
 
 def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
-    """Return one option for each field, and one hidden option for each alias of the field."""
+    """Return one option for each declared parameter in `fields`, and a hidden option for each alias of a parameter."""
     found: list[click.Parameter] = []
     for field in fields:
         names = [field.name, *(alias.name for alias in field.of_kind(Alias))]
@@ -142,7 +142,7 @@ def given(values: Mapping[str, Any], context: click.Context | None = None) -> di
 
 
 def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") -> None:
-    """Refuse the name of an unknown scene; the error message lists the scenes and ends with `more`."""
+    """Raise an error if no scene has this name; the error message lists the scenes, followed by the text `more`."""
     if name not in modules:
         meant = suggested(name, modules)
         raise click.UsageError(

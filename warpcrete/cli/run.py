@@ -131,9 +131,10 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Check the options for the pressure of a pipeline, and return the result in the run folder `pipeline_other`.
+    """Check the options that request an estimate of a whole pipeline's pressure.
 
-    The result is the contents of that folder's result.json, or None if the option is not used.
+    The estimate also needs the run of a straight pipe in the other direction, vertical or horizontal. Return the
+    contents of result.json in the folder of that run, which the option `pipeline_other` names, or None without it.
     """
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():
@@ -175,7 +176,10 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the printed line with the pipeline's estimated pressure, as label and text; empty without the option."""
+    """Return the report's line on the pipeline's estimated pressure, as a list with one pair of label and text.
+
+    The list is empty if no option requests this estimate.
+    """
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:

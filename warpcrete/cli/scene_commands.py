@@ -22,12 +22,12 @@ from .help_pages import GroupedCommand
 
 
 def load(name: str) -> ModuleType:
-    """Return a module of this package."""
+    """Import and return the module `name` of the package `warpcrete.cli`."""
     return importlib.import_module(f"{__package__}.{name}")
 
 
 def scenes() -> dict[str, ModuleType]:
-    """Return the modules of all scenes by the scenes' names."""
+    """Return a dictionary from the name of each scene to the Python module that defines the scene."""
     return importlib.import_module("warpcrete.scenes").modules()
 
 

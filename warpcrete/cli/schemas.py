@@ -197,13 +197,13 @@ def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
 
 
 def _own_parameters(fields: Mapping[str, Field]) -> Schema:
-    """Return a schema that allows the extra parameters which a chosen value brings, such as `contact_stiffness`."""
+    """Return a schema that allows the parameters of objects, such as `contact_stiffness` of the object `contact`."""
     prefixes = [name for name, field in fields.items() if any(field.of_kind(CompositeRule))]
     return {"patternProperties": {f"^{name}_": {} for name in prefixes}} if prefixes else {}
 
 
 def _part(kind: str) -> Schema:
-    """Return the schema of the contents of one part of a line."""
+    """Return the schema of the entries that describe a part of a pump line; `kind` is its kind, such as "bend"."""
     special: dict[str, Schema] = {
         "to": {"enum": list(WAYS)},
         "file": {"type": "string"},

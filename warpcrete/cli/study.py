@@ -47,7 +47,10 @@ def _execution_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
-    """Return the scene's name (None if missing) and the values that follow each `--option`."""
+    """Split the words of a command line into the scene's name and the values that follow each `--option`.
+
+    The name is None if it is missing. The keys of the dictionary are the names of the options without dashes.
+    """
     scene = None
     options: dict[str, list[str]] = {}
     current: list[str] | None = None
@@ -110,9 +113,9 @@ def report(study: Study) -> None:
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove the options named in `kinds` from `options`, and return their converted values.
+    """Remove the options that are keys of `kinds` from `options`, and return their values by name.
 
-    Each of these options must have exactly one value.
+    Each of these options must have exactly one value, which is converted to the type that `kinds` states.
     """
     found = {}
     for name in kinds.keys() & options.keys():
@@ -158,9 +161,10 @@ def _resumed(
 
 
 def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
-    """Return the module of the scene to which the record of a study belongs; `kind` is `study` or `trade`.
+    """Return the module of the scene that an earlier study in `folder` simulated.
 
-    Raises :class:`RunFolderError` if the folder holds no such record, or if the scene does not exist in this version.
+    `kind` is `study` or `trade`; the file study.json or trade.json in the folder names the scene. Raises
+    :class:`RunFolderError` if this file is missing, or if the scene does not exist in this version.
     """
     record = f"{kind}.json"
     if not (folder / record).is_file():
@@ -201,7 +205,7 @@ def _new_study(
 
 
 def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
-    """Return a scene's parameters by name and alias, with those of the contact laws that the options name."""
+    """Return a scene's parameters by name and alias, including the parameters of contact laws named in `options`."""
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
         found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)

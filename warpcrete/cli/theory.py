@@ -24,12 +24,12 @@ from ..theory.segregated import segregation_table
 from .option_amounts import growth_of
 
 LINE = ("length", "rise", "gravity")
-"""Properties of a pipeline that are also options of the command `theory`. The radius is missing here, because the
-command has the option `diameter` instead."""
+"""Properties of a pipeline that are also options of the command `theory`. The radius is not one of them, because the
+user states the diameter."""
 
 
 def fields() -> dict[str, Field]:
-    """Return, by name, the parameters of the command: those parameters of pipe flows that the closed form uses."""
+    """Return the parameters of the command `theory` by name: the parameters of pipe flows that the closed form uses."""
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
     pipe |= {name: declared_fields(Line)[name] for name in LINE}
     return {**declared_fields(ConcreteParameters), **{name: replace(x, group="Pipe.") for name, x in pipe.items()}}
@@ -40,11 +40,13 @@ def run(
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip
-    """Print the closed-form solution for the parameters in `given`, with default values for the others.
+    """Print the closed-form solution for the parameters in `given`; all other parameters have their default values.
 
-    With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the pressure for a
-    restart after that time at rest is added. With `segregation`, the effect of segregation on the pressure is added;
-    `aggregate` is the volume fraction of the aggregate.
+    `flows` [m3/s] and `pressures` [Pa] are the values for which the pressure or the flow is computed. If `fit` is a
+    file of measured flows and pressures, the slip layer is fitted to them first. `rest` is a time at rest [s], for
+    which the pressure of a restart is added. `segregation` holds segregation indices, whose effect on the pressure is
+    added; :class:`warpcrete.theory.segregated.Segregated` defines this index. `aggregate` is the volume fraction of
+    aggregate in the whole concrete.
     """
     growth = growth_of(rest, thixotropy)
     known = fields()
@@ -56,7 +58,7 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    # The fit will replace the constants of the slip layer. Constants that are not stated get placeholders until then.
+    # The fit below replaces the constants of the slip layer, so missing constants get the value 1 until then.
     if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)

@@ -25,7 +25,7 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "explain": explain.ONE | {"fresh": bool},
     "calibrate": calibrate.ONE | {"quiet": bool},
 }
-"""For each command that takes plain words, its options: each option's name is mapped to the type of its value."""
+"""Options of each command that takes plain words: `SETTINGS[command][option]` is the type of the option's value."""
 VALUES: Mapping[str, Sequence[str]] = {
     "device": DEVICES, "precision": PRECISIONS, "scheduler": ("local", "slurm"), "method": METHODS,
 }  # fmt: skip
@@ -39,7 +39,7 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
     """
     last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
     if list(given[-2:-1]) == ["--method"]:
-        last = ""  # The option `--method` takes one value, which the user has typed already.
+        last = ""  # The value of `--method` is complete, so the next word does not belong to this option.
     with suppress(click.UsageError, WarpcreteError):
         given = by_method(list(given))
     scene = next((word for word in given[:1] if not word.startswith("-")), None)
@@ -63,7 +63,10 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
 
 
 def _fields(module: Any, given: Sequence[str]) -> Mapping[str, Field]:
-    """Return the parameters of a scene, with those of the contact laws in the words `given` if the words are valid."""
+    """Return the parameters of a scene, including those of contact laws that the words `given` name.
+
+    If these words are not a valid command yet, return only the scene's own parameters.
+    """
     try:
         return study.fields_of(module, study.parsed(list(given))[1])
     except (WarpcreteError, click.UsageError):

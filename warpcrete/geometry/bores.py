@@ -55,10 +55,9 @@ class Bores:
         return np.asarray(np.interp(s, self.places, self.radii))
 
     def _edges(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the arc lengths [m] where the radius changes its slope from `begin` to `end`, and the radii there [m].
+        """Divide the pipe between the arc lengths `begin` and `end` [m] into truncated cones.
 
-        The first and last arc lengths are `begin` and `end`. Between successive arc lengths the pipe is a truncated
-        cone.
+        Return the arc lengths [m] of their ends, from `begin` to `end`, and the inner radii at these places [m].
         """
         places = np.array(self.places)
         s = np.concatenate([[begin], places[(places > begin) & (places < end)], [end]])

@@ -276,7 +276,7 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction that a part's entries state, relative to straight pipe of its length; None if none does."""
+    """Return the friction stated in a part's entries, relative to straight pipe of the same length; None if missing."""
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     if "factor" in said:

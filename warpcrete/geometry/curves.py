@@ -52,9 +52,9 @@ def _passing(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndar
 def biarc(begin: np.ndarray, t0: np.ndarray, end: np.ndarray, t1: np.ndarray) -> list[Line | Arc]:
     """Return two arcs (a biarc) from a point with unit tangent `t0` to a point with unit tangent `t1`.
 
-    A length d defines two control points: q1 = begin + d t0 follows the first point, and q2 = end - d t1 precedes the
-    last point. The arcs meet in the middle between q1 and q2. The distance of q1 and q2 must be 2 d, which gives a
-    quadratic equation for d.
+    The two arcs have tangents of equal length d (Bolton 1975). The tangents at the two ends lead to the points
+    q1 = begin + d t0 and q2 = end - d t1. The arcs meet midway between q1 and q2. They meet without a kink if the
+    distance between q1 and q2 is 2 d, which gives a quadratic equation for d.
     """
     chord, both = end - begin, t0 + t1
     bent = 2 * (1 - float(t0 @ t1))

@@ -165,7 +165,10 @@ class InnerSurface:
         return closed
 
     def _closes(self, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return which facets close the pipe across its axis at an end or beyond, as booleans of shape (f,)."""
+        """Return which facets are lids, which lie across the axis at an end of the pipe or beyond, shape (f,), bool.
+
+        `middles` are the centres of the facets [m], and `normals` their unit normals, shape (f, 3) each.
+        """
         s = self.axis.along(middles)
         tangents = self.axis.at(s)[1]
         near = LID_DISTANCE * self._radius
@@ -174,7 +177,7 @@ class InnerSurface:
         return across & ((s < low + near) | (s > high - near))
 
     def _check_free(self, field: str, name: str) -> None:
-        """Refuse a mesh with a surface that crosses the axis inside the part; lids at its ends are allowed."""
+        """Refuse a mesh with a surface that crosses the pipe's axis, except for lids at the ends of the pipe."""
         inset = MAX_SHORTFALL * self._radius
         low, high = max(self.begin, self._low) + inset, min(self.end, self._high) - inset
         s = np.linspace(low, high, max(8, 2 + int(8 * (high - low) / self._radius)))
@@ -255,8 +258,8 @@ def pipe_in(
 ) -> InnerSurface:
     """Return the inner surface of a mesh, after checking that the mesh is a pipe of about `radius` [m].
 
-    The check covers the first `length` [m] of the pipe. Raises :class:`SceneError` if the mesh is no such pipe, or if
-    its wall differs from `radius` by more than a tenth.
+    The check covers the first `length` [m] of the pipe. Raises :class:`SceneError` if the mesh is not a pipe around
+    `axis`, or if the distance of its wall from the axis differs from `radius` by more than a tenth of `radius`.
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))

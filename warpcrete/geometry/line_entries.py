@@ -44,8 +44,8 @@ PARTS = {
         "outlet": ("m", "Inner diameter behind it"),
     },
 }
-"""Kinds of pipeline parts, each with its entries, their units and meaning. A part given as a single value states its
-first entry."""
+"""Kinds of pipeline parts, each with its entries, their units and meaning. If a pipeline file has a single value
+instead of the entries of a part, this value is the part's first entry."""
 STATED = {
     "factor": ("1", "Friction divided by that of straight pipe of its length, instead of the program's model"),
     "equivalent": ("m", "Length of straight level pipe with the friction of the part, instead of the program's model"),
@@ -71,8 +71,8 @@ BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
 """Default radius of a bend: the larger of a length [m] and a number of diameters. JSCE's rule for pumping lines counts
 bends with radii of 0.5 and 1 m."""
 HOSE_FACTOR = 2.0
-"""Friction of a hose that is given by its length, relative to straight pipe. The Architectural Institute of Japan (AIJ)
-counts a hose as twice its length."""
+"""Ratio of a hose's friction to that of straight pipe of the same length, for a hose of which only the length is known.
+The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
 VALVE_DIAMETERS = 4.0
 """Default length of a valve [diameters]."""
 FACTORS = (0.1, 100.0)

@@ -43,15 +43,15 @@ class Part:
     mesh: MeshBore | None = None
     """Bore that a mesh file describes; None for other parts."""
     factor: float | None = None
-    """Friction that the file states, relative to straight pipe of the part's length and bores; None if it states
-    none."""
+    """Friction of the part as stated in the pipeline file, relative to straight pipe of the same length and inner
+    diameters; None if the file does not state it."""
     factor_range: tuple[float, float] | None = None
     """Lowest and highest friction relative to straight pipe that fit the pressures measured on a line; None if `factor`
     does not come from such a fit."""
 
     @property
     def relative(self) -> float:
-        """Friction relative to straight pipe: as the file states, or else by the model of hoses."""
+        """Friction relative to straight pipe of equal length: `factor` if the file states it, else `relative_loss`."""
         return self.relative_loss if self.factor is None else self.factor
 
     @property

@@ -16,7 +16,8 @@ PUMP = {
     "flow": ("m3/s", "Largest volume flow"),
     "power": ("W", "Power of the motor"),
 }
-"""Entries of a pump, with their units and meaning. A pump given as a single value states its pressure."""
+"""Entries of a pump in a pipeline file, with their units and meaning. If the file has a single value instead of these
+entries, this value is the pressure."""
 WEAKEST = 1e5
 """Smallest pressure of a pump [Pa]; a smaller number is most likely in bar or MPa without its unit."""
 

@@ -57,7 +57,7 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
 
 
 def plot_title(plot: Plot) -> str:
-    """Return the title of a plot over time: the labels of its curves with their unit, and their colours if several."""
+    """Return the title of a plot over time, with the unit; for several curves, add the name and colour of each."""
     labels = [curve.label.partition(" [") for curve in plot.curves]
     units = list(dict.fromkeys(unit for _, _, unit in labels if unit))
     if len(plot.curves) == 1:
@@ -141,7 +141,7 @@ def cut_walls(display: Display) -> list[DrawnWall]:
         places = rotate(np.broadcast_to(orientation, (len(middles), 4)), middles) + position
         kept = wall.faces[places[:, 1] >= display.cut]
         if 0 < len(kept) < len(wall.faces):
-            # Nothing lies behind this half, so it may be less transparent than the whole wall.
+            # The remaining half lies behind the bodies and hides none, so it may be more opaque than the whole wall.
             colour = (*wall.colour[:3], max(wall.colour[3], CUT_OPACITY))
             found.append(DrawnWall(wall.name, wall.vertices, kept, False, colour))
     return found

@@ -41,7 +41,7 @@ class RunFolder:
     colour: str | None = None
     """Quantity that colours bodies; None selects a suitable one for the method."""
     network: bool = False
-    """True to record bonds, and force chains with a width by contact force."""
+    """True to record lines between bodies: bonds, and force chains whose width shows the contact force."""
     live: bool | str = False
     """True to show the run in a new Rerun viewer while it is computed; a URL selects a running viewer."""
     bind: str = LOOPBACK
@@ -68,7 +68,7 @@ class RunFolder:
         return (self.path / "scene.json").is_file()
 
     def _chosen(self) -> dict[str, bool]:
-        """Return for the name of each kind of recording whether it is written."""
+        """Return a dictionary from the name of each kind of recording to True if this kind is written."""
         if self.recordings is None:
             return {kind.name: kind.default for kind in RECORDERS}
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}

@@ -54,7 +54,8 @@ class ParaViewRecorder(Recorder):
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
-        for file in self._files.values():  # Delete the files of a run that stopped before its first checkpoint.
+        # Delete files that an earlier run left in this folder when it stopped before its first checkpoint.
+        for file in self._files.values():
             file.path.unlink(missing_ok=True)
 
     def _open(self) -> None:
@@ -67,7 +68,10 @@ class ParaViewRecorder(Recorder):
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
     def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
-        """Shorten the files to the frames that all files contain, at most those written before the checkpoint."""
+        """Shorten all files to the same number of frames: those written before the checkpoint.
+
+        If a file has fewer frames, because it is damaged or missing, shorten the other files to that number and warn.
+        """
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -206,8 +210,8 @@ class Poly:
         _extend(steps["NumberOfParts"], [1])
         _extend(steps["PointOffsets"], [len(root["Points"])])
         _extend(root["NumberOfPoints"], [len(points)])
-        # Each partition has one offset more than it has cells. Readers account for this, so CellOffsets counts only
-        # cells.
+        # In the VTKHDF format, the dataset Offsets holds one number more per partition than there are cells. Readers
+        # account for this, so CellOffsets counts cells, not offsets.
         before = [int(root[kind]["NumberOfCells"][:].sum()) for kind in KINDS]
         _extend(steps["CellOffsets"], [before])
         _extend(steps["ConnectivityIdOffsets"], [[len(root[kind]["Connectivity"]) for kind in KINDS]])

@@ -65,10 +65,11 @@ def recorders_of(
 ) -> list[Recorder]:
     """Return the recorders of a run folder.
 
-    Tables are always included, pictures with `pictures`, and the others if they have a true entry in `chosen`. `check`
-    is the scene's acceptance check, or None if the scene has none. `command` holds settings that are stored for a
-    resumed run. With `going_on`, the folder must be that of the same, interrupted run. With `again`, the scene.json of
-    an existing folder must describe exactly this run.
+    The list always contains the recorder of tables. It contains the recorder of pictures if `pictures` is true, and
+    each optional recorder whose name has a true value in `chosen`. `check` is the scene's acceptance check, or None if
+    the scene has none. `command` holds settings that are stored in scene.json for a resumed run. If `going_on` is true,
+    the folder must be that of the same run, which was interrupted. If `again` is true, the scene.json of an existing
+    folder must describe exactly this run.
     """
     look = look or DrawSettings()
     found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again)]

@@ -161,7 +161,8 @@ class RerunRecorder(Recorder):
         """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time = row["time"]
-        # The folder of a run that has ended is written from its rows, whose numbers of steps are unknown.
+        # If the folder of a finished run is written from the rows of its time series, the step number of a row is
+        # known only for the last row, whose time is that of the simulated state.
         steps = simulation.stepper.steps if time == simulation.stepper.time else None
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
@@ -383,7 +384,7 @@ class RerunRecorder(Recorder):
         # Tensors that hold the heights of bars in Rerun's format, by the number of bars. They are kept because
         # replacing the values of a tensor is faster than creating a new one.
         self._tensors: dict[int, Any] = {}
-        # positions of bars and of the vertices of surfaces that were recorded last, by their path in the recording
+        # Positions of bars and of surface vertices that were recorded last, by their path in the recording.
         self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)

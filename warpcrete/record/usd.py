@@ -5,7 +5,7 @@ of flows on a grid. The particles of other flows are points.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# Pyright does not see the attributes that pxr modules add when they are imported.
+# Modules of pxr (the USD library) add attributes when they are imported, so Pyright must not report them as missing.
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ from ..core.units import number
 RESTED = 1.0
 """Simulated time [s] that concrete must stay slow before it counts as being at rest."""
 FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "Pa": (1.0, " Pa", 1, 1), "1": (1.0, "", 2, 2)}
-"""For each SI unit: factor and unit in the report, decimals of a result, and decimals of its closed forms."""
+"""Format of a result in the report, by its SI unit: the factor to the displayed unit, the displayed unit, the number of
+decimals of the result, and the number of decimals of the closed forms that predict it."""
 Sizes = Mapping[str, float]
 """Dimensions of a vessel by name [m]."""
 Row = Mapping[str, float]
@@ -98,7 +99,7 @@ class ClosedForm:
     is_estimate: bool = True
     """True if calibrations may use this closed form for their first estimate.
 
-    If several closed forms of a quantity are marked in this way, the last one that holds is used.
+    If several closed forms of a quantity have the value True, the last one that is valid for the outcome is used.
     """
 
     @property
@@ -129,7 +130,10 @@ class Outflow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StandardTest:
-    """Standard test of fresh concrete. A scene with this record is measured and reported accordingly."""
+    """Standard test of fresh concrete: how a simulation measures, ends and reports the test.
+
+    A scene that simulates the test holds this record in its field `test`.
+    """
 
     name: str
     dimensions: tuple[str, ...]
@@ -220,11 +224,11 @@ def _by_name(name: str, module: str) -> StandardTest:
 def quantities_of_tests(
     of: Callable[[StandardTest], Iterable[Quantity]], outcome: Callable[[Any], Outcome | None]
 ) -> list[Quantity]:
-    """Return the results of all standard tests as quantities.
+    """Return the quantities of all standard tests; tests that share a quantity share one entry of the list.
 
-    `of` yields the quantities of one test. `outcome` takes a method's data about a run and returns what the run's test
-    needs, or None if the run is no test. The value of a quantity is None in a run whose test does not have this
-    quantity.
+    `of` is a function that yields the quantities of one test. `outcome` is a function that takes a simulation method's
+    data about a run and returns the :class:`Outcome` of the run's test, or None if the run simulates no standard test.
+    A quantity is undefined (None) for a run whose test does not have this quantity.
     """
     found: dict[str, dict[StandardTest, Quantity]] = {}
     for test in TESTS.values():
@@ -254,7 +258,7 @@ def report_unrest(run: Run, test: StandardTest | None) -> Iterator[tuple[str, st
 
 
 def _beside(quantity: Quantity, forms: Sequence[ClosedForm]) -> Callable[[Run], str]:
-    """Return a function that formats a result, followed by the values of closed forms in parentheses."""
+    """Return a function that takes a run and formats a result, followed by closed-form values in parentheses."""
     factor, unit, digits, fewer = FORMATS[quantity.unit]
 
     def words(run: Run) -> str:

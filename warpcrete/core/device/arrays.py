@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 HostArray: TypeAlias = NDArray[Any]
-"""NumPy array whose element type follows from a device array or a file; `Any` stands for that element type only."""
+"""NumPy array whose element type is known only at run time, because it depends on a device array or a file."""
 Scalar: TypeAlias = type[wp.float32] | type[wp.float64]
 """Floating-point type of kernels, `wp.float32` or `wp.float64`."""
 Shape: TypeAlias = int | tuple[int, ...]
@@ -129,7 +129,7 @@ class StructMember(Protocol):
 
     @property
     def type(self) -> Any:
-        """Annotation of the member."""
+        """Type annotation of a struct's member, such as ``wp.array(dtype=...)``."""
         ...
 
 
@@ -153,7 +153,7 @@ class KernelArgument(Protocol):
 
     @property
     def label(self) -> str:
-        """Name of the parameter."""
+        """Name of a kernel's parameter."""
         ...
 
 
@@ -202,7 +202,7 @@ class KernelModule(Protocol):
 
     @property
     def kernels(self) -> Mapping[str, Kernel]:
-        """Kernels by name."""
+        """Kernels of this unit of compilation, by name."""
         ...
 
 

@@ -67,7 +67,7 @@ def bound(kernel: Kernel, named: Mapping[str, object]) -> list[object]:
 
 
 def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return a kernel's arguments by parameter name: `named`, and for other parameters the values in `common`."""
+    """Return a kernel's arguments by parameter name: those in `named`, completed by values from `common`."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 

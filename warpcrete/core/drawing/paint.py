@@ -42,7 +42,7 @@ def packed(colours: np.ndarray) -> np.ndarray:
 
 
 def colour_map(name: str) -> Any:
-    """Return a colour map by its name: `concrete`, or the name of one of Matplotlib's."""
+    """Return the colour map with a name: this package's own map `concrete`, or a colour map of Matplotlib."""
     from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
 

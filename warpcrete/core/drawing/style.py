@@ -19,13 +19,14 @@ THEORY: RGB = (130, 130, 130)
 MEASURED: RGB = (20, 20, 20)
 """Colour of measured or published values."""
 BEND: RGB = (247, 214, 165)
-"""Colour behind the curves at a bend."""
+"""Background colour of the section of a bend, in plots over the distance along a pipeline."""
 NOT_STRAIGHT: RGB = (216, 228, 196)
-"""Colour behind the curves at any other part that is not straight pipe, such as a reducer."""
+"""Background colour of the section of a part that is neither a straight pipe nor a bend, such as a reducer, in plots
+over the distance along a pipeline."""
 SERIES: tuple[RGB, ...] = (
     RUN, SECOND, THIRD, (150, 80, 150), (200, 160, 30), (80, 170, 190), (150, 90, 60), (190, 110, 140),
 )  # fmt: skip
-"""Colours of several series of one quantity, in order."""
+"""Colours of the curves of a plot in which several curves show the same quantity, in the order of the curves."""
 NAMES: dict[RGB, str] = {RUN: "orange", SECOND: "blue", THIRD: "green", THEORY: "grey", MEASURED: "black"}
 """Names of the colours, for titles of plots that have no room for a legend."""
 
@@ -42,14 +43,14 @@ def pumping_caption(name: str, radius: float, concrete: str, flow: float) -> str
 
 
 def explained(title: str, curves: Sequence[tuple[str, RGB]]) -> str:
-    """Return the title of a plot with the colour of each of its curves in words, unless there is only one curve."""
+    """Return a plot's title followed by the name and the colour in words of each curve, if there are several curves."""
     if len(curves) < 2:
         return title
     return f"{title}: {', '.join(f'{name} {NAMES[colour]}' for name, colour in curves)}"
 
 
 def legend_beside(axes: Any, fontsize: float = 8, **settings: Any) -> None:
-    """Put the legend to the right of a plot, with the curves in the order in which they end there."""
+    """Put the legend to the right of a plot; its entries are sorted by the value at the right end of each curve."""
     handles, labels = axes.get_legend_handles_labels()
     order = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))
     axes.legend(

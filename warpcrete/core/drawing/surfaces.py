@@ -15,9 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 PLANE_WEIGHT = 1e-6
-"""Weight of points on a cutting plane or on a side of the grid, relative to points on the free surface.
+"""Weight of a point on a cutting plane or on a side of the grid, relative to a point on the free surface.
 
-The weights apply to the mean over the points of a cell, which is a vertex of the surface."""
+A vertex of the surface is the weighted mean of all such points on the edges of one grid cell."""
 FACETS = 64
 """Number of facets around the axis of a surface of revolution."""
 
@@ -29,12 +29,12 @@ class Level:
     places: tuple[np.ndarray, ...]
     """Coordinates of the nodes along each of the d axes [m]."""
     values: np.ndarray
-    """Level at each node, in widths of a cell, shape (n_1, ..., n_d)."""
+    """Value of the level-set function at each node, in units of the cell width, shape (n_1, ..., n_d)."""
     fields: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     """Physical quantities at each node, by name, each with the shape of `values`."""
 
     def mirrored(self, axis: int) -> Level:
-        """Return the level on both sides of the plane of symmetry that lies at coordinate 0 of an axis."""
+        """Return the grid completed by its mirror image; the plane of symmetry is at coordinate 0 of `axis`."""
         places = list(self.places)
         places[axis] = np.concatenate([-places[axis][::-1], places[axis]])
 
@@ -45,7 +45,7 @@ class Level:
         return Level(tuple(places), both(self.values), fields)
 
     def cropped(self) -> Level:
-        """Return the level in the smallest block of nodes that contains all concrete and one layer of nodes more."""
+        """Return the part of the grid with all nodes in concrete and one further layer of nodes around them."""
         ranges: list[slice] = []
         for axis in range(self.values.ndim):
             others = tuple(k for k in range(self.values.ndim) if k != axis)
@@ -125,7 +125,7 @@ def revolved(level: Level, half: bool = False) -> Surface:
 
 
 def _section(net: _Net) -> Surface:
-    """Return the area inside a plane net as a flat surface in the plane y = 0, whose normals point towards y < 0."""
+    """Return a filled two-dimensional section as a flat surface in the plane y = 0, with normals towards y < 0."""
     faces = triangles(net.quads)
     vertices = np.insert(net.points, 1, 0.0, axis=1)
     return Surface(vertices, faces, np.tile([0.0, -1.0, 0.0], (len(vertices), 1)), net.fields)
@@ -159,7 +159,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.nd
 
 
 class _Net:
-    """Surface net of a level in two or three dimensions: vertices, and the sides of the net, which connect them."""
+    """Surface net of a level-set function in two or three dimensions: vertices, and sides that connect them."""
 
     points: np.ndarray
     """Positions of the vertices [m], shape (v, d)."""
@@ -180,7 +180,8 @@ class _Net:
         values = _padded(level.values)
         frame = np.ones(values.shape, bool)
         frame[(slice(1, -1),) * self._axes] = False
-        # A node outside the grid gets the negative level of its neighbour, so that the surface is midway between them.
+        # Concrete ends at the sides of the grid. A node added outside the grid gets minus the level of its neighbour in
+        # the grid, so that the level is zero, and the surface lies, midway between the two nodes.
         values[frame] = -np.abs(values[frame])
         self._values, self._inside = values, values > 0
         self._depths = None
@@ -269,7 +270,11 @@ class _Net:
         return np.asarray(np.ravel_multi_index(tuple(index.T), self._cells))
 
     def _fill(self, number: np.ndarray) -> None:
-        """Add a vertex in every cell inside the concrete, and a quadrilateral around every node inside it."""
+        """Fill a two-dimensional section of the concrete with quadrilaterals.
+
+        Add a vertex at the centre of every grid cell that lies entirely in concrete. Then add a quadrilateral around
+        every node in concrete; its corners are the vertices of the four cells that meet at the node.
+        """
         at = np.argwhere(self._inside)
         corners = np.array([(-1, -1), (0, -1), (0, 0), (-1, 0)])
         cells = np.stack([self._cell(at + shift) for shift in corners], 1)

@@ -79,27 +79,27 @@ LONGEST = 100
 
 
 def _names(factors: tuple[float, ...]) -> str:
-    """Return a pattern of the names of all units of length with one of the `factors`, longest names first."""
+    """Return a regular expression for the names of those units of length whose factor to metres is in `factors`."""
     return _alternatives(name for name, factor in UNITS["m"].items() if factor in factors)
 
 
 def _alternatives(names: Iterable[str]) -> str:
-    """Return a pattern that matches any one of the `names`, longest names first."""
+    """Return a regular expression that matches any one of the `names`; it tries longer names first."""
     return "|".join(_escaped(name) for name in sorted(names, key=len, reverse=True))
 
 
 def _escaped(name: str) -> str:
-    """Return a pattern that matches `name`, valid both in Python and in JSON schemas (ECMA 262)."""
+    """Return a regular expression that matches `name`, valid both in Python and in JSON schemas (ECMA 262)."""
     return "".join(f"\\{each}" if each in ".^$*+?()[]{}|" else each for each in name)
 
 
 @functools.cache
 def patterns(unit: str) -> tuple[str, ...]:
-    """Return the patterns of texts that :func:`amount` accepts in `unit`, a key of :data:`UNITS`.
+    """Return regular expressions for the texts that :func:`amount` accepts in `unit`, a key of :data:`UNITS`.
 
-    Strip spaces from both ends of a text before matching. The groups of the first pattern are the number and its unit.
-    For lengths there are two more patterns. The groups of the second one are a fraction and its customary unit; those
-    of the third one are feet and inches.
+    The caller must strip spaces from both ends of a text before matching. The groups of the first expression are the
+    number and its unit. For lengths there are two more expressions: the groups of the second one are a number with a
+    fraction and its unit (inch or foot), and those of the third one are feet and inches.
     """
     simple = rf"([-+]?(?:{COMMA}|{DECIMAL}))\s*({_alternatives(UNITS[unit])})?"
     if unit != "m":

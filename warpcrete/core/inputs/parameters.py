@@ -87,7 +87,10 @@ class Needs:
     others: tuple[str, ...] = ()
 
     def holds(self, value: Callable[[str], Any]) -> bool:
-        """Return whether `test` holds for the parameter `field` or one of `others`; `value(name)` returns a value."""
+        """Return whether at least one of the parameters `field` and `others` passes the test.
+
+        `value` is a function that takes the name of a parameter and returns its value.
+        """
         return any(self.test(value(name)) for name in (self.field, *self.others))
 
 
@@ -190,7 +193,7 @@ class Field:
         )
 
     def of_kind(self, kind: type[T]) -> Iterator[T]:
-        """Return those rules of the field that are instances of `kind`."""
+        """Return the rules of this parameter that are instances of the class `kind`."""
         return (rule for rule in self.rules if isinstance(rule, kind))
 
     def converted(self, value: object, name: str) -> Any:
@@ -246,10 +249,10 @@ class Field:
 
 @functools.cache
 def declared_fields(owner: type) -> dict[str, Field]:
-    """Return the annotated fields of a dataclass by name, first those of its bases, each in order of definition.
+    """Return the annotated fields of a dataclass by name, in order of definition; fields of base classes come first.
 
-    A dataclass may have an attribute `common` with the names of those of its own fields that the short help of the
-    command shows; without it, the help shows all of them.
+    An attribute `common` of a dataclass names the fields of this class that `--help` shows. Without this attribute,
+    `--help` shows all its fields.
     """
     hints = get_type_hints(owner, include_extras=True)
     own = [base for base in owner.__mro__ if dataclasses.is_dataclass(base)]
@@ -291,11 +294,11 @@ class Declared:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
-        """Return parameters that follow from the given ones, such as those of a concrete that is given by name."""
+        """Return further parameters that follow from `values`; for example, a concrete's name implies its density."""
         return {}
 
     def check_needed(self) -> None:
-        """Raise :class:`SceneError` if a parameter has no effect but differs from its default."""
+        """Raise :class:`SceneError` if a parameter differs from its default although it has no effect."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):

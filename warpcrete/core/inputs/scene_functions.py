@@ -73,7 +73,7 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def module(self) -> types.ModuleType:
-        """Python module that contains this scene function, the scene's checks and the scene's knobs."""
+        """Python module with this scene function, the scene's checks and its settings that trade accuracy for time."""
         return sys.modules[self._module_name]
 
     @property
@@ -153,10 +153,9 @@ class SceneFunction(Generic[P, S]):
         return values, tuple(unwritable)
 
     def fields(self, given: Mapping[str, object]) -> dict[str, Field]:
-        """Return all parameters that can be given, by name.
+        """Return all parameters that this scene function accepts, by name.
 
-        These are the declared fields of the scene, and the fields of the objects in `given`, such as those of a contact
-        law.
+        They are the declared fields of the scene, and the fields of objects in `given`, for example of a contact law.
         """
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):

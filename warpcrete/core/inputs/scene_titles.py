@@ -9,8 +9,8 @@ from pathlib import Path
 def scene_titles(folder: Path) -> dict[str, str]:
     """Return the title of each scene in a folder of scene files, by the scene's name.
 
-    The title is the first line of the file's docstring. A file that also holds the same test by discrete elements, as
-    the function `scene_dem`, has two scenes.
+    The title is the first line of the file's docstring. A file NAME.py with a function `scene_dem` also defines the
+    scene NAME-dem, which simulates the same test by discrete elements.
     """
     found: dict[str, str] = {}
     for path in folder.glob("[!_]*.py"):

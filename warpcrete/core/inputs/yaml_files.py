@@ -1,4 +1,4 @@
-# ruamel.yaml declares hardly any types.
+# The package ruamel.yaml declares hardly any types, so Pyright must not report unknown types in this file.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Reader and writer of YAML 1.2 files: the core schema without tags, with the line number of every entry."""
 

@@ -144,7 +144,10 @@ def _digest(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> object:
-    """Return `value` as JSON data; move arrays to `arrays` and leave a reference by name in their place."""
+    """Return `value` as JSON data, in which each array is replaced by a name, and store the arrays in `arrays`.
+
+    The name of an array is `name`, followed by the keys that lead to the array.
+    """
     if is_host_array(value):
         arrays[name] = value
         return {"array": name}

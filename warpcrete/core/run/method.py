@@ -49,8 +49,8 @@ class Quantity:
 def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float | Quantified]:
     """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as numbers.
 
-    `known` contains what the simulation method knows about a run. Each quantity computes its value from it with its
-    function `of`.
+    `known` is the simulation method's data about a run, from which the function `of` of each quantity computes the
+    quantity's value.
     """
     found: dict[str, float | Quantified] = {}
     for each in quantities:

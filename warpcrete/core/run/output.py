@@ -16,7 +16,7 @@ CHECKPOINT = "checkpoint.npz"
 
 
 class RunOutput(Protocol):
-    """Folder that a run writes, with the recorders that write it."""
+    """Folder for the output of a run, with the recorders that write files into the folder."""
 
     @property
     def path(self) -> Path:
@@ -24,7 +24,7 @@ class RunOutput(Protocol):
         ...
 
     def recorders(self, simulation: Any) -> Sequence[Any]:
-        """Return the recorders that write the folder of a `simulation`."""
+        """Return the recorders that write the output of `simulation` into this folder."""
         ...
 
 
@@ -32,7 +32,7 @@ _folder_at: Callable[[Path], RunOutput] | None = None
 
 
 def register_folders(folder_at: Callable[[Path], RunOutput]) -> None:
-    """Set the function that makes the :class:`RunOutput` for a path, with default settings."""
+    """Register the function that makes a :class:`RunOutput` with default settings from the path of a folder."""
     global _folder_at
     _folder_at = folder_at
 

@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 REDRAW_INTERVAL = 0.2
 """Shortest time between two updates of a bar [s]."""
 LINES_PER_PHASE = 10
-"""Number of lines that report a phase without a terminal, unless the phase takes a very short or very long time."""
+"""Number of lines that report one phase of the work in a log file. A very short phase has fewer lines, and a very long
+phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two lines."""
 SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
-"""Shortest and longest time between two lines without a terminal [s]."""
+"""Shortest and longest time between two lines that report progress in a log file [s]."""
 
 
 @contextmanager
@@ -91,7 +92,7 @@ class ProgressBar:
 
 
 def _texts(figures: Mapping[str, float]) -> dict[str, str]:
-    """Return the figures that a progress display shows, pressure and step rate, by name as text with units."""
+    """Return texts for a progress display, by name: the pressure and the steps per second, if `figures` has them."""
     found: dict[str, str] = {}
     if "pressure" in figures:
         found["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"

@@ -24,7 +24,7 @@ class Recording:
         self.failures: list[Exception] = []
         """Errors at the end of the run, from essential recorders or a full disk, because of which the run does not
         count as finished."""
-        self._states: dict[str, object] = {}  # data from each recorder's last checkpoint, by its class name
+        self._states: dict[str, object] = {}  # Data that each recorder stored in the last checkpoint, by class name.
 
     def begin(self, states: Mapping[str, object]) -> None:
         """Start every recorder, or resume it if `states` has its state from a checkpoint."""

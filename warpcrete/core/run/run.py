@@ -54,7 +54,7 @@ class Run:
 
     scene: Any
     series: dict[str, np.ndarray]
-    """Columns of the series by name, as arrays with one entry per sample."""
+    """Columns of the run's time series by name, as arrays with one entry per sample."""
     units: dict[str, str]
     """Unit of each column of the time series, by the column's name."""
     result: dict[str, Any]
@@ -127,10 +127,11 @@ class Run:
         return dataset(columns, units, index, attributes)
 
     def plot(self, *columns: str, against: str = "time") -> Figure:
-        """Return a Matplotlib figure of columns of the series over another column; columns of one unit share an axis.
+        """Return a Matplotlib figure that plots columns of the time series over the column `against`.
 
-        By default, the figure shows the pressure, the spread, the position of the front or the remaining concrete,
-        whichever the run has first. Raises :class:`SceneError` for a column that the run does not have.
+        Columns with the same unit share one pair of axes. Without `columns`, the figure shows the first column in
+        `DEFAULT_PLOT_COLUMNS` that the run has, such as the pressure. Raises :class:`SceneError` for a column that the
+        run does not have.
         """
         from matplotlib.figure import Figure
 
@@ -192,9 +193,9 @@ class Run:
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
         """Open the recording in the run's folder in Rerun's viewer, without waiting for the viewer to close.
 
-        With `web`, and on a machine without a screen, a server shows the recording in a browser while this program
-        runs, and its address is printed. The server listens on the IP address `bind`, which by default only this
-        machine can reach. Raises :class:`RunFolderError` if there is no recording.
+        If `web` is true or this machine has no screen, a server shows the recording in a browser for as long as this
+        program runs; the address for the browser is printed. The server listens on the IP address `bind`, which by
+        default only this machine can reach. Raises :class:`RunFolderError` if there is no recording.
         """
         if self.folder is None:
             raise RunFolderError(
@@ -221,7 +222,8 @@ class Run:
 def _copy_folder(source: Path, target: Path) -> None:
     """Copy the files of a run folder into a new folder, while both folders are locked.
 
-    A folder that cannot be written, such as an archive, needs no lock. If a file cannot be copied, nothing remains.
+    A source folder without write permission, such as an archive, is not locked. If a file cannot be copied, the files
+    that were copied already are removed.
     """
     if not source.is_dir():
         raise RunFolderError(f"'{source}': is the folder of the run and no longer exists; restore it")
@@ -248,8 +250,8 @@ def _copy_folder(source: Path, target: Path) -> None:
 def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """Return Rerun's viewer for the recording in the folder `run`, or for the recording file `run`.
 
-    With `web`, and on a machine without a screen, the viewer is a server for browsers, which listens on the IP address
-    `bind`; otherwise it is a window. Raises :class:`RunFolderError` if there is no recording.
+    If `web` is true or this machine has no screen, the viewer is a server for browsers, which listens on the IP address
+    `bind`. Otherwise the viewer is a window. Raises :class:`RunFolderError` if there is no recording.
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():

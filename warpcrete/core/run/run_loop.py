@@ -114,8 +114,8 @@ class Simulation:
     def __new__(cls: type[S], scene: object, **settings: object) -> S:
         kind: Any = cls
         if cls is Simulation:
-            # Search the newest simulations first: the scene type of a newer one may be a subclass of that of an older
-            # one.
+            # Search the simulation classes that were defined last first. Their scene types may be subclasses of the
+            # scene types of earlier classes, which would also match the scene.
             kind = next((kind for kind in reversed(Simulation.kinds) if isinstance(scene, kind.scene_type)), cls)
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):
@@ -169,15 +169,15 @@ class Simulation:
         """True if the last step has been taken, so that only recordings may still be incomplete."""
         self._saved_at = (
             wall_clock.perf_counter()
-        )  # wall-clock time at which the last checkpoint was written or read [s]
+        )  # Wall-clock time at which the last checkpoint was written or read [s].
         self.resumes = False
         """True if the run goes on from a checkpoint, in an existing folder."""
-        self._checkpoint_time: float | None = None  # simulated time of the state in the checkpoint [s]
-        # wall time that a resumed run had taken before the checkpoint was written [s]
+        self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
+        # Wall time that a resumed run had taken before its checkpoint was written [s].
         self._time_before_resume = 0.0
-        self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
+        self._samples_taken = 0  # Number of rows in the time series, not counting the row at t = 0.
         self._resumed: RunRecord | None = None
-        # Run that has ended already and whose folder is now written; None if the scene is simulated.
+        # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
         self._ended_run: Run | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -268,10 +268,10 @@ class Simulation:
         return False
 
     def reaching(self, time: float) -> Coroutine:
-        """Step the run until the time `time` [s].
+        """Take the run to the simulated time `time` [s], as a generator of requests to its caller.
 
-        The method is a generator. It yields each time until which the caller must step next. Subclasses override the
-        method to act at times before `time`, for example to let the concrete rest.
+        Each :class:`Until` request states the time up to which the caller must step the run next. Subclasses override
+        the method to act at times before `time`, for example to let the concrete rest.
         """
         yield Until(time)
 
