@@ -1,4 +1,4 @@
-"""Values that a shell completes: names of scenes, concretes, lines and other shipped things, and units of amounts."""
+"""Completion of option values in a shell: names of concretes, pump lines, devices and so on, and units of amounts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..core.inputs.concretes import concrete, shipped
 
 NUMBER = re.compile(r"([-+]?[0-9][0-9.,]*(?:[eE][-+]?[0-9]+)?) ?(.*)")
 DEVICES = ("cpu", "cuda")
-"""Names of devices that a shell completes."""
+"""Names of devices that completion suggests in a shell."""
 
 
 def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[CompletionItem]:

@@ -10,7 +10,7 @@ import click
 
 HELP_OPTIONS = {"--help", "--help-all"}
 FULL_HELP = "warpcrete.full_help"
-"""Key in the data of a Click context that is set to True if its help page must show all options."""
+"""Key in the metadata of a Click context, with the value True if the help page must show all options."""
 
 
 class ParameterOption(click.Option):

@@ -159,7 +159,7 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
 
 
 def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]) -> None:
-    """Print the rules against blocking and, if the option asks for it, the simulated probability of a blockage."""
+    """Print the verdicts of rules against blocking and, with `--blocking`, the simulated probability of a blockage."""
     print_rules(line, given.mix, folder)
     if settings["blocking"] is not None and folder is not None:
         assert given.flow is not None

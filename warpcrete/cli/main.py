@@ -325,7 +325,10 @@ def schema_command(kind: str | None, path: bool) -> None:
 
 
 def _add_command(name: str, text: str, words_of: Callable[[list[str]], list[str]]) -> None:
-    """Add a command with the help `text`. It parses its arguments itself, because its options depend on the scene."""
+    """Add the subcommand `name` with the help page `text`.
+
+    The module of the subcommand parses the arguments, because the options depend on the scene.
+    """
 
     @cli.command(name, cls=WordCommand, help=text)
     def command(arguments: tuple[str, ...]) -> None:

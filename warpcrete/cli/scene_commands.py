@@ -1,4 +1,4 @@
-"""Commands of scenes: `run SCENE` and `run RUN/scene.json`, whose options are made when they are used."""
+"""Subcommands `run SCENE` and `run RUN/scene.json`; their options are built only when such a subcommand is used."""
 
 from __future__ import annotations
 

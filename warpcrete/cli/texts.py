@@ -1,4 +1,4 @@
-"""Help text of the command `warpcrete mix`, which is too long for the module of the commands."""
+"""Help texts of the commands `mix`, `study`, `trade`, `calibrate`, `line` and `explain`."""
 
 MIX_HELP = """Derive the properties of a concrete from its mix: `warpcrete mix MIX.yaml`.
 

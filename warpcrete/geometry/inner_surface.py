@@ -126,7 +126,7 @@ class InnerSurface:
     def _enclosed_lengths(self, vertices: np.ndarray, field: str, name: str) -> tuple[float, float]:
         """Return the arc lengths [m] between which the mesh encloses the axis.
 
-        A mesh with open cross-sections between them is refused.
+        A mesh that has an open cross-section between these two lengths is refused.
         """
         low, high, short = self._low, self._high, MAX_SHORTFALL * self._radius
         s = np.linspace(low + short, high - short, max(8, 2 + int(2 * (high - low) / self._radius)))

@@ -163,7 +163,7 @@ class Bore:
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
     """Return the arc lengths at which a pipe is measured [m].
 
-    The first and the last keep a small distance from the ends of the pipe, because the ends may be capped.
+    The first and the last arc length keep a small distance from the pipe's ends, because the ends may be capped.
     """
     inset = min(0.02 * radius, 0.25 * (end - begin))
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))

@@ -78,9 +78,9 @@ def rectangle(corner: Sequence[float], one: Sequence[float], other: Sequence[flo
 
 
 def _between(first: np.ndarray, last: np.ndarray, middles: np.ndarray) -> Solid:
-    """Return the solid between two rings of corners; the corners of both rings follow the same direction.
+    """Return the solid between two rings of n corners each, both listed in the same direction of rotation.
 
-    Each end is closed by triangles between the ring and its centre in `middles`.
+    Each end of the solid is closed by n triangles that meet at a point; `middles` holds this point for both ends.
     """
     n = len(first)
     vertices = np.concatenate([first, last, middles])

@@ -1,4 +1,4 @@
-"""Areas of plane sections bounded by polygons, less the areas of other polygons."""
+"""Areas of plane sections that are bounded by polygons and have polygonal holes."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from .recorders import RECORDERS, DrawSettings, recorders_of
 __all__ = ["SETTINGS", "RunFolder", "Simulation"]
 
 PIPELINE = ("pipeline_vertical", "pipeline_horizontal", "pipeline_other")
-"""Names of the settings for the pressure of a whole pipeline, which only the command has."""
+"""Names of the command's options that request an estimate of the pressure of a whole pipeline."""
 SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *PIPELINE, "checkpoint_every", "threads")
 """Settings stored in scene.json, with which a resumed run continues."""
 
@@ -47,7 +47,7 @@ class RunFolder:
     bind: str = LOOPBACK
     """IP address on which a newly opened viewer listens."""
     pipeline: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(PIPELINE))
-    """Settings for the pressure of a whole pipeline, which scene.json stores for a resumed run."""
+    """Values of the command's options for the pressure of a whole pipeline, stored in scene.json for a resumed run."""
     resumed: bool = False
     """True if the settings come from the scene.json of the folder itself."""
 

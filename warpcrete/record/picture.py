@@ -11,7 +11,10 @@ from ..methods import method_of
 
 
 class PictureRecorder(Recorder):
-    """Recorder that writes the pictures of the run's method into `folder` when the run ends."""
+    """Recorder that draws the pictures of a finished run and writes them into `folder`.
+
+    The simulation method of the run defines which pictures are drawn.
+    """
 
     expendable = True
 

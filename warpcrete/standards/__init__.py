@@ -1,7 +1,7 @@
 """Standard tests of fresh concrete that both simulation methods share, one file for each vessel.
 
-A scene builds the vessel for its method. A test whose scenes are all in one file is defined there, as in
-`scenes/lcpc.py`.
+The scenes build the vessel and simulate the test. If one file contains all scenes of a test, the test is defined in
+that file instead of here; `scenes/lcpc.py` is an example.
 """
 
 from .funnel import FUNNEL

@@ -31,11 +31,13 @@ class Specimen:
     """Concrete in a vessel at one moment, as a simulation method measures it; all lengths are in metres."""
 
     top: Callable[[float], float]
-    """Function that takes a radius [m] and returns the mean height of the surface within it, about the axis."""
+    """Function that takes a radius about the vessel's vertical axis [m], and returns the mean height of the concrete's
+    surface within this radius [m]."""
     spread: Callable[[], float]
     """Function that returns the diameter of a heap [m]."""
     height_around: Callable[[float, float], float]
-    """Function that takes two radii [m] and returns the mean height of the surface between them, about the axis."""
+    """Function that takes two radii about the vessel's vertical axis [m], and returns the mean height of the concrete's
+    surface between these radii [m]."""
     depth: Callable[[float, float, float], float]
     """Function that returns the depth of the concrete [m] in a section of a box, such as the L-box.
 

@@ -1,7 +1,7 @@
 """Types of Warp's arrays, structs and scalars, and Warp's array functions with these types.
 
-Warp leaves the element type and the host copy of its arrays open, so every use of them would have an unknown type. The
-names of this module are Warp's own objects when the program runs. Only type checkers and editors see the declarations.
+Warp does not declare the types of array elements and of host copies, so a type checker could not check their use. When
+the program runs, the names of this module are Warp's own objects. Only type checkers and editors see the declarations.
 """
 
 from __future__ import annotations

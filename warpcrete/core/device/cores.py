@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 WINDOW = 0.01
-"""Stepping time between two checks for core contention [s]."""
+"""Wall time spent on time steps between two checks for core contention [s]."""
 CONTENTION_FRACTION = 0.4
 """Largest acceptable ratio of the total time that all threads waited for a core to the stepping time; a larger ratio
 counts as contention."""

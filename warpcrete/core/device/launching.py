@@ -310,10 +310,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Launch the kernels that run only once in several steps, if no replayed graph is long enough for them.
+        """Launch the stages with `every` > 1 between two graphs, if they are due and the graphs do not contain them.
 
-        These kernels are the stages with `every` > 1. They are launched when at least `every` steps have passed since
-        their last launch. `sizes` are the numbers of steps in the graphs that have just been replayed.
+        A stage with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain it. `sizes` are
+        the numbers of steps in the graphs that have just been replayed.
         """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:

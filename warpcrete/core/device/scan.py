@@ -1,4 +1,4 @@
-"""Exclusive prefix sums on a device, which turn the lengths of a table's rows into the start of each row.
+"""Exclusive prefix sums on a device. They turn the lengths of rows that are stored end to end into their start indices.
 
 The sums use kernels of this package, so that any graph can contain them.
 """

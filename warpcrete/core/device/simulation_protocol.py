@@ -1,4 +1,4 @@
-"""Types of a simulation for the modules that the run loop imports.
+"""Protocols that describe a simulation, as types for the modules that the run loop imports.
 
 These modules cannot import the simulation's class from the run loop, because the import would be circular.
 """

@@ -24,9 +24,10 @@ ENDS = {"viridis": ("dark violet", "yellow"), "concrete": ("grey", "dark red")}
 
 
 def palette_colours(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
-    """Return RGB bytes (n, 3) of values from `lower` to `upper` on a Matplotlib colour map.
+    """Return the colours of `values`, shape (n,), on the colour map `name` as RGB bytes, shape (n, 3).
 
-    The default colour map, viridis, is perceptually uniform.
+    The colour map covers the range from `lower` to `upper`; values outside get the colour of the nearer end. The
+    default map, viridis, is perceptually uniform.
     """
     scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
     return _palette(name)[((COLOURS - 1) * scaled).astype(int)]

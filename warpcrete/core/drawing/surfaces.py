@@ -103,9 +103,9 @@ def surface_of(level: Level, cut: Cut | None = None) -> Surface:
 
 
 def revolved(level: Level, half: bool = False) -> Surface:
-    """Return the closed surface of revolution of a section, whose level has the axes radius and height.
+    """Return the closed surface of revolution that belongs to a level-set function of radius and height.
 
-    With `half`, return only the half with y > 0, closed by the section in the plane y = 0.
+    If `half` is true, return only the half with y > 0, closed by a flat surface in the plane y = 0.
     """
     net = _Net(level.mirrored(0).cropped(), filled=True)
     sides = net.sides[np.all(net.points[net.sides, 0] > -1e-12, axis=1)]
@@ -257,7 +257,7 @@ class _Net:
         return cells, points, inner, free, by_cut
 
     def _around(self, axis: int) -> np.ndarray:
-        """Return the index shifts from a node to the cells around the edge that begins at the node along an axis."""
+        """Return the index offsets from a node to the cells around the grid edge that begins there along `axis`."""
         found = np.zeros((2 ** (self._axes - 1), self._axes), int)
         if self._axes == 2:
             found[0, 1 - axis] = -1

@@ -210,7 +210,11 @@ def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str
 
 
 def _object(name: str, kind: type, given: Any, values: Mapping[str, object]) -> object:
-    """Return an object of class `kind`: a new one, or a copy of `given` whose fields in `values` are replaced."""
+    """Return a new object of class `kind` with the field values in `values`.
+
+    Other fields get their values from the object `given`, or their defaults if `given` is None. `values` contains
+    parameters of the scene, whose names begin with `name`, the name of the object's own parameter.
+    """
     changes: dict[str, Any] = {}
     factories = {f.name for f in fields(kind) if f.default_factory is not MISSING}
     for own, field in declared_fields(kind).items():

@@ -17,7 +17,7 @@ class Digest(Protocol):
     """Hash of data that is passed in pieces, such as a hash object of `hashlib`; `update` adds a piece."""
 
     def update(self, data: bytes, /) -> None:
-        """Add bytes to the data of which the digest is taken."""
+        """Add bytes to the data that is hashed."""
         ...
 
 

@@ -35,8 +35,8 @@ class Knob:
 
     name: str
     levels: tuple[Level, ...]
-    """Settings of the accuracy parameter (knob), from the coarsest to the finest; one of the settings is that of the
-    scene as given."""
+    """Settings of the accuracy parameter (knob), from the coarsest to the finest, including the setting that the
+    user's scene has."""
     physical: bool = False
     """True if this accuracy parameter (knob) changes the concrete itself, so that a coarser setting simulates another
     concrete."""

@@ -128,7 +128,7 @@ program always fills in these entries when it writes the file."""
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return the record in a JSON file.
+    """Return the record of a run, study or calibration from its JSON file.
 
     Raises :class:`RunFolderError` if the file cannot be read or an entry has the wrong type.
     """

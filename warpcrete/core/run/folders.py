@@ -17,7 +17,7 @@ fcntl: Any
 msvcrt: Any
 try:
     import fcntl
-except ImportError:  # Windows locks bytes of files instead of whole files.
+except ImportError:  # Windows has no `fcntl`; it locks bytes of files instead of whole files.
     fcntl = None
     import msvcrt
 
@@ -54,7 +54,7 @@ class FolderLock:
             try:
                 file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
             except OSError as error:
-                # Windows refuses access for a moment while another process removes its lock file.
+                # While another process removes its lock file, Windows refuses access for a moment, so try again.
                 if fcntl is None and isinstance(error, PermissionError) and time.monotonic() < end:
                     time.sleep(0.05)
                     continue

@@ -45,7 +45,7 @@ class Recording:
     def states(self) -> dict[str, object]:
         """Return the data that each recorder needs to go on after a checkpoint, by the class name of the recorder.
 
-        A recorder that failed was dropped. If it stored data at an earlier checkpoint, the result has these data.
+        For a recorder that failed and was dropped, the result contains the data of an earlier checkpoint, if any.
         """
         for recorder in list(self.active):
             self._states[class_name_of(recorder)] = self._call(recorder, "checkpoint")
