@@ -88,7 +88,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 
 
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
-    """Refuse command-line options that contradict each other, or that have no effect together with the others."""
+    """Refuse command-line options that contradict each other, or that have no effect because of another option."""
     if theory and method != "flow":
         raise click.UsageError(
             "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"

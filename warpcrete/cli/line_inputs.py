@@ -35,7 +35,7 @@ class LineInputs:
 
     line: PipeLine
     name: str
-    """Name or file of the concrete; if only slump or spread are known, a text that states them."""
+    """Name or file of the concrete; if the user stated only slump or spread, a text such as "slump 180 mm"."""
     mix: Mix | None
     """Mix of the concrete; None for a concrete without a mix."""
     flow: float | None

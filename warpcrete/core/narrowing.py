@@ -1,4 +1,4 @@
-"""Checks of a value's type. They also tell a type checker the type, but not the types of a collection's elements."""
+"""Functions that check the type of a value; type checkers then know this type, but not that of a list's elements."""
 
 from __future__ import annotations
 

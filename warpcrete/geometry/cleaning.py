@@ -21,8 +21,8 @@ def clean(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Merge coincident corners of a mesh, then remove repeated triangles and triangles without area.
 
-    Two triangles with the same three corners count as repeated, whichever way they wind, and the first one stays. The
-    arrays of a mesh without such faults are returned bit by bit unchanged.
+    Of triangles with the same three corners, in whatever order, only the first one stays. The arrays of a mesh without
+    such faults are returned bit by bit unchanged.
 
     Args:
         vertices: Corners [m], shape (v, 3).

@@ -246,7 +246,7 @@ class Course:
         return Part(number, "valve", self.diameter, length, rise, self.diameter), (Line(length),)
 
     def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        # Meshes need Warp, which takes seconds to import, so a line without them must not import it.
+        # The module of meshes needs Warp, which takes seconds to import, so import it only for a line with a mesh.
         from .mesh_parts import bore_of, directions_at, rotated_pieces
 
         field, file = f"part {number}, bore", said.get("file")

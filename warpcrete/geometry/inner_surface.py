@@ -38,8 +38,8 @@ class InnerSurface:
     """Facets of a mesh that are visible from a pipe's axis, with queries that measure the bore that they enclose.
 
     The mesh of a real pipe has more surfaces than the bore: an outer skin, rims and lids. A facet belongs to the inner
-    surface if nothing lies between the facet and the nearest point of the axis, and if the facet does not close an end.
-    Beyond `begin` and `end` the bore continues with its last cross-section, so that a file may end where the part ends.
+    surface if nothing lies between the facet and the nearest point of the axis, and if the facet is not part of a lid.
+    Beyond `begin` and `end` the bore is taken to continue with its last cross-section, so the mesh may end there.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
@@ -149,9 +149,9 @@ class InnerSurface:
         return begin, end
 
     def _rim(self, closed: float, beyond: float) -> float:
-        """Return the arc length [m] at which closed cross-sections end, found by bisection between two arc lengths.
+        """Return the arc length [m] of the rim at which the mesh ends, found by bisection between two arc lengths.
 
-        The cross-section at `closed` is closed; `beyond` lies at or outside the end.
+        At `closed` [m], the wall surrounds the axis completely; `beyond` [m] lies at the rim or outside the mesh.
         """
         if not np.any(self._wall_distances(np.array([beyond])) < 0):
             return beyond

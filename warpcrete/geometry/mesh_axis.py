@@ -155,7 +155,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest:
 
 
 def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
-    """Return whether arcs suit a simulation: their radii exceed `widest` [m], and none turns by a negligible angle."""
+    """Return whether all arcs suit a simulation: their radii exceed `widest` [m], their angles `LEAST_TURN` [rad]."""
     return all(piece.radius > widest and piece.angle >= LEAST_TURN for piece in pieces if isinstance(piece, Arc))
 
 

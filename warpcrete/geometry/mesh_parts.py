@@ -20,9 +20,9 @@ from .mesh_bores import MeshBore
 from .meshes import load
 
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
-"""Largest relative differences between a mesh and the round pipe that the pipeline has at the two ends of the mesh. The
-first number limits the difference of the diameter of equal area. The second number limits that of the radius in any
-direction."""
+"""Largest relative differences between a mesh and the round pipe to which it connects at its ends. The first number is
+for the diameter of a circle with the area of the mesh's cross-section, and the second number is for the distance of the
+mesh's wall from the axis in any direction."""
 STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01

@@ -24,10 +24,10 @@ MAX_LENGTH_RATIO = 10_000
 
 
 def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the flow [m3/s] and the concrete that are stated in the file of the scene's `line`.
+    """Return the flow [m3/s] and the concrete that are stated in the file of the scene's parameter `line`.
 
-    `values` are the parameters of the scene. The result is empty if they name no line. It is also empty if they state
-    both flow and concrete themselves, as the parameters of a recorded run do.
+    `values` are the parameters of the scene. The result is empty if `values` have no line, or if they state both the
+    flow and the concrete, as the parameters of a recorded run do.
     """
     if values.get("line") is None or ("flow" in values and "concrete" in values):
         return {}

@@ -32,10 +32,10 @@ class Solid:
         return np.concatenate([self.sides, self.ends])
 
     def without(self, *edges: int) -> np.ndarray:
-        """Return all faces of the solid except those on the given sides, shape (4 n - 2 len(edges), 3).
+        """Return the faces of the solid without some of its n sides, shape (4 n - 2 len(edges), 3).
 
-        The solid has n sides, each on one edge of the ring of corners. `edges` holds the indices of the edges whose
-        sides are left out; edge 0 begins at corner 0.
+        Each side stands on one edge of the ring of corners. `edges` holds the indices of the edges whose sides are left
+        out; edge 0 begins at corner 0.
         """
         left = np.delete(self.sides.reshape(-1, 2, 3), list(edges), axis=0).reshape(-1, 3)
         return np.concatenate([left, self.ends])

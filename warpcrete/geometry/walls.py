@@ -143,7 +143,7 @@ class _Wall:
     def top_speed(self) -> float:
         """Return the largest speed [m/s] that a prescribed motion gives to the points `reference_points`.
 
-        The speed is 0 if the wall has no such motion.
+        The speed is 0 if the wall has no prescribed motion.
         """
         motion = self.motion
         if not isinstance(motion, Prescribed):
@@ -168,7 +168,7 @@ class PlaneWall(_Wall):
     material: str = "wall"
     motion: Motion | None = None
     drawn_radius: float = 0.0
-    """Radius of the disc that recorders draw for the plane [m]; 0 draws none."""
+    """Radius of the disc that recorders draw for the plane [m]; with 0, no disc is drawn."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", vector(f"{self.name}.point", self.point))

@@ -30,9 +30,9 @@ SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *
 class RunFolder:
     """Run folder at the path `folder`, with settings for its recordings; pass it to a simulation or to `run.save`.
 
-    The folder holds the same files as that of `warpcrete run --out`, whose options have the names of these settings. A
-    folder that holds the same run, unfinished, continues this run. Raises :class:`RunFolderError` for a folder that
-    holds something else, and :class:`SceneError` for a wrong setting.
+    The folder gets the same files as with `warpcrete run --out`, and the settings have the names of that command's
+    options. If the folder already holds the same run and this run is unfinished, the run continues. Raises
+    :class:`RunFolderError` for a folder that holds something else, and :class:`SceneError` for a wrong setting.
     """
 
     folder: str | Path

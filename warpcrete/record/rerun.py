@@ -212,7 +212,7 @@ class RerunRecorder(Recorder):
             self._draw_profile(profile)
 
     def _draw_surface(self, display: Display, path: str, cut: bool = False) -> None:
-        """Record the surface of the concrete, or its colours alone if its shape is that of the frame before."""
+        """Record the surface of the concrete, or only its colours if its shape is the same as in the previous frame."""
         surface = display.surface(cut)
         assert surface is not None
         fields: dict[str, Any] = {"vertex_colors": packed(display.surface_colours(surface))}
@@ -353,7 +353,7 @@ class RerunRecorder(Recorder):
         self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int | None) -> None:
-        """Set the simulated time and, if it is known, the step under which this thread records further data."""
+        """Set the simulated time and, if known, the step number to which further data of this thread belong."""
         self._recording.set_time("time", duration=time)
         if steps is None:
             self._recording.disable_timeline("step")
@@ -415,7 +415,7 @@ class RerunRecorder(Recorder):
     def _finishes(self, call: Callable[[], None], patience: float) -> bool:
         """Return whether a call of Rerun ends within `patience` [s]; stop waiting if the disk turns out to be full.
 
-        A call that never ends must not block the exit of the program, so Rerun's exit handler is removed then.
+        If the call does not end, Rerun's exit handler is removed, because it would block the exit of the program.
         """
         calling = threading.Thread(target=call, daemon=True)
         calling.start()

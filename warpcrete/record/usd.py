@@ -243,8 +243,8 @@ class _Instances:
         position = pose.positions.astype(np.float32)
         self._instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
         if self._turn:
-            # USD stores quaternions in half precision. In memory, the real part comes last. This program uses the same
-            # order x, y, z, w.
+            # USD stores quaternions in half precision and in the order x, y, z, w (real part last), which is also the
+            # order in this program.
             orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
             self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
         if self._velocities:

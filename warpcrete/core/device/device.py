@@ -47,7 +47,7 @@ def divide_work_like_gpu() -> Generator[None]:
 
 
 def find_device(name: str | None) -> wp.Device:
-    """Return the Warp device with a name (`cpu`, `cuda`, `cuda:0`); None selects a GPU if there is one.
+    """Return the Warp device that `name` selects (`cpu`, `cuda`, `cuda:0`); None selects a GPU if there is one.
 
     Raises :class:`DeviceError` if there is no such device.
     """

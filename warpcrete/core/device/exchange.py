@@ -21,8 +21,8 @@ MAXIMUM_BUFFERS = 2048
 class PinnedBuffers:
     """Page-locked memory for a set of GPU arrays, and copies of the whole set in either direction as one launch.
 
-    From the second time on, the copies are a CUDA graph, which the host launches in less time than a single copy. The
-    graph refers to the arrays by address and does not keep them alive.
+    The set is copied array by array the first time. Later copies replay a CUDA graph, whose launch takes the host less
+    time than a single copy. The graph refers to the arrays by address and does not keep them alive.
     """
 
     def __init__(self, arrays: Sequence[DeviceArray], device: wp.Device) -> None:

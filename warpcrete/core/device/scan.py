@@ -1,4 +1,4 @@
-"""Exclusive prefix sums on a device. They turn the lengths of rows that are stored end to end into their start indices.
+"""Exclusive prefix sums on a device: from the lengths of rows that are stored end to end, the start index of each row.
 
 The sums use kernels of this package, so that any graph can contain them.
 """

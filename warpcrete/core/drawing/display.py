@@ -301,9 +301,9 @@ class Display(ABC):
         return None
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Return the quantity that colours a drawn wall, at the vertices of the wall, shape (v,).
+        """Return the values of the quantity that colours a drawn wall, at the vertices of the wall, shape (v,).
 
-        It is given in the displayed unit. The result is None for a wall of a single colour.
+        The values are in the unit of the colour scale. The result is None for a wall of a single colour.
         """
         return None
 

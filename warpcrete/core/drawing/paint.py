@@ -17,8 +17,8 @@ SMALLEST_VALUE = 1e-6
 COLOURS = 256
 """Number of colours in a palette."""
 CONCRETE = ("#c9c6be", "#d9b26a", "#c9632f", "#8a1f2d", "#3d0c1f")
-"""Colours of the map `concrete`, from concrete at rest, which is grey, to concrete that is sheared fast. They become
-darker from one end to the other, so that the map can be read without colours."""
+"""Colours of the colour map `concrete`, from grey for concrete at rest to dark red for concrete that is sheared fast.
+The colours become steadily darker, so that the map can also be read in black and white."""
 ENDS = {"viridis": ("dark violet", "yellow"), "concrete": ("grey", "dark red")}
 """Names of the first and the last colour of the maps that colour bodies and surfaces."""
 

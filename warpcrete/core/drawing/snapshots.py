@@ -36,7 +36,7 @@ def _is_on_gpu(array: DeviceArray) -> bool:
 
 
 class PinnedPool:
-    """Pool of page-locked memory for asynchronous copies from a GPU; it is reused because its allocation is slow."""
+    """Pool of page-locked memory for asynchronous copies from a GPU, reused because the allocation is slow."""
 
     def __init__(self) -> None:
         self._free: dict[tuple[str, ...], tuple[Sequence[object], deque[PinnedBuffers]]] = {}

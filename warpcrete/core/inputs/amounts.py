@@ -207,7 +207,7 @@ def amount(field: str, value: object, unit: str) -> float:
 
 
 def _advice(text: str, unit: str) -> str:
-    """Return a sentence on what may be wrong with a text that is not an amount in `unit`; it may be empty."""
+    """Return a sentence on what may be wrong with a text that is not an amount in `unit`, or an empty text."""
     if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
         return "leave out separators of thousands"
     if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):

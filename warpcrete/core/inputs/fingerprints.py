@@ -24,8 +24,8 @@ class Digest(Protocol):
 def fingerprint(value: object) -> str:
     """Return the SHA-256 of a scene or of any part of a scene.
 
-    The field `parameters` is left out, because the scene's other fields contain everything that the scene function made
-    of its arguments.
+    The field `parameters` is left out: it holds the arguments of the scene function, and the scene's other fields
+    contain everything that the scene function derived from these arguments.
     """
     digest = hashlib.sha256()
     _feed(digest, value)

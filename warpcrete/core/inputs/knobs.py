@@ -45,7 +45,7 @@ class Knob:
     effect is only measured."""
 
     def level_of(self, key: str) -> Level | None:
-        """Return the setting (level) of this knob that has the given key, or None if there is no such setting."""
+        """Return the setting (level) of this accuracy parameter (knob) with the key `key`, or None if it is missing."""
         return next((level for level in self.levels if (level.key or level.label) == key), None)
 
 

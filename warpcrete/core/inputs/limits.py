@@ -99,9 +99,10 @@ FASTEST = 10.0
 
 
 def limit_of(name: str, unit: str) -> Limit | None:
-    """Return the limits of the quantity called `name`, or those of all quantities with the unit `unit`, or None.
+    """Return the limits of a quantity, or None if it has none.
 
-    Limits that are listed under `name` apply only if their unit is `unit`.
+    If the limits listed under the quantity's `name` are in the unit `unit`, return these limits. Otherwise return the
+    limits listed under the unit, which hold for all quantities with this unit.
     """
     unit = "" if unit in ("1", "m3/m3") else unit
     named = LIMITS.get(name)
@@ -113,7 +114,7 @@ def limit_of(name: str, unit: str) -> Limit | None:
 def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
     """Refuse an impossible value of `field`, and warn about an unlikely one.
 
-    The limits are those of the quantity `name` [default: `field`].
+    The limits are those of the quantity `name`, or of the quantity `field` if `name` is empty.
     """
     limit = limit_of(name or field, unit)
     if limit is None:

@@ -190,8 +190,8 @@ class SceneFunction(Generic[P, S]):
     def declared(self, given: Mapping[str, object]) -> Any:
         """Return an instance of the parameters' dataclass.
 
-        A field gets the given value. Without a given value, it gets the value that other given values imply, or else
-        its default.
+        Each field has its value in `given`. A field that is not in `given` has the value that other parameters in
+        `given` imply, or else its default.
         """
         return self.parameters(**self.with_objects(self.completed(given)))
 

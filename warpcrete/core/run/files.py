@@ -1,4 +1,4 @@
-"""Writing of files that are complete or absent, reading of JSON records, and checks of new folders."""
+"""Functions that write files so that no file is ever incomplete, read JSON records, and check new folders."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG, which stays with
 if os.getppid() == int(sys.argv[1]):
     os.execv(sys.argv[2], sys.argv[2:])
 """
-"""Source of a Python program that replaces itself by a given command. Linux kills the command's process when the parent
-process ends."""
+"""Source of a Python program that replaces itself by the command in its arguments. It first asks Linux to kill this
+process when the parent process ends."""
 
 
 def killed_with_parent(command: list[str]) -> list[str]:

@@ -116,7 +116,7 @@ def class_name_of(recorder: Recorder) -> str:
 
 
 def disk_full_error(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
-    """Return the error for a run that a full disk ended, from the recorders' `errors`.
+    """Return the error to raise after a full disk has ended a run, from the `errors` of the run's recorders.
 
     `kept` is the simulated time of the state on disk [s], or None if there is no state on disk.
     """

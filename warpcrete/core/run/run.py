@@ -81,7 +81,7 @@ class Run:
     def __getitem__(self, name: str) -> float:
         """Return a quantity of the whole run in SI units, with its unit in the attribute `unit` if it has one.
 
-        Raises :class:`KeyError`, with similar names, if the run does not have the quantity.
+        Raises :class:`KeyError` if the run does not have the quantity; the message suggests similar names.
         """
         quantities = self.quantities
         if name not in quantities:

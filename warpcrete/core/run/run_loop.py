@@ -36,8 +36,8 @@ DEFAULT_CHECKPOINT_INTERVAL = 60.0
 MAX_KEPT_MEMORY = 2e9
 """Largest device memory of a run [B] for which the run keeps its final state for `run.save`."""
 Progress = Callable[[str, float, dict[str, float]], None]
-"""Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`, and `compiling` between these
-if it takes a while), the fraction done and a few current figures."""
+"""Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`; `compiling` if this takes a
+while), the fraction done, and a few current values by name, such as the pressure."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ class Simulation:
     @property
     @abstractmethod
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the time series so far; each row has a value for each column name."""
+        """Rows of the time series so far; each row is a dictionary from column names to values."""
 
     @abstractmethod
     def unit(self, column: str) -> str:

@@ -33,11 +33,11 @@ class RecordedSimulation(SimulationOnDevice, Protocol):
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the time series so far; each row has a value for each column name."""
+        """Rows of the time series so far; each row is a dictionary from column names to values."""
         ...
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the run's time series."""
         ...
 
     def display(self, colouring: str | None = None) -> Display:

@@ -56,8 +56,8 @@ def dataset(
     """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
 
     Each variable has its unit in `attrs["units"]`, where plots of xarray find it, and its name in words in
-    `attrs["long_name"]`. `attributes` are those of the whole Dataset. `instead` names what the user can do without
-    xarray. Raises :class:`WarpcreteError` if xarray is not installed.
+    `attrs["long_name"]`. `attributes` become the attributes of the whole Dataset. `instead` names what the user can do
+    without xarray. Raises :class:`WarpcreteError` if xarray is not installed.
     """
     try:
         xarray: Any = importlib.import_module("xarray")
