@@ -118,7 +118,7 @@ class Word(click.ParamType):
 
 
 def kind_of(field: Field, called: str) -> Any:
-    """Return the option type of a parameter; `called` is the name of the option in error messages."""
+    """Return the Click type of the option that sets a parameter; `called` is the option's name in error messages."""
     if any(field.of_kind(CompositeRule)):
         return Word(field)
     choices = next((rule.choices for rule in field.of_kind(OneOf)), None)

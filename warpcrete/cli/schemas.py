@@ -52,7 +52,7 @@ def schemas() -> dict[str, Schema]:
 
 
 def shipped_schema(kind: str) -> Path:
-    """Return the path of a shipped schema; raise :class:`SceneError` for an unknown kind of file."""
+    """Return the path of the package's schema for a kind of file; raise :class:`SceneError` for an unknown kind."""
     known = sorted(path.stem for path in FOLDER.glob("*.json"))
     if kind not in known:
         refuse("schema", kind, f"must be one of {', '.join(known)}", suggested(kind, known))
@@ -171,7 +171,10 @@ def field_schema(field: Field) -> Schema:
 
 
 def _bounds(field: Field) -> Schema:
-    """Return the bounds of a number from the rules of its field and the table of limits."""
+    """Return the smallest and largest allowed value of a parameter, as entries of its JSON schema.
+
+    They follow from the rules of the parameter and, for a floating-point number, from the table of limits.
+    """
     found: Schema = {}
     limit = limit_of(field.name, field.unit.strip())
     if field.kind is float and limit is not None:
@@ -219,7 +222,7 @@ def _part(kind: str) -> Schema:
 
 
 def _mix_section() -> Schema:
-    """Return the schema of the section `mix`."""
+    """Return the schema of the section `mix` of a concrete's file."""
     amounts = {name: quantity(each.unit, each.help) for name, each in mixes.NUMBERS.items()}
     constants, of_concrete, of_layer = (
         {name: quantity(unit, name.replace("_", " ")) for name, unit in units.items()}

@@ -96,7 +96,7 @@ def quoted(value: object) -> str:
         return f"a number of {value.bit_length()} bits"
     try:
         text = repr(value)
-    except (RecursionError, ValueError):  # `repr` fails for very deep nesting and for huge integers.
+    except (RecursionError, ValueError):  # `repr` fails for deep nesting and huge integers, so name only the type.
         text = f"<{type(value).__name__}>"
     return one_line(text, LONGEST_VALUE)
 

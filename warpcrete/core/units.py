@@ -1,4 +1,4 @@
-"""Quantities with units, as entries of result.json and as people read them."""
+"""Quantities with units: entries of result.json, and units in which quantities are displayed."""
 
 from __future__ import annotations
 

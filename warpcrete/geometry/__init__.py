@@ -1,5 +1,5 @@
 """Geometry shared by both methods: pipe axes, triangle meshes, walls, and lines of parts that are read from files.
 
-Modules here import `core`, `kernels.common` and each other. Start with `axis`, and go on with `walls` for what bodies
-touch and with `lines` for pump lines.
+Modules here import `core`, `kernels.common` and each other. Start with `axis`, and go on with `walls` (surfaces that
+bodies touch) and `lines` (pump lines).
 """

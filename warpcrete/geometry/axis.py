@@ -72,7 +72,7 @@ class Axis:
     def segments(self) -> list[dict]:
         """Return every piece of the axis with its start [m] and its unit tangent there.
 
-        An arc also has `outward`, the unit vector from the arc's centre to its start; a line has zeros there.
+        The key `outward` holds the unit vector from an arc's centre to the arc's start; for a line, it is zero.
         """
         x, tangent = np.array(self.start), np.array(self.tangent)
         result = []

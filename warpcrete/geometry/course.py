@@ -37,8 +37,8 @@ holds ratios of pipe diameter to bend radius, the second tuple the additional lo
 flows of the concrete no1, the highest loss of three concretes, through bends of 150 mm pipe at 30 m3/h. The loss of a
 hose is computed from this table."""
 MAX_HOSE_KINK = 20.0
-"""Largest angle between the pipeline's direction at the start of a hose and the tangent of the curve through the hose's
-points there [degrees]. A larger angle is refused as a kink."""
+"""Largest angle [degrees] at the start of a hose, between the direction of the pipeline and the tangent of the curve
+through the hose's points. A larger angle is refused as a kink."""
 HOSE_LAYER = (0.1, 10.0)
 """Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -269,7 +269,7 @@ class Course:
 
 
 def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> None:
-    """Refuse a part whose entries state both `one` and `other`."""
+    """Refuse a part that has both of the entries named `one` and `other`, because they exclude each other."""
     if one in said and said.get(other) is not None:
         refuse(f"{field}: {one}", said[one], f"cannot be given together with {other!r}",
                f"leave out {one!r} or {other!r}")  # fmt: skip

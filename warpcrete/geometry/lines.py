@@ -128,7 +128,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
 
 
 def _text(given: Mapping[str, Any], field: str, default: str) -> str:
-    """Return a text without the control characters of terminals, or the default if the entry is missing."""
+    """Return the text in the entry `field` without control characters, or `default` if the entry is missing."""
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with errors_located_at(given, field):

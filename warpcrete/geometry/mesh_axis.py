@@ -34,7 +34,7 @@ MAX_SECTIONS = 4000
 TURNING_ROUNDS = 3
 """Number of times that all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
-"""Number of cross-sections on either side whose centres determine the local direction of the bore."""
+"""Number of cross-sections on each side of a cross-section whose centres determine the direction of the bore there."""
 AXIS_TOLERANCES = (0.004, 0.008, 0.016, 0.032, 0.064)
 """Largest distance between the fitted axis and the centres of the cross-sections, in radii. The values are tried in
 turn, until the axis nowhere bends more sharply than the bore allows. A bend whose mesh has few rings of triangles has
@@ -155,12 +155,15 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest:
 
 
 def _bends_gently(pieces: Sequence[Line | Arc], widest: float) -> bool:
-    """Return whether all arcs suit a simulation: their radii exceed `widest` [m], their angles `LEAST_TURN` [rad]."""
+    """Return whether a curve suits a simulation: each of its arcs has a radius above `widest` [m] and is not tiny.
+
+    An arc is tiny if it turns by less than `LEAST_TURN`.
+    """
     return all(piece.radius > widest and piece.angle >= LEAST_TURN for piece in pieces if isinstance(piece, Arc))
 
 
 def _pieces(points: np.ndarray, ahead: np.ndarray, allowed: float) -> tuple[Line | Arc, ...]:
-    """Return a smooth curve within the distance `allowed` [m] of points (n, 3) [m], in the direction `ahead` at first.
+    """Return a smooth curve that starts in the direction `ahead` and stays within `allowed` [m] of points (n, 3) [m].
 
     Each straight piece or pair of arcs spans as many points as this distance allows.
     """

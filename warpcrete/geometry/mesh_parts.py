@@ -73,7 +73,7 @@ def bore_of(
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
     # `_measured` compares the size of the mesh with the required length before it follows the bore, because a mesh in a
-    # wrong unit of length could not be followed. The exact length is therefore checked only afterwards.
+    # wrong unit of length could not be followed. `_of_length` compares the exact length afterwards.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)
     name = str(file)

@@ -18,7 +18,7 @@ from .axis import Axis
 from .cleaning import clean
 from .walls import MeshWall, PipeWall
 
-if TYPE_CHECKING:  # Import trimesh only for a mesh, because that takes half a second.
+if TYPE_CHECKING:  # Import trimesh only when a mesh is read, because the import takes half a second.
     import trimesh
 
 FARTHEST_WALL = 10.0

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def rotate(quaternions: np.ndarray, vectors: np.ndarray, inverse: bool = False) -> np.ndarray:
-    """Rotate `vectors` (n, 3) by unit quaternions x, y, z, w of shape (n, 4), or by their inverses."""
+    """Rotate `vectors` (n, 3) by unit quaternions x, y, z, w of shape (n, 4); with `inverse`, rotate them back."""
     axis, w = quaternions[:, :3], quaternions[:, 3:]
     if inverse:
         axis = -axis

@@ -67,7 +67,7 @@ def is_finished(folder: Path) -> bool:
 
 @names_from_file()
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """Return the contents of a scene.json, and the module of its scene."""
+    """Return the contents of a run folder's scene.json, and the Python module of the scene that the file names."""
     record = read_record(path)
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(
@@ -86,7 +86,7 @@ def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]
 
 
 def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """Return the contents of a scene.json and the module of its scene, for a run that is repeated or continued.
+    """Return the contents of scene.json and the Python module of the scene, for a run that is repeated or continued.
 
     Raises :class:`RunFolderError` if the scene was modified after its function had built it, if it was built by hand,
     or if files that it reads have changed.

@@ -68,7 +68,7 @@ class RunFolder:
         return (self.path / "scene.json").is_file()
 
     def _chosen(self) -> dict[str, bool]:
-        """Return a dictionary from the name of each kind of recording to True if this kind is written."""
+        """Return, by the name of each kind of recording, whether recordings of this kind are written."""
         if self.recordings is None:
             return {kind.name: kind.default for kind in RECORDERS}
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}

@@ -149,7 +149,7 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """VTKHDF file of PolyData in time steps; the data of each step is one partition in terms of the format."""
+    """VTKHDF file of PolyData in time steps; in the terms of the format, the data of a time step are one partition."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
@@ -163,7 +163,7 @@ class Poly:
         self._pending_frames.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
 
     def write(self) -> None:
-        """Append the steps that are kept in memory to the file."""
+        """Append to the file all frames that are kept in memory, as new time steps."""
         import h5py
 
         if not self._pending_frames:
@@ -232,7 +232,7 @@ class Poly:
         steps.attrs["NSteps"] = np.int64(len(steps["Values"]))
 
     def count(self) -> int:
-        """Return the number of steps in the file; 0 if the file is missing or damaged."""
+        """Return the number of time steps in the file; 0 if the file is missing or damaged."""
         import h5py
 
         try:
@@ -242,7 +242,7 @@ class Poly:
             return 0
 
     def shorten(self, count: int) -> None:
-        """Keep only the first `count` steps of the file."""
+        """Keep only the first `count` time steps of the file."""
         import h5py
 
         if count == 0:
@@ -255,7 +255,7 @@ class Poly:
 
 
 def _truncate(root: Any, count: int) -> None:
-    """Remove all steps after the first `count` from an open file."""
+    """Remove all time steps after the first `count` from an open VTKHDF file."""
     steps = root["Steps"]
     if int(steps.attrs["NSteps"]) == count:
         return

@@ -45,8 +45,9 @@ class TableRecorder(Recorder):
 
     The recorder writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints
     and at the end. Every row is flushed at once, so that an interrupted or killed run keeps all its samples.
-    `command` holds settings that are stored in scene.json for a resumed run. With `going_on`, the folder is that of
-    the same, interrupted run. With `again`, the scene.json of an existing folder must describe exactly this run.
+    `command` holds settings that are stored in scene.json for a resumed run. If `going_on` is true, the folder must be
+    that of the same run, which was interrupted. If `again` is true, the scene.json of an existing folder must describe
+    exactly this run.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ from .legend import meaning, paint_meaning
 
 LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
-"""Minimum opacity of glass, and opacity of walls that show a quantity such as wear by colours."""
+"""Minimum opacity of walls that are drawn as glass, and opacity of walls whose colours show a quantity such as wear."""
 SUN, SKY = 0.6, 0.5
 """Intensities of the sun and of the sky. The intensity of the sun does not depend on the size of its disc, and the sky
 shines from all sides."""

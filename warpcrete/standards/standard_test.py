@@ -245,7 +245,10 @@ def quantities_of_tests(
 
 
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
-    """Return whether concrete was slower than `rest_speed` [m/s] for RESTED seconds, after the time `opened` [s]."""
+    """Return whether the concrete was slower than `rest_speed` [m/s] throughout the last `RESTED` seconds.
+
+    All of this time must lie after the time `opened` [s], at which the vessel was opened.
+    """
     now = rows[-1]["time"]
     late = (row["fastest"] for row in rows if row["time"] > now - RESTED - 1e-9)
     return now >= opened + RESTED and all(speed < rest_speed for speed in late)

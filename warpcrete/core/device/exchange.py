@@ -116,7 +116,7 @@ class Exchange:
         self._last_write = self._last_write_before_read = self._last_completed_write = 0
 
     def read(self, *arrays: DeviceArray) -> list[HostArray]:
-        """Return copies of arrays after all work launched so far; the host waits once for all of them."""
+        """Wait until all work launched so far is complete, and return copies of the arrays in host memory."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
         buffers = self._buffers("read", arrays)

@@ -124,7 +124,7 @@ class Stage:
         return self.kernel.func.__name__
 
     def is_due(self, turn: int, size: int) -> bool:
-        """Return whether this stage runs at step `turn` of a graph of `size` steps."""
+        """Return whether this stage runs at step number `turn`, counted from 0, of a graph of `size` steps."""
         return turn % self.every == 0 and 2 * size >= self.every
 
     def record(self) -> None:
@@ -386,9 +386,9 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch the stages of a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
+    """Launch stages on a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
 
-    The main stream waits for the side stream before a stage with `joins_side_stream`, and at the end.
+    The main stream waits for the side stream before each stage with `joins_side_stream`, and after the last stage.
     """
     main, side, apart = device.stream, None, False
     for stage in stages:

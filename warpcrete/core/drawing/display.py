@@ -244,12 +244,14 @@ class Display(ABC):
     def surface(self, cut: bool = False) -> Surface | None:
         """Return the surface of the concrete; None if the bodies are drawn one by one.
 
-        With `cut`, the concrete in front of the plane of the attribute `cut` is left out.
+        If the argument `cut` is true, leave out the concrete in front of the plane that the attribute `cut` describes.
         """
         return None
 
     def surface_values(self, surface: Surface) -> np.ndarray:
-        """Return the quantity that colours a surface, at its vertices and in the unit of the scale, shape (v,).
+        """Return the values of the quantity that colours a surface, at the surface's vertices, shape (v,).
+
+        The values are in the unit of the colour scale.
 
         Raises TypeError if the display has no surface.
         """
@@ -327,7 +329,7 @@ class Display(ABC):
         return self.colours()
 
     def network(self) -> dict[str, Lines]:
-        """Return groups of lines between bodies by name; their width and colour show the force in each line."""
+        """Return groups of lines between bodies, by group name; a line's width and colour show the force between them."""
         return {}
 
     @property

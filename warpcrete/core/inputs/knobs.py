@@ -25,8 +25,8 @@ class Level:
     the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Conversions of result quantities, by the quantity's name. A result of a run at this level of the knob may need a
-    conversion before it is comparable with the scene as given. For example, a pipe of half the length needs about half
-    the pressure. A conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
+    conversion before it is comparable with results of the user's scene. For example, a pipe of half the length needs
+    about half the pressure. A conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ class Needs:
     field: str
     test: Callable[[Any], bool]
     words: str
-    """Condition as words that follow the name of the parameter `field` in a message, such as "is given"."""
+    """Condition in words, such as "is given"; a message shows them after the name of the parameter `field`."""
     others: tuple[str, ...] = ()
 
     def holds(self, value: Callable[[str], Any]) -> bool:
@@ -294,7 +294,7 @@ class Declared:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
-        """Return further parameters that follow from `values`; for example, a concrete's name implies its density."""
+        """Return further parameters that follow from `values`, such as the yield stress of a concrete named there."""
         return {}
 
     def check_needed(self) -> None:

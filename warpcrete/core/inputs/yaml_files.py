@@ -25,7 +25,7 @@ MAXIMUM_VALUES = 50_000
 MAXIMUM_DEPTH = 100
 """Maximum nesting depth of lists and mappings in a YAML file; deeper nesting is refused."""
 LONGEST_NUMBER = 400
-"""Maximum number of characters of a number."""
+"""Maximum number of characters of a number in a YAML file."""
 INTEGER_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 DECIMAL_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 NOT_A_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")

@@ -18,7 +18,7 @@ from ..inputs.text_files import saved_json
 from ..narrowing import is_dict, is_list_or_tuple
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a disk, a quota or a process limit that leaves no space for a file."""
+"""System error numbers (errno) of a full disk, an exceeded quota, and a file larger than the process may write."""
 PARTIAL = ".warpcrete-partial-"
 """Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
 PROBE_SIZE = 1 << 16

@@ -24,8 +24,8 @@ except ImportError:  # Windows has no `fcntl`; it locks bytes of files instead o
 KILL_GRACE = 2.0
 """Time for which locking a folder is retried [s], because the processes of a killed run need some time to end."""
 LOCKED_BYTE = 2**30
-"""Position of the byte of the lock file that is locked on Windows. Other processes cannot read a locked byte, so this
-one lies beyond the owner's name, and beyond the end of the file."""
+"""Position of the byte of the lock file that is locked on Windows. Other processes cannot read a locked byte, but must
+be able to read the owner's name in the file, so the byte lies beyond the end of the file."""
 
 
 class FolderLock:
@@ -44,7 +44,7 @@ class FolderLock:
         self._file = self._locked()
         os.ftruncate(self._file, 0)
         owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        with suppress(OSError):  # On a full disk, the folder is locked, but the lock file does not name the owner.
+        with suppress(OSError):  # Ignore a full disk: the folder is locked, although the file cannot name the owner.
             os.write(self._file, owner.encode())
         remove_partial(folder)
 
@@ -99,7 +99,7 @@ def _lock(file: int) -> bool:
         os.lseek(file, LOCKED_BYTE, os.SEEK_SET)
         try:
             msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
-        except OSError:  # Windows reports a byte that is locked already as "permission denied".
+        except OSError:  # Another process holds the lock: Windows reports a locked byte as "permission denied".
             return False
         finally:
             os.lseek(file, 0, os.SEEK_SET)

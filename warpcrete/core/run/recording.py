@@ -22,8 +22,8 @@ class Recording:
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """Errors at the end of the run, from essential recorders or a full disk, because of which the run does not
-        count as finished."""
+        """Errors that recorders raised at the end of the run, if the recorder is essential or the disk is full. With
+        such an error, the run does not count as finished."""
         self._states: dict[str, object] = {}  # Data that each recorder stored in the last checkpoint, by class name.
 
     def begin(self, states: Mapping[str, object]) -> None:

@@ -109,10 +109,11 @@ class Run:
     def to_xarray(self, table: str | None = None) -> Any:
         """Return the series as an xarray Dataset in SI units, with the dimension `time` [s].
 
-        `table` is the name of one of the run's `tables`, such as `stations`, which is returned instead; its first
-        column is the dimension. Each variable has its unit in `attrs["units"]`; the attributes of the Dataset are the
-        scene's name and, as JSON texts, its parameters and the run's quantities. Raises :class:`WarpcreteError` if
-        xarray is not installed, and :class:`SceneError` for a table that the run does not have.
+        If `table` is the name of one of the run's `tables`, such as `stations`, return this table instead, with its
+        first column as the dimension. Each variable has its unit in `attrs["units"]`. The attributes of the Dataset are
+        the scene's name and, as JSON texts, the scene's parameters and the run's quantities. Raises
+        :class:`WarpcreteError` if xarray is not installed, and :class:`SceneError` for a table that the run does not
+        have.
         """
         columns, units, index = self.series, self.units, "time"
         if table is not None:

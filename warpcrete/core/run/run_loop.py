@@ -60,7 +60,7 @@ class RunRecord(TypedDict):
     recorders: dict[str, object]
     """Data that each recorder needs to go on recording, by the recorder's class name."""
     samples: int
-    """Number of rows in the series, not counting the row at t = 0."""
+    """Number of rows in the time series, not counting the row at t = 0."""
     next_frame: float
     """Simulated time of the next frame [s]."""
     spent: dict[str, float]
