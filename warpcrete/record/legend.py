@@ -39,7 +39,7 @@ def meaning(display: Display) -> str:
 
 
 def paint_meaning(paint: Paint) -> str:
-    """Return a sentence that explains the colours of painted walls."""
+    """Return a sentence that explains the colours of walls that show a quantity, such as the worn depth."""
     if not paint.upper > 0:
         return f"Colours: {paint.label}, zero everywhere so far, on {paint.palette}."
     return f"Colours: {paint.label} from 0 to {paint.upper:.3g} and above, on {paint.palette}."
@@ -64,7 +64,7 @@ def legend(display: Display) -> bytes | None:
 
 
 def paint_legend(paint: Paint) -> bytes | None:
-    """Return the colour bar of painted walls as a PNG, or None while there are no values to show."""
+    """Return the colour bar of walls that show a quantity as a PNG, or None while there are no values to show."""
     return _bar(0.0, paint.upper, paint.palette) if paint.upper > 0 else None
 
 

@@ -72,8 +72,8 @@ class RerunRecorder(Recorder):
     Every clump is drawn by its own spheres, and the concrete of a flow on a grid by its surface. `path` is the path of
     the .rrd file, or None. `live` is True to open a viewer, or the URL of a running one
     (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened viewer listens. `colouring`
-    selects the colours of bodies from those of the method's display. `network` adds lines between bodies, if the
-    display has any. Lines of contacts are as wide and bright as their forces, and bonds without compression are orange.
+    is the quantity that colours the bodies. `network` adds lines between bodies, if the simulation method has any: the
+    width and brightness of a contact's line show its force, and bonds without compression are orange.
 
     Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
     continues after a complete part. At the end the parts are joined into one file.
@@ -223,7 +223,7 @@ class RerunRecorder(Recorder):
         self._log(path, self._rr.Mesh3D.from_fields(**fields))
 
     def _draw_paint(self, display: Display) -> None:
-        """Record the colours of painted walls.
+        """Record the colours of walls that show a quantity, such as the worn depth.
 
         The value at each vertex becomes a coordinate in a texture that holds all colours.
         """
@@ -245,9 +245,9 @@ class RerunRecorder(Recorder):
             self._log_scale(paint, painted)
 
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
-        """Record the texture that holds all colours of painted walls, and the legend, as static data for all frames.
+        """Record the texture with all colours of walls that show a quantity, and the legend, as static data.
 
-        The viewer uses the last version of static data, so that a new scale also applies to earlier frames.
+        For all frames, the viewer uses the last version of static data, so a new scale also applies to earlier frames.
         """
         rr = self._rr
         from rerun.components import ImageFormat

@@ -143,7 +143,7 @@ class StandardTest:
     columns: Mapping[str, str]
     """Units of the measured columns of the series, by name."""
     measure: Callable[[Specimen, Sizes], dict[str, float]]
-    """Function that returns the values of one sample by column name.
+    """Function that measures the concrete once and returns the values of one row of the time series, by column name.
 
     Its arguments are a :class:`Specimen` and the vessel's dimensions.
     """
@@ -247,7 +247,7 @@ def quantities_of_tests(
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
     """Return whether the concrete was slower than `rest_speed` [m/s] throughout the last `RESTED` seconds.
 
-    All of this time must lie after the time `opened` [s], at which the vessel was opened.
+    All of this time must lie after the time `opened` [s], from which on the concrete was free to flow.
     """
     now = rows[-1]["time"]
     late = (row["fastest"] for row in rows if row["time"] > now - RESTED - 1e-9)

@@ -83,7 +83,7 @@ class _Copying:
 
 
 class LaunchAndRead:
-    """Callable that launches several stages and then copies the arrays that the stages write to the host."""
+    """Callable that launches several stages (recorded kernel launches), then copies device arrays to the host."""
 
     def __init__(self, stages: Sequence[Recordable], arrays: Sequence[DeviceArray], device: wp.Device) -> None:
         self._device, self._arrays = device, tuple(arrays)

@@ -55,7 +55,7 @@ def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
 
 
 class Recordable(Protocol):
-    """Work on a device that is prepared once and launched many times, such as a stage."""
+    """Work on a device that is prepared once and launched many times, such as a recorded kernel launch."""
 
     def record(self) -> None:
         """Prepare the work for launches, for example load its kernel, without launching the work."""
@@ -91,7 +91,7 @@ class Zero:
 
 
 class GraphLaunch:
-    """Several stages that run with a single launch.
+    """Several stages (recorded kernel launches) that run with a single launch.
 
     On a GPU they are captured as a graph, because the launch of a short kernel takes longer than the kernel itself.
     `stages` may contain any object that can be recorded and called like a :class:`.Stage`.

@@ -46,7 +46,7 @@ def defer_interrupts() -> Generator[None]:
 
 
 class StopAtSample:
-    """Context in which Ctrl-C ends all `simulations` when they next record a sample.
+    """Context in which Ctrl-C ends each of the `simulations` at its next sample, a new row of its time series.
 
     A second Ctrl-C ends the simulations at once. Ctrl-C has no effect while all simulations are writing their results.
     Outside the main thread, this context does nothing.

@@ -32,8 +32,8 @@ COMPILE_PROGRESS_DELAY = 0.5
 DEFAULT_BLOCK = 256
 """Threads per CUDA block in a Warp launch that does not specify a number."""
 BLOCK = 64
-"""Threads per CUDA block of a stage. Blocks of 64 threads keep all multiprocessors busy even in a small scene. In a
-scene of a million spheres, a step takes 95 % of the time that it takes with blocks of 256 threads."""
+"""Threads per CUDA block of a stage (kernel launch). Blocks of 64 threads occupy all multiprocessors even if a scene is
+small. In a scene of a million spheres, a step takes 95 % of the time that it takes with blocks of 256 threads."""
 Size: TypeAlias = int | tuple[int, ...]
 """Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
 
@@ -215,7 +215,7 @@ def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelMo
 
 
 Step: TypeAlias = list[list[Stage]]
-"""Stages of one time step, as one list per thread."""
+"""Stages (recorded kernel launches) of one time step, as one list for each CPU thread."""
 
 
 def graph_sizes(count: int, largest: int) -> list[int]:
@@ -263,7 +263,7 @@ class Launcher:
             weakref.finalize(self, self._pool.shutdown, wait=False)
 
     def barrier(self) -> list[Stage]:
-        """Return a list with the stage that makes a thread wait for all others; with one thread, the list is empty."""
+        """Return the kernel launch that makes a thread wait for all others, in a list; empty with a single thread."""
         if self.threads == 1:
             return []
         kernel: Kernel = barrier  # pyright: ignore[reportAssignmentType, reportUnknownVariableType]
@@ -338,7 +338,7 @@ class Launcher:
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch stages that do not depend on one another, such as one for each chunk of bodies.
+        """Launch stages that do not depend on one another, such as one for each of several groups of bodies.
 
         Each stage gets a thread of its own. During core contention, one thread launches all stages.
         """

@@ -15,7 +15,7 @@ from .launching import Stage
 
 
 def scan_stages(values: DeviceArray, before: DeviceArray) -> list[Stage]:
-    """Return stages that write the exclusive prefix sum of `values` to `before`.
+    """Return stages (recorded kernel launches) that write the exclusive prefix sum of `values` to `before`.
 
     The element `before[i]` is the sum of `values[0]` to `values[i - 1]`.
 

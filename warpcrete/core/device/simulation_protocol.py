@@ -38,7 +38,7 @@ class SimulationOnDevice(Protocol):
     """Simulation with its device, its threads and the state of its run."""
 
     stop_requested: bool
-    """True if the run must end at its next sample."""
+    """True if the run must end at its next sample, which adds a row to the time series."""
 
     finishing: bool
     """True if all steps of the run are over, and its results are being written or have been written."""

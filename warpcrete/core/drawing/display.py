@@ -329,7 +329,7 @@ class Display(ABC):
         return self.colours()
 
     def network(self) -> dict[str, Lines]:
-        """Return groups of lines between bodies, by group name; a line's width and colour show the force between them."""
+        """Return groups of lines that join bodies, by group name; a line's width and colour show the force in it."""
         return {}
 
     @property

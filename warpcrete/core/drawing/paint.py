@@ -13,7 +13,7 @@ COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
 """Numbers of discrete values to which recordings round a quantity that colours walls. The values are evenly spaced on a
 logarithmic scale. The first constant is the total number, and the second is the number in each decade."""
 SMALLEST_VALUE = 1e-6
-"""Smallest painted value, in the displayed unit; smaller values are shown as zero."""
+"""Smallest value that is shown by a colour on a wall, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
 """Number of colours in a palette."""
 CONCRETE = ("#c9c6be", "#d9b26a", "#c9632f", "#8a1f2d", "#3d0c1f")

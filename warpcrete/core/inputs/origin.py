@@ -19,7 +19,7 @@ from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_numpy_nu
 from .fingerprints import fingerprint
 
 LONGEST_LIST = 20
-"""Maximum number of elements of an array or list that a record writes out."""
+"""Maximum number of elements with which the record of a scene contains an array or list in full, not as a hash."""
 
 PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -63,7 +63,7 @@ def changed_files(files: Mapping[str, str]) -> list[str]:
 
 
 def check_files(where: Path, files: Mapping[str, str]) -> None:
-    """Raise :class:`RunFolderError` if an input file of a scene has changed since the record `where` was written."""
+    """Raise :class:`RunFolderError` if an input file of a scene changed after the record `where` was written."""
     if changed := changed_files(files):
         gone = not Path(changed[0]).is_file()
         raise RunFolderError(

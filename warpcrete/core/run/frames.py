@@ -15,9 +15,9 @@ class Frames:
     """Schedule of frames: every `interval` seconds of simulated time, or by default about 25 frames per second.
 
     With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
-    expected, the time between frames grows. A frame is taken at the first sample of the run after the frame is due. If
-    `step` is finite, it is the constant time step [s], and the run also stops between samples to take frames. Two
-    frames are then at least one time step apart.
+    expected, the time between frames grows. A frame is taken at the first sample (row of the time series) after the
+    frame is due. If `step` is finite, it is the constant time step [s], and the run also stops between samples to take
+    frames. Two frames are then at least one time step apart.
     """
 
     def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:
@@ -34,14 +34,14 @@ class Frames:
         self.schedule_next(0.0)
 
     def due(self, time: float) -> bool:
-        """Return whether a frame is due at the sample at `time` [s]."""
+        """Return whether a frame is due at `time` [s], when the run adds a row (sample) to the time series."""
         return time >= self.next - 1e-9
 
     def due_before(self, sample: float) -> bool:
-        """Return whether the run should stop for a frame before it reaches the sample at time `sample` [s].
+        """Return whether the run should stop for a frame before it reaches the time `sample` of the next sample [s].
 
-        This is so if the next frame is due more than one time step before that sample. A run that can only stop at
-        samples never stops for a frame.
+        A sample is a new row of the time series. The run should stop if the next frame is due more than one time step
+        before the sample. A run that can only stop at samples never stops for a frame.
         """
         return self.next < sample - self._time_step
 

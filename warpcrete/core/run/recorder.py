@@ -56,7 +56,8 @@ class Recorder:
     def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Write everything to disk, because the run has ended.
 
-        Recorders finish in the reverse order of their start, except that expendable recorders finish after all others.
+        Recorders finish in the reverse order of their start, except that recorders with the attribute `expendable`
+        finish after all others.
         """
 
     def tidy(self, simulation: RecordedSimulation, run: Run) -> None:

@@ -14,7 +14,10 @@ from .simulation_protocol import RecordedSimulation
 
 
 class Recording:
-    """Group of a run's recorders, which are called one after the other, expendable recorders last."""
+    """Group of a run's recorders, which are called one after the other.
+
+    Expendable recorders, whose failure only causes a warning, are called last.
+    """
 
     def __init__(self, simulation: RecordedSimulation, recorders: Sequence[Recorder]) -> None:
         self.simulation = simulation
@@ -38,7 +41,7 @@ class Recording:
                 self._call(recorder, "resume", state)
 
     def call(self, method: str, *arguments: object) -> None:
-        """Call a method of every recorder; drop an expendable recorder that fails, with a warning."""
+        """Call a method of every recorder; if an expendable recorder fails, warn and go on without this recorder."""
         for recorder in list(self.active):
             self._call(recorder, method, *arguments)
 

@@ -86,9 +86,9 @@ class Simulation:
     this folder; as in the command, `checkpoint_every=0` writes none.
 
     Without `out`, the file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall
-    time (0: at every sample), at an interruption and at the end. The file is removed when all other data is on disk. In
-    a run with checkpoints, all `recorders` must be of different classes, because a resumed run identifies recorders by
-    class.
+    time (0: at every row of the time series), at an interruption and at the end. The file is removed when all other
+    data is on disk. In a run with checkpoints, all `recorders` must be of different classes, because a resumed run
+    identifies recorders by class.
 
     Raises :class:`SceneError`, :class:`DeviceError` and, for `out`, :class:`RunFolderError`. A run may raise
     :class:`InstabilityError`, and :class:`DiskFullError` if the disk is full.
@@ -259,7 +259,7 @@ class Simulation:
     def frame_step(self) -> float:
         """Size of the time steps [s], if it does not depend on where the run stops; otherwise infinity.
 
-        With constant steps, the run can stop for a frame between two samples.
+        With constant steps, the run can stop for a frame between two rows of the time series.
         """
         return np.inf
 
