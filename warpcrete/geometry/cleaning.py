@@ -56,8 +56,9 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
     lowest = np.arange(len(vertices))
     if tolerance <= 0 or len(vertices) == 0:
         return lowest
-    # Two corners close together may lie on both sides of a cell border, so eight grids are used, shifted by half a
-    # cell. In at least one of these grids both corners lie in the same cell.
+    # Two corners close together may lie in different cells of a grid, on either side of a border between cells. Eight
+    # grids are therefore used, which are shifted by half a cell along none, some or all axes. In at least one of these
+    # grids both corners lie in the same cell.
     places = (vertices - vertices.min(axis=0)) / tolerance
     grids = [_cells(places + np.array(shift)) for shift in itertools.product((0.0, 0.5), repeat=3)]
     while True:

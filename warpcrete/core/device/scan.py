@@ -28,7 +28,7 @@ def scan_stages(values: DeviceArray, before: DeviceArray) -> list[Stage]:
     if not parallel(device):
         return [Stage(kernels.spread, 1, named, device)]
     # The values are divided into blocks, and the first launch stores the sum of each block. For each value, the second
-    # launch adds up all previous blocks and the previous values in the same block.
+    # launch adds up the sums of all previous blocks and the previous values in the same block.
     blocks = -(-count // (VALUES_PER_THREAD * BLOCK))
     partial = zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}
