@@ -135,8 +135,8 @@ def _simulated(
 ) -> bool:  # fmt: skip
     """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed.
 
-    With `unless_known`, parts whose pressure loss is in the package's table of simulated parts are not simulated
-    again.
+    With `unless_known`, only parts whose friction cannot be found without a simulation are simulated. For the other
+    parts, the friction comes from the line's file, a model, or the package's table of parts that were simulated before.
     """
     if given.guessed:
         raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")

@@ -31,9 +31,9 @@ def run(
     """Simulate a line, print its pressure, and return True if a simulated part failed a check.
 
     `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
-    the command by name. With `unless_known`, parts whose pressure loss is in a table of simulated parts are not
-    simulated again. After the function has printed the result, it calls `finish`, so that `finish` may write into the
-    line's folder while no other process can.
+    the command by name. With `unless_known`, only parts whose friction cannot be found without a simulation are
+    simulated. After the function has printed the result, it calls `finish`, so that `finish` may write into the line's
+    folder while no other process can.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None

@@ -17,7 +17,7 @@ import numpy as np
 PLANE_WEIGHT = 1e-6
 """Weight of a point on a cutting plane or on a side of the grid, relative to a point on the free surface.
 
-A vertex of the surface is the weighted mean of all such points on the edges of one grid cell."""
+A vertex of the surface is the weighted mean of all these points that lie on edges of one grid cell."""
 FACETS = 64
 """Number of facets around the axis of a surface of revolution."""
 
@@ -34,7 +34,7 @@ class Level:
     """Physical quantities at each node, by name, each with the shape of `values`."""
 
     def mirrored(self, axis: int) -> Level:
-        """Return the grid completed by its mirror image; the plane of symmetry is at coordinate 0 of `axis`."""
+        """Return the level-set function completed by its mirror image about the plane at coordinate 0 of `axis`."""
         places = list(self.places)
         places[axis] = np.concatenate([-places[axis][::-1], places[axis]])
 
@@ -45,7 +45,7 @@ class Level:
         return Level(tuple(places), both(self.values), fields)
 
     def cropped(self) -> Level:
-        """Return the part of the grid with all nodes in concrete and one further layer of nodes around them."""
+        """Return the level-set function on the smallest block of nodes that holds all concrete, plus one outer layer."""
         ranges: list[slice] = []
         for axis in range(self.values.ndim):
             others = tuple(k for k in range(self.values.ndim) if k != axis)
