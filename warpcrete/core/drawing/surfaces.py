@@ -45,7 +45,7 @@ class Level:
         return Level(tuple(places), both(self.values), fields)
 
     def cropped(self) -> Level:
-        """Return the level-set function on the smallest block of nodes around all concrete, plus one layer."""
+        """Return the level-set function on a smaller grid, which reaches one layer of nodes beyond the concrete."""
         ranges: list[slice] = []
         for axis in range(self.values.ndim):
             others = tuple(k for k in range(self.values.ndim) if k != axis)
