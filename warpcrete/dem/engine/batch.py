@@ -42,10 +42,10 @@ from .subcycling import Subcycles
 from .wall_layer import Structure
 
 SPHERES_PER_THREAD = 500
-"""Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
+"""Minimum number of spheres for each CPU thread. Threads with fewer spheres wait longer for each other than they save.
 
-In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for
-500.
+In a small pipe, the wall time with two threads divided by the wall time with one thread was 0.67 to 1.0 for 1000
+spheres and 1.25 to 2 for 500 spheres.
 """
 
 
@@ -158,9 +158,9 @@ class Batch(JointArrays):
         """Set the recorded launches of a time step, and of the work that follows each group of steps on a GPU.
 
         `step` holds one list of launches for each CPU thread. The launches stay valid while `has_step` is True. After
-        each group of steps, a GPU launches `between_pieces`. This estimates stable time steps and, in a batch of one
-        scene, rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead, which
-        only rebuilds the lists.
+        each group of steps, a GPU launches `between_pieces`, which estimates stable time steps and, in a batch of one
+        scene, also rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead,
+        which only rebuilds the lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
@@ -205,9 +205,9 @@ class Batch(JointArrays):
         return self._flags
 
     def host_clock(self) -> np.ndarray:
-        """Return simulated time, time step and other data of the time steps of each scene, shape (scenes, CLOCK).
+        """Return simulated time, time step and other time data of each scene, shape (scenes, CLOCK).
 
-        The columns are listed in `kernels/dem/structs.py`. Callers must not change the array.
+        `kernels/dem/structs.py` says what each column contains. Callers must not change the array.
         """
         if self._clock is None:
             self._read_flags()
@@ -227,15 +227,18 @@ class Batch(JointArrays):
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
 
     def host_walls(self, s: int) -> np.ndarray:
-        """Return the present values of the walls of scene `s`, shape (walls, WALL_COLUMNS)."""
+        """Return the present forces, travel and other values of the walls of scene `s`, shape (walls, WALL_COLUMNS).
+
+        `kernels/dem/probes.py` says what each column contains.
+        """
         if self._walls is None:
             (self._walls,) = self.exchange.read(self.wall_values())
         return self.own_walls(s, self._walls)
 
     def wall_values(self) -> DeviceArray:
-        """Write the present values of all walls to `wall_array` on the device and return this array.
+        """Write the present forces, travel and other values of all walls to `wall_array`, and return this device array.
 
-        The next call overwrites the values.
+        The next call overwrites the array.
         """
         if self._wall_launch is None:
             self._wall_launch = GraphLaunch([self.wall_stage()], self.device)
@@ -278,7 +281,7 @@ class Batch(JointArrays):
             pending.append((self.flags, self._flags))
         if pending:
             self.exchange.write(*pending)
-        # The host's copies are discarded only after the write, so that Ctrl-C during the write loses no changes.
+        # Discard the host's copies only after the write, so that Ctrl-C during the write loses no changes.
         if self.parallel:
             self._flags = self._clock = None
         self._walls = None

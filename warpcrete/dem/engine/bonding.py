@@ -101,11 +101,11 @@ def _number(state: State, before: np.ndarray) -> None:
 
 
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
-    """Assign rows of `pairs.load` to the second list entries of bonds between spheres of two CPU threads, in `bond`.
+    """Store in `bond` which row of `pairs.load` belongs to the second list entry of each bond between two CPU threads.
 
-    A pair of such spheres has two entries in the neighbour list, one for each thread. The bond of the second entry is
-    stored in the row of `pairs.load` after that of the first entry. `low` and `high` are the indices of the bonded
-    spheres, and `place` is the first list entry of each bond.
+    A pair of spheres from two CPU threads has two entries in the neighbour list, one for each thread. The second entry
+    gets the row after that of the first entry. `low` and `high` are the sphere indices of all bonds, and `place` is the
+    first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
     # `place` contains the first list entry of each bonded pair, so all other bonded entries are second entries.

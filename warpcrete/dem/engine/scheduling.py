@@ -73,7 +73,7 @@ class _Drive:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        # `_launched` is the batch of the latest launch of time steps; it is None before the first launch.
+        # Batch on which the latest time steps were launched; None before the first launch.
         self._launched: Batch | None = None
         self.stop: KeyboardInterrupt | None = None
 
@@ -89,7 +89,7 @@ class _Drive:
 
     @property
     def results(self) -> dict[int, Any]:
-        """Value that each coroutine returned or exception that it raised, by the number of its scene."""
+        """What each coroutine has returned, or the exception that it has raised, by the number of its scene."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
@@ -160,11 +160,11 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return two launches; a GPU inserts one of them after each piece of a sequence of time steps.
+        """Return the two launches of which a GPU inserts one after each piece of a sequence of time steps.
 
-        The first launch rebuilds stale neighbour lists. The second launch does the same, and then estimates stable time
-        steps. Only a GPU with a batch of one scene can rebuild its lists without the host. If it cannot, the first
-        launch is None, and the second only estimates. On a CPU, both are None.
+        The first one rebuilds stale neighbour lists. The second one does the same and then estimates stable time steps.
+        A GPU can rebuild lists without the host only for a batch of one scene; for several scenes, the first launch is
+        None and the second one only estimates. On a CPU, both are None.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)

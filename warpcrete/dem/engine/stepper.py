@@ -40,8 +40,8 @@ SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
 """Number of steps after which the host re-sorts the bodies in memory, by kind of device.
 
 Neighbour lists are rebuilt 13 to 55 times in this interval. The key "few" stands for a GPU with few bodies. Few bodies
-fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, a step takes 1.3 us less if
-bodies are sorted every 16,000 instead of every 4000 steps. Without any sorting it takes as long as with 16,000 steps.
+fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, sorting every 16,000 instead
+of every 4000 steps shortens a step by 1.3 us; never sorting gives the same time as every 16,000 steps.
 """
 
 
@@ -86,8 +86,8 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest step in which no wall with prescribed motion moves farther than `LEAP` times the smallest sphere
-        radius [s]."""
+        """Longest time step [s] in which no wall with prescribed motion moves farther than `LEAP` times the smallest
+        sphere radius."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -111,7 +111,8 @@ class Stepper:
             skin=self.skin,
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
-            # If meshes move, spheres may move by half of the mesh skin before a rebuild, and meshes by the other half.
+            # Neighbour lists of meshes allow the relative motion `mesh_skin`. If meshes move, half of it is left to the
+            # spheres and the other half to the meshes.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -119,8 +120,8 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        # Rebuild stale lists now, because a resumed run must give the same results as an uninterrupted run, which
-        # rebuilds stale lists before it estimates the stable step.
+        # An uninterrupted run rebuilds stale lists before it estimates the stable step. A resumed run must give the
+        # same results, so rebuild stale lists now.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()
@@ -152,7 +153,10 @@ class Stepper:
         return self.state.dt
 
     def change(self, **settings: float) -> None:
-        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (1: walls stand still) for the next steps."""
+        """Change parameters of the scene for the next steps.
+
+        They are `local_damping`, `growth_rate`, `growth_end`, and `held`, which is 1 while all walls stand still.
+        """
         self.batch.set(self.index, **settings)
 
     def rebuild(self) -> None:
@@ -175,7 +179,7 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random `fraction` of the bonds of kind `old` to kind `new`, and return the number of kind `new`."""
+        """Change a random `fraction` of the bonds of kind `old` to kind `new`; return the new number of kind `new`."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -183,10 +187,10 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Strengthen the scene's bonds and lubrication layer by what they gain while the concrete rests.
+        """Strengthen bonds and lubrication layer as the concrete gains strength at rest, and bond unbonded pairs.
 
-        Pairs without a bond are bonded as well. Returns the present travel [m] of the wall `Rest.wall`; the slip along
-        the wall is counted from there.
+        Returns the present travel [m] of the wall `Rest.wall`. The slip along the wall after the rest is measured from
+        this travel.
         """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
@@ -209,11 +213,10 @@ class Stepper:
             self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
-        """Choose the number of sub-cycling rounds, the shorter steps for hydrated bonds within each time step."""
+        """Choose the number of sub-cycling rounds per time step, which are short steps for the hydrated bonds."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        # Estimate the stable step without the hydrated bonds, which an estimate ignores while the number of rounds is
-        # still 0.
+        # The number of sub-cycling rounds is still 0. While it is 0, an estimate ignores the hydrated bonds.
         unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
@@ -342,7 +345,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether the goal is a number of steps and the stable step must be estimated before the next step."""
+        """Return whether the latest goal was a number of steps and an estimate of the stable step is now due."""
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
