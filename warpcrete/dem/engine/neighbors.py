@@ -106,7 +106,7 @@ class NeighborLists:
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
-        """Return the number of threads per sphere that find neighbours when a rebuild concerns `spheres` spheres."""
+        """Return the number of GPU threads that search around each sphere if `spheres` spheres need new lists."""
         return OCTANTS if self.batch.parallel and spheres < MANY_SPHERES else 1
 
     def __call__(self) -> None:
@@ -417,12 +417,12 @@ class NeighborLists:
         )
 
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
+        """Return the number of list entries of each scene, and the number of neighbours for which memory is missing.
 
-        The second result is 0 if the search buffer was large enough for the neighbours of every sphere. Otherwise it is
-        the largest number of neighbours of a sphere that needs more room. Both results are read from the device array
-        `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; its message names the list by
-        `what` and `entries`.
+        The second result is 0 if the search buffer was large enough for every sphere. Otherwise it is the largest
+        number of neighbours of any sphere for which the buffer was too small. Both results are read from the device
+        array `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; the message contains
+        `what`, the name of the list, and `entries`, the name of its entries.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)

@@ -207,7 +207,7 @@ class Stepper:
         """Add the yield stress that the lubrication layer gained at rest.
 
         Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
-        since the rest. `travel_at_rest` is the distance that it had moved in total when the rest took place [m].
+        since the rest. `travel_at_rest` is the total distance [m] that this wall had moved by the time of the rest.
         """
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)

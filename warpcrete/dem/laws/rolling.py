@@ -78,7 +78,8 @@ class RollingResistance(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
+            # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r limits
+            # the step at most as much as a shear stiffness k_r / r^2, so add this.
             k = linear_stiffness(p.contact, touch)
             if p.rolling_friction > scalar(0.0):
                 kr, cr = rolling_stiffness(p, touch)
