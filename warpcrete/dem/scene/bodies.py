@@ -81,7 +81,7 @@ class BodyTable:
 
 
 def placed_bodies(scene: Scene) -> BodyTable:
-    """Return a table of the bodies whose positions the scene gives explicitly, without packed ones."""
+    """Return a table of the bodies whose positions the scene gives explicitly; it does not contain packed bodies."""
     table = BodyTable.empty()
     for bodies in scene.bodies:
         n = len(bodies.positions)

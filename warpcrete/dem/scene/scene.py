@@ -198,7 +198,7 @@ class Scene(Parametrised):
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
-    """Contact laws for single pairs of materials, which replace `contact`; the order within a pair does not matter."""
+    """Contact laws for certain pairs of materials, which replace `contact`; the order within a pair does not matter."""
     contact: ContactLaw = field(default_factory=Contact)
     """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
     and one against walls; the parameters of each may differ between pairs of materials."""
@@ -235,7 +235,8 @@ class Scene(Parametrised):
     remarks: tuple[str, ...] = ()
     """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the scene's function creates this scene again; empty if there is no such function."""
+    """Arguments that the scene's function needs to create this scene again; empty for a scene not created by a
+    function."""
 
     @property
     def caption(self) -> str:

@@ -9,9 +9,9 @@ from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, Within
 
 MUCH_STIFFER = 200.0
-"""Ratio of the modulus of hydrated bonds to the largest other modulus, above which sub-cycling of the bonds saves
-computing time. At a ratio of 100, a run with sub-cycling takes as long as a run without, whose time steps must all be
-as short as the stiff bonds require."""
+"""Smallest ratio of the modulus of hydrated bonds to the largest other modulus at which sub-cycling of the bonds saves
+computing time. Without sub-cycling, all time steps must be as short as the stiff bonds require. At a ratio of 100, runs
+with and without sub-cycling take equally long."""
 
 
 @dataclass(frozen=True, kw_only=True)
