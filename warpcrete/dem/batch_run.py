@@ -112,7 +112,7 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """One batch and the simulations that run in it, identified by their indices in the list of all simulations."""
+    """One batch and its simulations. A simulation is identified by its index in the list of all simulations."""
 
     def __init__(
         self,

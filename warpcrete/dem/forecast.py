@@ -303,8 +303,8 @@ class _ShortenedCopy:
     def _springs_differ(self) -> bool:
         """True if the forecast can also estimate a stable step without dashpots.
 
-        At least one contact law must then have dashpots. All laws must be dataclasses, because only dataclasses can be
-        copied with damping ratios of 0.
+        This requires that at least one contact law has dashpots and that all laws are dataclasses, because only
+        dataclasses can be copied with damping ratios of 0.
         """
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)

@@ -56,7 +56,7 @@ def batch_key(model: Model) -> tuple[object, ...]:
 
 
 class Batch(JointArrays):
-    """Scenes with the same features on one device, with joint arrays of which each scene's arrays are slices.
+    """Scenes with the same features on one device; their arrays are slices of joint arrays.
 
     `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
     each thread computes a chunk, a range of bodies that are neighbours in memory. A batch of several scenes uses one
@@ -198,7 +198,10 @@ class Batch(JointArrays):
         self._flags_pending = True
 
     def host_flags(self) -> np.ndarray:
-        """Return the control flags of all scenes; changes to this array are sent to the device with the next launch."""
+        """Return the control flags of all scenes, such as halted or failed, shape (scenes, FLAGS).
+
+        The next launch sends changes to this array to the device.
+        """
         if self._flags is None:
             self._read_flags()
         assert self._flags is not None
@@ -262,10 +265,10 @@ class Batch(JointArrays):
 
     @contextmanager
     def changing(self) -> Generator[None]:
-        """Let the code in a `with` block change control flags, times or walls on the device.
+        """Open a context in which code may change control flags, times or walls on the device, by any means.
 
-        The code changes them by launches or by writing to arrays.
-        The host's pending changes are sent first. Afterwards the host's copies are discarded, also after an exception.
+        The host's pending changes are sent to the device first. At the end of the context, also after an exception, the
+        host's copies of the device arrays are discarded, because they may be out of date.
         """
         self.flush()
         try:
@@ -288,7 +291,10 @@ class Batch(JointArrays):
         self._flags_pending = self._row_pending = False
 
     def launch(self) -> None:
-        """Launch steps until some scene needs attention; on a GPU the steps run while Python continues."""
+        """Launch as many time steps as the planner chooses; scenes that need attention skip the rest of them.
+
+        On a GPU, the method returns while the steps are still running.
+        """
         launch_sizes = self.planner.launch_sizes(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         with self.changing():

@@ -274,7 +274,10 @@ class JointArrays:
         return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
 
     def set(self, s: int, **numbers: float) -> None:
-        """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
+        """Change parameters of scene `s` on host and device.
+
+        The keywords are field names of the struct `SceneRow`.
+        """
         # Return early if nothing changes, because steppers often set values that are already set.
         if numbers.items() <= self._settings[s].items():
             return

@@ -42,7 +42,10 @@ def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int =
 
 
 def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: float, seed: int) -> int:
-    """Change a random `fraction` of the bonds of kind `old` to kind `new`; return the number of bonds of kind `new`."""
+    """Change a random `fraction` of the bonds of kind `old` to kind `new`.
+
+    Returns the number of bonds of kind `new` afterwards.
+    """
     _, reassign = bond_kernels(model.scalar)
     launch(
         reassign, state.sphere_count, model.device, old_kind=old, new_kind=new, fraction=fraction,

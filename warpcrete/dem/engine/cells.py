@@ -83,7 +83,8 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        # Add one cell to the count of cells, and one empty cell that separates the blocks of two scenes.
+        # The cell indices from `low` to `high` are `high - low + 1` cells. One more, empty cell separates the blocks of
+        # two scenes.
         sizes = high - low + 2
         # Choose the axis along which the longest block is shortest, and place the blocks of all scenes side by side
         # along it.

@@ -21,7 +21,7 @@ LAUNCH = {"cpu": 64, "cuda": 512}
 BATCH_LAUNCH = 40
 """Maximum number of steps that the host queues on a GPU for a batch of several scenes.
 
-After these steps the host serves the scenes that have halted.
+After these steps the host deals with the scenes that have halted, for example by rebuilding their neighbour lists.
 """
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.

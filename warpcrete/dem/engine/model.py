@@ -89,7 +89,7 @@ class Model:
     """Properties of the bond kinds 1, 2, ...; the last kind consists of the bonds that have gained strength at rest, if
     any."""
     walls: tuple[Wall, ...]
-    """Walls of the scene in device order: planes and pipes first, then meshes."""
+    """Walls of the scene in the order of the device arrays: planes and pipes first, then meshes."""
     analytic_walls: int
     """Number of planes and pipes among the walls; their contacts are computed by formulas."""
     pair_parameters: DeviceArray
@@ -130,7 +130,7 @@ class Model:
 def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool = False) -> Model:
     """Build the model of a scene for a Warp `device` and a `precision` ("float32" or "float64").
 
-    `growth` prepares for packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
+    `growth` is True for a packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
     contact laws, bonds or materials that the kernels cannot handle.
     """
     scalar = scalar_of(precision)

@@ -24,8 +24,8 @@ from .batch import Batch
 from .links import rows_of
 
 MANY_SPHERES = 200_000
-"""Number of spheres from which on a GPU uses one thread per sphere to build neighbour lists; below it, several
-threads."""
+"""Minimum number of spheres for which a GPU uses one thread per sphere to build neighbour lists. With fewer spheres,
+several threads share a sphere, so that they keep the GPU busy."""
 NEAR_LINK_INTERVAL = 20
 """Number of steps between two selections of the near links, which are the pairs of spheres that may touch soon.
 
@@ -45,7 +45,7 @@ A link is a listed pair of spheres; it is a near link if the spheres may touch s
 threads, some threads compute several links.
 """
 WALL_LANE_BITS = 3
-"""Largest number of GPU threads that share the walls (planes and pipes) of one sphere, as a power of two: 2^3 = 8."""
+"""Exponent of the largest number of GPU threads that share the walls (planes and pipes) of one sphere: 2^3 = 8."""
 WALL_THREADS = 100_000
 """Largest total number of GPU threads for wall contacts, if several threads share the walls of each sphere.
 
@@ -53,7 +53,7 @@ More threads would not hide more memory latency: for 100,000 spheres, eight thre
 one thread per sphere.
 """
 LANE_BITS = 2
-"""Number of GPU threads that share the motion of one clump, as a power of two: 2^2 = 4.
+"""Exponent of the number of GPU threads that share the motion of one clump: 2^2 = 4.
 
 Several threads share a clump if the scene has few spheres, or if the forces of each contact take more than two rows of
 memory. Otherwise a single thread moves a clump.

@@ -82,7 +82,7 @@ class HoldingBatch(Protocol):
         ...
 
     def host_flags(self) -> np.ndarray:
-        """Return the control flags of all scenes."""
+        """Return the control flags of all scenes, such as halted or failed, shape (scenes, FLAGS)."""
         ...
 
     def host_clock(self) -> np.ndarray:
@@ -160,9 +160,9 @@ class State:
         self._make_scene()
 
     def _fill(self, struct: str, **arrays: HostArray | Shape) -> None:
-        """Create the named arrays of the struct `struct` on the device.
+        """Create arrays of the struct `struct` on the device.
 
-        Each value is the host data of an array, or a shape, which creates an array of zeros.
+        Each keyword is the name of an array. Its value is the array's host data, or a shape for an array of zeros.
         """
         target = getattr(self, struct)
         variables = struct_of(self.structs, struct).vars

@@ -76,7 +76,7 @@ class Stepper:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        # `running` becomes True at t = 0. Before, an unstable fixed step raises a SceneError, and afterwards an
+        # `running` becomes True at t = 0. Before t = 0, an unstable fixed step raises a SceneError, and from then on an
         # InstabilityError.
         self.running = False
         self._skin, self._sort_every = skin, sort_every
@@ -111,8 +111,8 @@ class Stepper:
             skin=self.skin,
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
-            # Neighbour lists of meshes allow the relative motion `mesh_skin`. If meshes move, half of it is left to the
-            # spheres and the other half to the meshes.
+            # The lists of mesh candidates stay complete while spheres and meshes move relative to each other by at most
+            # `mesh_skin`. If meshes move, half of this distance is left to the spheres and half to the meshes.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -179,7 +179,10 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random `fraction` of the bonds of kind `old` to kind `new`; return the new number of kind `new`."""
+        """Change a random `fraction` of the bonds of kind `old` to kind `new`.
+
+        Returns the number of bonds of kind `new` afterwards.
+        """
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -187,7 +190,7 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Strengthen bonds and lubrication layer as the concrete gains strength at rest, and bond unbonded pairs.
+        """Apply the rest of the concrete: strengthen bonds and lubrication layer, and bond all unbonded pairs.
 
         Returns the present travel [m] of the wall `Rest.wall`. The slip along the wall after the rest is measured from
         this travel.
@@ -216,7 +219,7 @@ class Stepper:
         """Choose the number of sub-cycling rounds per time step, which are short steps for the hydrated bonds."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        # The number of sub-cycling rounds is still 0. While it is 0, an estimate ignores the hydrated bonds.
+        # An estimate ignores the hydrated bonds while the number of sub-cycling rounds is 0, as it still is here.
         unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
@@ -298,7 +301,7 @@ class Stepper:
     def _fastest_wall(self, model: Model) -> float:
         """Return the largest speed of all walls with prescribed motion [m/s], or 0 without such walls.
 
-        Raises :class:`SceneError` if a wall moves further in a fixed step than the radius of the smallest sphere.
+        Raises :class:`SceneError` if a wall moves by more than the radius of the smallest sphere in a fixed time step.
         """
         speeds = {wall.name: wall.top_speed() for wall in model.walls}
         fixed, radius = self.time_step.fixed, self.state.smallest_radius
@@ -318,7 +321,7 @@ class Stepper:
         return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Advance the scene to a time, to within one step, or by a number of steps of the current size.
+        """Advance the scene to `goal`: a time, reached to within one step, or a number of steps of the current size.
 
         This coroutine yields whenever the batch must step. It must be resumed when the scene has halted, because the
         scene has reached the goal or needs a new estimate of its stable step.

@@ -107,7 +107,7 @@ class ContactLaw(Declared, ABC):
 
     @classmethod
     def functions(cls, scalar: Any) -> SimpleNamespace:
-        """Return the struct `Parameters` and the device functions of the law for the number type `scalar`."""
+        """Return the struct `Parameters` and the device functions of the law for the floating-point type `scalar`."""
         return _functions(cls, scalar)
 
     def row(self) -> dict[str, Any]:

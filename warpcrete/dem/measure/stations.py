@@ -34,7 +34,8 @@ FRONT = 0.98
 """The front of the concrete is defined as the point along the pipe behind which this fraction of the solid volume lies.
 Ahead of the front, concrete does not fill the whole cross-section."""
 FARTHEST = 8
-"""The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
+"""The search for the front is limited to the 1/FARTHEST of all bodies that are farthest along the pipe, to save
+time."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
@@ -245,7 +246,7 @@ class _Straight:
     stress: np.ndarray
     shear: np.ndarray
     mean: float
-    """Mean wall stress in the straight stretch [Pa]."""
+    """Mean wall stress in the straight section [Pa]."""
     flux: float
 
 

@@ -1,4 +1,4 @@
-"""Watch over a run, which stops it when its state has become meaningless."""
+"""Check the state of a run against limits, and stop the run when the state has become meaningless."""
 
 from __future__ import annotations
 

@@ -223,7 +223,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Add the wear that each sphere has caused since the last call to the patch that the sphere touched last."""
+        """Record the wear since the last call; each sphere's share goes to the patch that the sphere touched last."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()

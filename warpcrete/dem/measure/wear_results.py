@@ -109,7 +109,8 @@ QUANTITIES = (
     Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0))),
     Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi))),
 )
-"""Wear results of the most worn wall since t = 0: means over the stretch that aggregates touched, and worst patch."""
+"""Wear results of the most worn wall since t = 0: means over the part of the wall that aggregates touched, and the
+values of the most worn patch."""
 
 
 def report(run: Any) -> Iterator[tuple[str, str]]:

@@ -154,7 +154,7 @@ MOST_BALLS = 600_000
 
 @dataclass(frozen=True)
 class Plug:
-    """Plug that closes the front of the concrete: bonded balls or a plate, pushed against the flow; may be empty."""
+    """Plug that closes the front of the concrete: bonded balls or a plate, pushed against the flow, or nothing."""
 
     bodies: tuple[Bodies, ...] = ()
     drives: tuple[AxisDrive, ...] = ()

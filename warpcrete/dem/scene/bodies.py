@@ -60,7 +60,10 @@ class BodyTable:
         return BodyTable(none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0, int), np.zeros(0), [], [], ())
 
     def joined(self, other: BodyTable) -> BodyTable:
-        """Return a table with the bodies of this table followed by those of `other`; templates are stored once."""
+        """Return a table with the bodies of this table followed by those of `other`.
+
+        A template object that occurs in both tables is stored once.
+        """
         templates = list(self.templates)
         for template in other.templates:
             if all(template is not known for known in templates):

@@ -80,7 +80,7 @@ class PipeContainer:
         return (PipeWall(name="pipe", axis=self.axis, radius=self.radius, material=material), *ends)
 
     def pilot(self) -> PipeContainer:
-        """Return a shorter pipe for cheap trial packings, whose properties are nearly those of the whole packing."""
+        """Return a shorter pipe for cheap trial packings, which have nearly the properties of the whole packing."""
         return replace(self, length=min(self.length, 3 * self.radius))
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:

@@ -48,7 +48,7 @@ class AxisDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """Bodies of one shape and density that a scene places at given positions."""
+    """Bodies of one shape and one density, which a scene places at given positions."""
 
     positions: np.ndarray
     """Centroids of the bodies [m], shape (n, 3)."""
@@ -120,7 +120,7 @@ class PressureProbe:
 
 @dataclass(frozen=True, kw_only=True)
 class PipeUnit:
-    """Description of a pipe, through which a piston pushes concrete, for measurements, checks and figures."""
+    """Description of a pipe through which a piston pushes concrete; measurements, checks and figures use it."""
 
     name: str
     axis: Axis
@@ -143,7 +143,7 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Return the travel [m] at which the stroke that contains the travel `travel` [m] began.
+        """Return the piston's travel [m] at the beginning of the stroke in which it reaches `travel` [m].
 
         During a stop the next stroke counts as begun.
         """
@@ -154,7 +154,7 @@ class PipeUnit:
 
 @dataclass(frozen=True, kw_only=True)
 class Vessel:
-    """Description of a vessel, in which fresh concrete is tested, for measurements and checks."""
+    """Description of a vessel in which fresh concrete is tested; measurements and checks use it."""
 
     test: StandardTest
     opened: float

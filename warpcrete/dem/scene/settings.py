@@ -55,7 +55,7 @@ class Hydration(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class TimeStep(Declared):
-    """Choice of the time step: a fixed size, or an automatic one from masses and current stiffness."""
+    """Choice of the time step: a fixed size, or an automatic size that follows from masses and current stiffness."""
 
     called = "time_step"
 
@@ -147,7 +147,7 @@ class Wear(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Blockage(Declared):
-    """Settings for detecting blockage: part of the concrete in a pipe stands still while the piston advances."""
+    """Settings for detecting a blockage: part of the concrete in a pipe stands still while the piston advances."""
 
     called = "blockage"
 
