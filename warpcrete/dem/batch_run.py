@@ -135,7 +135,10 @@ class _BatchMember:
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
-        """Create the batch of the simulations `numbers`; if one cannot begin, store its error as its outcome."""
+        """Create the batch of the simulations `numbers`.
+
+        The outcome of a simulation that cannot begin is its error.
+        """
         with wp.ScopedStream(self.stream):
             self._begin(numbers)
 

@@ -167,7 +167,7 @@ def pack_many(
             pilot = replace(pilot) if pilot is fill.container else pilot
             parts.append(pilot.volume / (pilot.volume + fill.container.volume))
             pilots[number] = (pilot, CLOSE_FRACTION)
-    # fraction of the total work that the trial packings take, for the display of progress
+    # The display of progress needs the fraction of the total work that the trial packings take.
     part = float(np.mean(parts)) if parts else 0.0
 
     def grow_all(containers: dict[int, Any], report_fraction: Callable[[float], None]) -> dict[int, Any]:

@@ -1,4 +1,4 @@
-"""Estimate the device memory of a run, and check it before the arrays are allocated."""
+"""Estimate the device memory that a run needs, and check that it is free before arrays are allocated."""
 
 from __future__ import annotations
 

@@ -95,8 +95,7 @@ class Stepper:
     ) -> None:
         """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
-        ended.
+        `resumed` is the `state_dict` of an earlier stepper, whose work this stepper continues, or None.
         """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state

@@ -70,8 +70,7 @@ class SceneStepper(Protocol):
     ) -> None:
         """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
-        ended.
+        `resumed` is the `state_dict` of an earlier stepper, whose work this stepper continues, or None.
         """
 
     def state_dict(self) -> StepperRecord:

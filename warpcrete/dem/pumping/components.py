@@ -154,7 +154,10 @@ MOST_BALLS = 600_000
 
 @dataclass(frozen=True)
 class Plug:
-    """Plug that closes the front of the concrete: bonded balls or a plate, pushed against the flow, or nothing."""
+    """Plug that closes the front of the concrete: bonded balls or a plate, on which a pressure acts against the flow.
+
+    If there is no plug, all fields are empty.
+    """
 
     bodies: tuple[Bodies, ...] = ()
     drives: tuple[AxisDrive, ...] = ()

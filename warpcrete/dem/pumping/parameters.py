@@ -47,7 +47,7 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return "elements", the name of a section in a concrete's file, and the parameters that it may contain."""
+        """Return "elements", the name of a section in a concrete's file, and the parameters allowed in this section."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 

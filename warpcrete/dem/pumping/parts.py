@@ -138,7 +138,7 @@ class PartElements(
 
 @dataclass(frozen=True)
 class Course:
-    """Course of a pipe: a straight run-up, as long as the piston's travel, and behind it the part to be simulated."""
+    """Course of a pipe: a straight run-up as long as the piston's travel, followed by the part to be simulated."""
 
     axis: Axis
     bores: Bores

@@ -195,9 +195,9 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     """Create a template that approximates a closed triangle mesh by a given number of spheres.
 
     Candidates are spheres tangent to the surface from inside, centred at interior points of a grid with `resolution`
-    cells along the longest side. A greedy search adds the sphere that covers most of the volume not yet covered.
-    Finally all radii grow by the same length until the union has the mesh's volume. Cavities count as filled, because a
-    body touches others only with its outer surface.
+    cells along the longest side. A greedy search repeatedly adds the candidate that covers most of the volume not yet
+    covered. Finally all radii grow by the same length until the union has the mesh's volume. Cavities count as filled,
+    because a body touches others only with its outer surface.
 
     `mesh` is a ``trimesh.Trimesh`` or a path that trimesh can read; `spheres` is 1 to 500. Raises :class:`SceneError`
     for an open or unreadable mesh.

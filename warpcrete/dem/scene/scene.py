@@ -205,7 +205,8 @@ class Scene(Parametrised):
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
-    """Bonds inside a named group of bodies, made before settling; used for the plug."""
+    """Bonds between the bodies of a group, by the name of the group; they are made before settling, for example in a
+    plug."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0

@@ -13,7 +13,7 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Last fraction of each pause of the piston, over which the pressure held during the pause is averaged."""
+"""Fraction of each pause of the piston, at its end, over which the pressure held in the pause is averaged."""
 
 
 @dataclass(frozen=True)
