@@ -259,7 +259,8 @@ class _ShortenedCopy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # Estimate hydrated bonds together with the bonds that did not hydrate.
+                # A scene with hydrated bonds also has bonds that did not hydrate, so estimate both together.
+                if name == "hydrated bonds":
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0

@@ -1,8 +1,8 @@
 """Packing: fill a pipe or any closed mesh with aggregates by growing them in place.
 
-Small aggregates are placed ("sown") at a low solid fraction and grow at a constant rate, without friction and with
-damping, as in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest at the
-wanted solid fraction, or with sizes adjusted until the wanted pressure is met.
+Small aggregates are placed at a low solid fraction and grow at a constant rate, without friction and with damping, as
+in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest. If a solid fraction
+is wanted, the growth ends at this fraction. If a pressure is wanted, the sizes are adjusted until it is met.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class Batch(JointArrays):
         self.version = 0
         """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
         self.memory_by_version: tuple[int, int] = (-1, 0)
-        """Version of the batch at which its device memory was last measured, and this memory [B]."""
+        """Version of the batch at the last measurement of its device memory, and the measured memory [B]."""
         self._chunks: tuple[int, ...] = ()
         self.scenes_with_new_chunks: set[int] = set()
         """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""

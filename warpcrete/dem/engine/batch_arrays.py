@@ -89,7 +89,7 @@ class JointArrays:
     `pairs.start` contains the index of each sphere's first list entry and, for each scene, the end of its list."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
-        """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
+        """Join the arrays of all models and states; each of `threads` CPU threads gets an array of wall forces."""
         model = models[0]
         self.models, self.states = models, states
         self.features, self.scalar, self.device = model.features, model.scalar, model.device
@@ -329,7 +329,7 @@ class JointArrays:
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Enlarge the mesh candidates (triangles near a sphere) to at least `wanted` entries for each scene."""
+        """Enlarge the list of mesh candidates (triangles near a sphere) to at least `wanted` entries per scene."""
         if np.any(wanted > self.face_capacity):
             self._regrow("candidates", ["face"], self.face_capacity, wanted)
             self._clear_near_candidates()

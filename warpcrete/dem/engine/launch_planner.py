@@ -71,7 +71,7 @@ class LaunchPlanner:
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
-        """True if a GPU rebuilds the lists of its only scene without the host.
+        """True if a GPU rebuilds the neighbour lists of a batch of one scene without the host.
 
         The host still rebuilds lists when bodies must be sorted or when the arrays are too small.
         """

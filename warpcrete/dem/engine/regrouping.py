@@ -16,7 +16,8 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""Largest fraction of a batch's spheres in running scenes at which these scenes move to a smaller batch."""
+"""Fraction of a batch's spheres. If at most this fraction belongs to running scenes, these scenes move to a smaller
+batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
 """Number of launches in a row in which few of the spheres belong to running scenes, before these scenes move.
 

@@ -30,8 +30,8 @@ POLL_INTERVAL = 50e-6
 class _Scene:
     """Scene of a batch with its coroutine, which yields goals (times or numbers of steps).
 
-    `waiting` is True while the coroutine waits for the time steps to its last goal. `result` is what the coroutine has
-    returned or raised at its end.
+    `waiting` is True while the coroutine waits for the time steps to its latest goal. `result` is what the coroutine
+    has returned or raised at its end.
     """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
@@ -41,7 +41,10 @@ class _Scene:
         self.result: Any = None
 
     def proceed(self, error: BaseException | None = None) -> None:
-        """Run the coroutine until it needs time steps or ends; raise `error`, if one is given, inside the coroutine."""
+        """Run the coroutine until it needs time steps or ends.
+
+        If `error` is not None, it is first raised inside the coroutine.
+        """
         self.waiting = False
         try:
             while True:

@@ -137,7 +137,7 @@ class ElementDisplay(Display):
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return, for every sphere, the number, the velocity [m/s] and the largest contact force [N] of its body."""
+        """Return, for every sphere, permanent number, velocity [m/s] and largest contact force [N] of its body."""
         place = self.read("spheres.body")[self._sphere_order()]
         velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
@@ -166,7 +166,10 @@ class ElementDisplay(Display):
         )
 
     def _shown(self) -> np.ndarray:
-        """Return the size, speed or largest contact force by which each body is coloured, in the state's order."""
+        """Return the size, speed or largest contact force by which each body is coloured.
+
+        The bodies are in the order of the state's arrays.
+        """
         if self.colouring == "size":
             return self.read("bodies.size").astype(float)
         if self.colouring == "speed":

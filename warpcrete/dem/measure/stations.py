@@ -289,7 +289,8 @@ class _Spheres:
         self.tangent = axis.at(self.s)[1]
         self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
         self.solid = seen["bodies.group"][body] == 0
-        # The spheres of a clump overlap, so each receives a share of the clump's volume in proportion to its own.
+        # The spheres of a clump overlap. Give each sphere a share of the clump's volume in proportion to the sphere's
+        # volume.
         own = self.radius**3
         whole = np.bincount(body, own, len(seen["bodies.size"]))[body]
         size = seen["bodies.size"].astype(float)[body]

@@ -142,7 +142,10 @@ class PipeParameters(
 
     @property
     def distance(self) -> float:
-        """Travel of the piston [m]."""
+        """Travel of the piston in the whole run [m].
+
+        It is the parameter `travel` if given, otherwise it follows from strokes, bend, ramp or length of the pipe.
+        """
         if self.travel is not None:
             return self.travel
         if self.stroke is not None:

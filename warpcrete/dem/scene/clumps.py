@@ -165,10 +165,10 @@ TEMPLATE_SETS = ("reference", "spheres", "shape-1.5", "shape-2.5", "shape-3.5", 
 
 
 def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
-    """Return the templates with a name: `reference` (four clumps), `spheres`, or `shape-F` with F from 1 to 20.
+    """Return templates by name: `reference` (four clumps), `spheres`, or `shape-F` with a shape factor F of 1 to 20.
 
-    F is the shape factor. A name with a file extension is the path of a closed mesh, which is covered by `spheres`
-    spheres; several paths may be separated by commas. Raises :class:`SceneError` for an unknown name.
+    A name with a file extension is the path of a closed mesh, which is covered by `spheres` spheres; several paths may
+    be separated by commas. Raises :class:`SceneError` for an unknown name.
     """
     if name == "reference":
         return reference()
