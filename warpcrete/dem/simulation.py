@@ -255,7 +255,7 @@ class ElementSimulation(Simulation):
         return memory_of_batch(self.stepper) * self.state.sphere_count / max(batch.sphere_count, 1)
 
     def going_on(self, state: dict[str, Any]) -> Coroutine:
-        """Continue from a `state_dict`: restore the measurements, or complete the settling if it was interrupted."""
+        """Continue from a `state_dict`: restore packing report and measurements, or resume the settling."""
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
         if self._settled is not None:

@@ -85,12 +85,13 @@ class Batch(JointArrays):
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0
-        """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
+        """Number that increases whenever arrays or the division of bodies among CPU threads change, which makes
+        recorded launches invalid."""
         self.memory_by_version: tuple[int, int] = (-1, 0)
         """Version of the batch at the last measurement of its device memory, and the measured memory [B]."""
         self._chunks: tuple[int, ...] = ()
         self.scenes_with_new_chunks: set[int] = set()
-        """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
+        """Numbers of the scenes whose division among CPU threads no longer matches their neighbour lists."""
         self.planner = LaunchPlanner(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None

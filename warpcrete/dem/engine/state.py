@@ -59,7 +59,8 @@ class HoldingBatch(Protocol):
     device: wp.Device
     exchange: Exchange
     version: int
-    """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
+    """Number that increases whenever arrays or the division of bodies among CPU threads change, which makes recorded
+    launches invalid."""
     rows: np.ndarray
     """Host copy of the parameters of all scenes, as a structured array of shape (scenes,)."""
 

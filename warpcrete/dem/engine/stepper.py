@@ -166,7 +166,7 @@ class Stepper:
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
         """Bond all unbonded pairs with gaps up to `bonds.gap` [m], and return the number of bonds of this `kind`.
 
-        `kind` is the number of the bonds' kind, counted from 1 in the model's `bond_kinds`. If `group` is not -1, only
+        `kind` is the position of these bonds in the model's `bond_kinds`, counted from 1. If `group` is not -1, only
         pairs inside the body group of this number are bonded.
         """
         self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
