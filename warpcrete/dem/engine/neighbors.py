@@ -76,8 +76,8 @@ class NeighborLists:
         slots = n + scenes if f.meshes else 0
         self._face_count, self.face_scanned = new(slots), new(slots)
         # Each CPU thread has a section of the array `_found`, where it stores the neighbours of its spheres. `_place`
-        # contains, for each sphere, the position in this section at which the sphere's neighbours begin. This is used
-        # for half lists only.
+        # contains, for each sphere, the position in this section at which the sphere's neighbours begin. Both arrays
+        # are used only for half lists.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = new(int(self._room.sum()) if f.half_list else 0)
         self._place = new(n if f.half_list else 0)
@@ -276,9 +276,9 @@ class NeighborLists:
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
         """Return the phases of a rebuild of the neighbour lists, in the only order in which they may run.
 
-        The phase `starts` is the first one that changes the current lists. If a device that rebuilds its lists without
-        the host finds after the phase `count` that its arrays are too small, it can therefore stop. The host then
-        repeats the rebuild with larger arrays. A host that rebuilds lists reads their lengths after the phase `starts`.
+        A device that rebuilds its lists without the host may find after the phase `count` that its arrays are too
+        small. It can then stop, because the current lists are unchanged until the phase `starts`. The host repeats the
+        rebuild with larger arrays. A host that rebuilds lists reads their lengths after the phase `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity

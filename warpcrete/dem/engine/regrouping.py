@@ -19,10 +19,10 @@ LARGEST_SHARE = 0.5
 """Fraction of a batch's spheres. If at most this fraction belongs to running scenes, these scenes move to a smaller
 batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of launches in a row in which few of the spheres belong to running scenes, before these scenes move.
+"""Number of successive launches with at most `LARGEST_SHARE` of the spheres in running scenes, before these scenes
+move.
 
-"Few" means at most `LARGEST_SHARE`. The delay is useful because the move costs more than it saves if the running scenes
-end soon.
+The delay is useful because the move costs more than it saves if the running scenes end soon.
 """
 MEMORY_SHARE = 0.5
 """Fraction of the free device memory that the new, smaller batch may use.

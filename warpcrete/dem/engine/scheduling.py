@@ -92,7 +92,7 @@ class _Drive:
 
     @property
     def results(self) -> dict[int, Any]:
-        """What each coroutine has returned, or the exception that it has raised, by the number of its scene."""
+        """Return value or exception of each coroutine that has ended, by the number of its scene."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
