@@ -100,9 +100,9 @@ def _run_batch(
 
 
 def _share_rounds(parts: Sequence[_BatchMember]) -> None:
-    """Tell the batches that run at the same time how many of them must share the GPU's resident thread blocks.
+    """Tell each batch with sub-cycled bonds how many such batches run on the GPU at the same time.
 
-    The kernel that moves bodies with stiff bonds synchronises its blocks at barriers, so all blocks of all these
+    The kernel that moves bodies with stiff bonds synchronises its thread blocks at barriers, so all blocks of all these
     batches must be resident on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
     """
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
@@ -112,7 +112,7 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """One batch and the simulations that run in it, identified by their indices in the list of all simulations."""
+    """One batch and its simulations. A simulation is identified by its index in the list of all simulations."""
 
     def __init__(
         self,
@@ -126,16 +126,19 @@ class _BatchMember:
         self.outcomes = outcomes
         self.resumed: dict[int, dict[str, Any]] = {}
         self.stopped = False
-        """True if some run of this batch was interrupted."""
+        """True if Ctrl-C interrupted a run of this batch."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
-        """Steppers and coroutines of the running simulations. The keys are the indices of the simulations. The function
-        `drive_batches` advances the simulations with these objects."""
+        """Stepper and coroutine of each running simulation, by the index of the simulation. `drive_batches` runs the
+        coroutines, and the steppers advance the simulations."""
         self.stream = stream
         """CUDA stream of this batch while other batches run at the same time, otherwise None."""
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
-        """Create the batch of the simulations `numbers`; if one cannot begin, store its error as its outcome."""
+        """Create the batch of the simulations `numbers`.
+
+        The outcome of a simulation that cannot begin is its error.
+        """
         with wp.ScopedStream(self.stream):
             self._begin(numbers)
 
@@ -155,7 +158,7 @@ class _BatchMember:
             self.scenes[number] = (stepper, self._whole_run(number))
 
     def end(self, results: dict[int, Outcome]) -> None:
-        """Store the results of the batch and note whether a run was interrupted."""
+        """Store the results of the batch, and set `stopped` if Ctrl-C interrupted a run."""
         self.outcomes |= results
         self.stopped = any(
             isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()
@@ -246,7 +249,8 @@ def _split_by_memory(
     """
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
-        return [([number], 0.0) for number in numbers]  # on a CPU each simulation runs alone and uses all threads
+        # A simulation on several CPU threads runs in a batch of its own.
+        return [([number], 0.0) for number in numbers]
     room = MEMORY_FRACTION * memory_free(first.device)
     parts: list[tuple[list[int], float]] = []
     for number in numbers:
@@ -264,9 +268,9 @@ def _split_by_memory(
 def _turns(
     simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]
 ) -> list[list[tuple[list[int], float]]]:
-    """Group the batches into turns: the batches of a turn run at the same time, and turns run one after the other.
+    """Group the batches: the batches of one group run at the same time, and the groups run one after the other.
 
-    A turn has as many batches as fit the memory of a GPU. On a CPU it has one batch.
+    On a GPU, a group contains as many batches as fit into the memory. On a CPU, every group contains one batch.
     """
     turns: list[list[tuple[list[int], float]]] = []
     used = 0.0

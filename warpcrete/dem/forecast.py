@@ -1,8 +1,9 @@
 """Forecast of the time and memory that a run of discrete elements needs, measured on a cheap copy of the scene.
 
-The copy has the scene's real features but a cheaper history: a short piece of the container is packed and repeated
-along the pipe. The stable time step of the copy is estimated as in a run, and its steps, neighbour list rebuilds and
-samples are timed. Constants from earlier runs supply what the copy cannot show, such as the duration of settling.
+The copy has the same contact laws, bonds and walls as the scene, but its concrete is prepared in a cheaper way: a short
+piece of the pipe is packed and repeated along the pipe. The stable time step of the copy is estimated as in a run. Its
+time steps, neighbour list rebuilds and samples are timed. Constants from earlier runs supply what the copy cannot show,
+such as the duration of settling.
 """
 
 from __future__ import annotations
@@ -36,18 +37,20 @@ from .simulation import SETTLING_PARTS, ElementSimulation
 # Minimum fraction of the measured wall time that is attributed to steps, even if the estimated time of list rebuilds
 # would leave less.
 LEAST = 0.1
-TIMING_TIME = 0.7  # wall time for which steps are timed [s]
+TIMING_TIME = 0.7  # Wall time during which steps are measured [s].
 # The forecast times a copy of the scene with at most this number of spheres, on a GPU (True) or a CPU (False). With
 # more spheres the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
-# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. It is
-# shorter in a bend, where neighbours move relative to each other; in a straight pipe, concrete moves as a plug.
+# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. In a
+# straight pipe (STRAIGHT), concrete moves as a plug. In a bend (BENT), neighbours move relative to each other, so the
+# lists become stale earlier.
 STRAIGHT, BENT = 1.25, 0.5
 # Number of bonds in a settled packing divided by the number in an unsettled packing. In test runs this ratio was 1.2 to
 # 1.3.
 BONDS_AFTER_SETTLING = 1.2
-SETTLING_BUILDS = 1 / 40  # neighbour list rebuilds per step while a packing settles
-# A packing is assumed to settle in this number of passages of a pressure wave along the pipe, plus a constant time [s].
+SETTLING_BUILDS = 1 / 40  # number of neighbour list rebuilds per step while a packing settles
+# The settling of a packing is assumed to take as long as a pressure wave needs for PASSAGES passages along the pipe,
+# plus the constant time SETTLING_OFFSET [s].
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
 IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
 
@@ -144,7 +147,7 @@ class _ShortenedCopy:
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # a given pressure requires two packings of equal size: a trial and the real one
+            taken /= 2  # a fill with a given pressure packs twice: a trial and the real packing
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
@@ -162,7 +165,7 @@ class _ShortenedCopy:
         return tiled(table, container.axis, pilot.length, kept * pilot.length), report
 
     def _time(self) -> None:
-        """Measure the wall times of a step, of a neighbour list rebuild and of a sample, and the memory used."""
+        """Measure the wall time of a step, of a neighbour list rebuild and of a sample [s], and the memory used [B]."""
         simulation, stepper = self.simulation, self.stepper
         if self.spheres == 0:
             self.step = self.build = self.sample = 0.0
@@ -183,12 +186,12 @@ class _ShortenedCopy:
             self.memory["contacts"] += (BONDS_AFTER_SETTLING - 1) * load.size * wp.types.type_size_in_bytes(load.dtype)
 
     def step_time(self) -> float:
-        """Measure the wall time of a step without list rebuilds [s]."""
+        """Measure the wall time of one time step, without the time of neighbour list rebuilds [s]."""
         stepper = self.stepper
         if self.spheres == 0:
             return 0.0
         count, spent = 32, 0.0
-        stepper.advance(stepper.time + count * stepper.dt)  # the first steps record graphs, so do not time them
+        stepper.advance(stepper.time + count * stepper.dt)  # do not time the first steps, because they record graphs
         rates = []
         while spent < TIMING_TIME:
             wp.synchronize_device(self.device)
@@ -197,14 +200,15 @@ class _ShortenedCopy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # If other programs slowed down the timed list rebuild, the subtraction could give steps a negative time.
+            # The subtracted time of the list rebuilds may be too long, if other programs slowed down its measurement. A
+            # step must still get a positive time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
         return float(np.quantile(rates, 0.25))
 
     def settling_step(self) -> float:
-        """Measure the wall time of a step without hydrated bonds [s].
+        """Measure the wall time of one time step without sub-cycled hydrated bonds, as during settling [s].
 
         The measurement switches sub-cycling off in the timed copy of the scene, so call this method last.
         """
@@ -222,9 +226,9 @@ class _ShortenedCopy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """Return the stable time step [s] for single features of the scene, by name, and a text on what limits it.
+        """Return the time step [s] that each feature alone would allow, by name, and a text on what limits the step.
 
-        The features are contacts alone, contacts with each kind of bonds, and contacts without dashpots.
+        The features are contacts alone, contacts with one kind of bond, and contacts without dashpots.
         """
         simulation, stepper, scene = self.simulation, self.stepper, self.scene
         fixed = scene.time_step.fixed
@@ -255,7 +259,8 @@ class _ShortenedCopy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # Estimate hydrated bonds together with the bonds that did not hydrate.
+                # A scene with hydrated bonds also has bonds that did not hydrate, so estimate both together.
+                if name == "hydrated bonds":
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0
@@ -299,8 +304,8 @@ class _ShortenedCopy:
     def _springs_differ(self) -> bool:
         """True if the forecast can also estimate a stable step without dashpots.
 
-        For this, at least one contact law must have dashpots, and all laws must be dataclasses, because only these can
-        be copied without their dashpots.
+        This requires that at least one contact law has dashpots and that all laws are dataclasses, because only
+        dataclasses can be copied with damping ratios of 0.
         """
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)
@@ -381,7 +386,7 @@ def _memory(simulation: ElementSimulation) -> dict[str, float]:
 
 
 def _features(simulation: ElementSimulation) -> dict[str, str]:
-    """Return, for each feature of the kernels, a text that says why it is compiled in, or "left out"."""
+    """Return, for each optional feature of the kernels, why the scene needs it, or "left out" if the scene does not."""
     f, scene = simulation.model.features, simulation.scene
     bonds = [name for name, there in (("bonds between aggregates", scene.bonds), ("hydrated bonds", scene.hydration))
              if there] + [f"bonds of {group}" for group in scene.group_bonds]  # fmt: skip

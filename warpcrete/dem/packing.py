@@ -1,8 +1,8 @@
 """Packing: fill a pipe or any closed mesh with aggregates by growing them in place.
 
-Small aggregates are placed ("sown") at a low solid fraction and grow at a constant rate, without friction and with
-damping, as in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest at the
-wanted solid fraction, or with sizes adjusted until the wanted pressure is met.
+Small aggregates are placed at a low solid fraction and grow at a constant rate, without friction and with damping, as
+in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest. If a solid fraction
+is wanted, the growth ends at this fraction. If a pressure is wanted, the sizes are adjusted until it is met.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ START_FRACTION = 0.10  # solid fraction at which small aggregates are placed bef
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure of a packing
-# Pressure that freshly placed aggregates may cause because they overlap at first, divided by the contact modulus. The
-# overlaps vanish while the aggregates push each other apart. Growth may therefore end only at a pressure above this
-# value.
+# Pressure of freshly placed aggregates, which overlap at first, divided by the contact modulus. This pressure vanishes
+# while the aggregates push each other apart. Only a higher pressure shows that the growth may end.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
 # The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
@@ -64,7 +63,7 @@ class PackingReport:
     pressure: float
     """Mean pressure from the contact forces between bodies [Pa]; contacts with the container's walls do not count."""
     size_factor: float
-    """Factor by which all sizes were multiplied to meet a pressure; 1 if a solid fraction was given."""
+    """Factor by which all sizes were multiplied to reach a given pressure; 1 if a solid fraction was given instead."""
 
 
 def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
@@ -95,7 +94,7 @@ def draw(
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
         count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted one.
     sizes = sizes[:count]
-    # Shapes are drawn independently of sizes, so the number fraction of each shape equals its volume fraction.
+    # Shapes are drawn independently of sizes, so on average a shape's fraction by number equals its fraction by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
     points = container.sample(count, random)[random.permutation(count)]
     zero = np.zeros((count, 3))
@@ -133,8 +132,9 @@ def pack(
     Returns the bodies at rest and a report. `progress` is called with the fraction done.
 
     If `fill` has a pressure instead of a solid fraction, a trial packing in a smaller container first finds the solid
-    fraction at that pressure. The real packing then stops growing when it reaches the pressure. All sizes therefore
-    change by a factor near 1, which is returned as the report's `size_factor`.
+    fraction at this pressure. The real packing starts with aggregates for about this solid fraction, and their sizes
+    are adjusted until the pressure is met. The report's `size_factor`, which is close to 1, says how much the sizes
+    changed.
     """
     request = Request(fill, contact or Contact(), seed)
     (packed,) = pack_many([request], device=device, precision=precision, progress=progress, threads=threads)
@@ -151,7 +151,7 @@ def pack_many(
     progress: Callable[[float], None] | None = None,
     threads: int = 1,
 ) -> list[Any]:
-    """Pack many containers side by side, on a GPU as one batch.
+    """Pack many containers independently of each other, on a GPU in common batches.
 
     Returns one result for each request: (bodies, report) as from :func:`pack`, or the error that the packing raised.
     """
@@ -167,7 +167,7 @@ def pack_many(
             pilot = replace(pilot) if pilot is fill.container else pilot
             parts.append(pilot.volume / (pilot.volume + fill.container.volume))
             pilots[number] = (pilot, CLOSE_FRACTION)
-    # fraction of the total work that the trial packings take, for the display of progress
+    # The display of progress needs the fraction of the total work that the trial packings take.
     part = float(np.mean(parts)) if parts else 0.0
 
     def grow_all(containers: dict[int, Any], report_fraction: Callable[[float], None]) -> dict[int, Any]:
@@ -251,7 +251,7 @@ class _Growth:
         self.rate = (1.0 - start) / GROWTH_STEPS
 
     def growing(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Grow the aggregates and let them come to rest; the coroutine returns bodies and report."""
+        """Return a coroutine that grows the aggregates, lets them come to rest, and returns bodies and report."""
         try:
             yield from self._grow(stepper, lambda done: tell(0.6 * done))
             yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
@@ -262,7 +262,7 @@ class _Growth:
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         pressure = self.fill.pressure
         # Freshly placed aggregates overlap and push each other apart, which causes a pressure for a short time. Only a
-        # pressure above the highest one that these first overlaps may cause ends the growth early.
+        # higher pressure ends the growth before its last step.
         resting = max(pressure or 0.0, TRANSIENT_LOOKS * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()
@@ -303,8 +303,8 @@ class _Growth:
                 # aggregates move into free space. The factor `gain` makes up for this.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    # Grow by at least `least`, because the pressure of a packing that is not yet jammed does not show
-                    # how much to grow.
+                    # Grow by at least `least`. If the packing is not yet jammed, its pressure does not show how much it
+                    # must grow.
                     change = max(change, least)
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()
@@ -320,7 +320,7 @@ class _Growth:
         factor = float(state.scenes.scale.numpy()[0])
         sums = contact_sums(self.model, state, coordination=True)
         result = state.table()
-        # The bodies' mass was constant while they grew, so their density is wrong; restore the given density.
+        # The sizes of the bodies changed at constant mass, so their density is wrong. Restore the given density.
         result.density = self.table.density.copy()
         if self.fill.bulk_density is not None:
             result.density[:] = self.fill.bulk_density * self.container.volume / result.volume.sum()
@@ -351,7 +351,7 @@ class _Growth:
 
 
 def _resize(state: State, table: BodyTable, factor: float) -> None:
-    """Scale the spheres of each body about the body's centroid by a factor."""
+    """Multiply the radii of all spheres, and their distances from the centroid of their body, by `factor`."""
     spheres = state.spheres
     position = spheres.position.numpy().astype(float)
     centre = table.position[spheres.body.numpy()]

@@ -111,7 +111,10 @@ def plot_stations(run: ElementRun) -> Any:
 
 
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
-    """Return the figure for the run folder: profiles along the pipe, else pressure over time or travel, else None."""
+    """Return the figure of a run folder: profiles along the pipe if measured, else pressure over time or travel.
+
+    The result is None if the run measured no pressure.
+    """
     if "stations" in run.tables:
         return plot_stations(run)
     if "pressure" not in run.series:

@@ -33,7 +33,7 @@ from .scene.bodies import BodyTable, placed_bodies
 from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
-QUIET = 1e-5  # ratio of kinetic to elastic energy below which a packing counts as settled
+QUIET = 1e-5  # Ratio of kinetic to elastic energy below which a packing counts as settled.
 SETTLING_PARTS = 50  # number of intervals into which settling is divided; after each, the motion is checked
 
 
@@ -65,7 +65,7 @@ class ElementSimulation(Simulation):
         self.packing: PackingReport | None = None
         self._settled: int | None = None  # completed intervals of settling; None before settling and from t = 0 on
         self.rested: float | None = None
-        """Travel of the piston at which the concrete rested [m]; None before the rest."""
+        """Travel of the piston [m] at which the concrete rested (see `Scene.rest`); None before the rest."""
 
     @property
     def prepared(self) -> bool:
@@ -122,20 +122,21 @@ class ElementSimulation(Simulation):
 
     def join(self, stepper: Stepper) -> None:
         """Use `stepper`, which may share a batch with other scenes, to advance the state from now on."""
-        # Only this class assigns its stepper, which may therefore have a narrower type.
+        # The base class declares a more general type of stepper. A narrower type is safe, because only this class
+        # assigns it.
         self.stepper = stepper  # pyright: ignore[reportIncompatibleVariableOverride]
         settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
         stepper.change(local_damping=damping)
 
     def preparing(self) -> Coroutine:
-        """Prepare the state at t = 0, beginning with placed bodies or with a checkpoint from the settling."""
+        """Prepare the state at t = 0, starting from newly placed bodies or from a checkpoint of the settling."""
         scene, model = self.scene, self.model
         if self._settled is None:
             first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
             for number, (group, bonds) in enumerate(scene.group_bonds.items()):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
-            self.stepper.choose_dt()  # raise the error for an unstable step before writing any file
+            self.stepper.choose_dt()  # raise the error for an unstable step before any file is written
 
         started = wall_clock.perf_counter() - self._wall_times.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
@@ -194,9 +195,10 @@ class ElementSimulation(Simulation):
     def reaching(self, time: float) -> Coroutine:
         """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
 
-        In some scenes the concrete stands still for a given time, for example ten minutes. This standstill is not
-        simulated: at a given moment of the run, bonds and slip layer gain the strength that they would gain. If this
-        moment is at or before `time` and has not been reached yet, the simulation first advances to it.
+        A scene may contain a rest, for example ten minutes in which the concrete stands still. The rest is not
+        simulated: at its moment, bonds and lubrication layer gain at once the strength that they would gain during the
+        rest. If the rest is due at or before `time` and has not taken place yet, the simulation first advances to its
+        moment.
         """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
@@ -211,7 +213,11 @@ class ElementSimulation(Simulation):
         self.blockage = BlockageWatch(self.model, self.state) if self.scene.looks_for_blockage else None
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the checkpoint: state, stepper, packing report, and progress of settling or all measurements."""
+        """Return the data of a checkpoint.
+
+        They are the state, the stepper, the packing report, and either the progress of the settling or all
+        measurements.
+        """
         self.stepper.batch.flush()
         found = {
             "state": state_dict(self.state),
@@ -244,12 +250,12 @@ class ElementSimulation(Simulation):
         self._settled = state.get("settled")
 
     def _memory(self) -> float:
-        """Return the device memory of the run [B]; in a batch, its share by number of spheres."""
+        """Return the device memory of the run [B]; in a batch, a share in proportion to the run's number of spheres."""
         batch = self.stepper.batch
         return memory_of_batch(self.stepper) * self.state.sphere_count / max(batch.sphere_count, 1)
 
     def going_on(self, state: dict[str, Any]) -> Coroutine:
-        """Restore packing report and measurements from a `state_dict`, or resume an interrupted settling."""
+        """Continue from a `state_dict`: restore packing report and measurements, or resume the settling."""
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
         if self._settled is not None:
@@ -268,7 +274,7 @@ class ElementSimulation(Simulation):
         """Free the device memory of the simulation; the results of the run stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        # Ignore attributes that do not exist, because a run that failed early lacks some.
+        # A run that failed early lacks some of these attributes.
         for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 

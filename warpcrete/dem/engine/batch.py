@@ -42,10 +42,10 @@ from .subcycling import Subcycles
 from .wall_layer import Structure
 
 SPHERES_PER_THREAD = 500
-"""Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
+"""Minimum number of spheres for each CPU thread. Threads with fewer spheres wait longer for each other than they save.
 
-In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for
-500.
+In a small pipe, the wall time with two threads divided by the wall time with one thread was 0.67 to 1.0 for 1000
+spheres and 1.25 to 2 for 500 spheres.
 """
 
 
@@ -56,7 +56,7 @@ def batch_key(model: Model) -> tuple[object, ...]:
 
 
 class Batch(JointArrays):
-    """Scenes with the same features on one device, with joint arrays of which each scene's arrays are slices.
+    """Scenes with the same features on one device; their arrays are slices of joint arrays.
 
     `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
     each thread computes a chunk, a range of bodies that are neighbours in memory. A batch of several scenes uses one
@@ -85,12 +85,13 @@ class Batch(JointArrays):
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0
-        """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
+        """Number that increases whenever arrays or the division of bodies among CPU threads change, which makes
+        recorded launches invalid."""
         self.memory_by_version: tuple[int, int] = (-1, 0)
-        """Version of the batch at which its device memory was last measured, and this memory [B]."""
+        """Version of the batch at the last measurement of its device memory, and the measured memory [B]."""
         self._chunks: tuple[int, ...] = ()
         self.scenes_with_new_chunks: set[int] = set()
-        """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
+        """Numbers of the scenes whose division among CPU threads no longer matches their neighbour lists."""
         self.planner = LaunchPlanner(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
@@ -158,9 +159,9 @@ class Batch(JointArrays):
         """Set the recorded launches of a time step, and of the work that follows each group of steps on a GPU.
 
         `step` holds one list of launches for each CPU thread. The launches stay valid while `has_step` is True. After
-        each group of steps, a GPU launches `between_pieces`. This estimates stable time steps and, in a batch of one
-        scene, rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead, which
-        only rebuilds the lists.
+        each group of steps, a GPU launches `between_pieces`, which estimates stable time steps and, in a batch of one
+        scene, also rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead,
+        which only rebuilds the lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
@@ -198,16 +199,19 @@ class Batch(JointArrays):
         self._flags_pending = True
 
     def host_flags(self) -> np.ndarray:
-        """Return the control flags of all scenes; changes to this array are sent to the device with the next launch."""
+        """Return the control flags of all scenes, such as halted or failed, shape (scenes, FLAGS).
+
+        The next launch sends changes to this array to the device.
+        """
         if self._flags is None:
             self._read_flags()
         assert self._flags is not None
         return self._flags
 
     def host_clock(self) -> np.ndarray:
-        """Return simulated time, time step and other data of the time steps of each scene, shape (scenes, CLOCK).
+        """Return simulated time, time step and other time data of each scene, shape (scenes, CLOCK).
 
-        The columns are listed in `kernels/dem/structs.py`. Callers must not change the array.
+        `kernels/dem/structs.py` says what each column contains. Callers must not change the array.
         """
         if self._clock is None:
             self._read_flags()
@@ -227,15 +231,18 @@ class Batch(JointArrays):
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
 
     def host_walls(self, s: int) -> np.ndarray:
-        """Return the present values of the walls of scene `s`, shape (walls, WALL_COLUMNS)."""
+        """Return the present forces, travel and other values of the walls of scene `s`, shape (walls, WALL_COLUMNS).
+
+        `kernels/dem/probes.py` says what each column contains.
+        """
         if self._walls is None:
             (self._walls,) = self.exchange.read(self.wall_values())
         return self.own_walls(s, self._walls)
 
     def wall_values(self) -> DeviceArray:
-        """Write the present values of all walls to `wall_array` on the device and return this array.
+        """Write the present forces, travel and other values of all walls to `wall_array`, and return this device array.
 
-        The next call overwrites the values.
+        The next call overwrites the array.
         """
         if self._wall_launch is None:
             self._wall_launch = GraphLaunch([self.wall_stage()], self.device)
@@ -259,10 +266,10 @@ class Batch(JointArrays):
 
     @contextmanager
     def changing(self) -> Generator[None]:
-        """Let the code in a `with` block change control flags, times or walls on the device.
+        """Open a context in which code may change control flags, times or walls on the device, by any means.
 
-        The code changes them by launches or by writing to arrays.
-        The host's pending changes are sent first. Afterwards the host's copies are discarded, also after an exception.
+        The host's pending changes are sent to the device first. At the end of the context, also after an exception, the
+        host's copies of the device arrays are discarded, because they may be out of date.
         """
         self.flush()
         try:
@@ -278,14 +285,17 @@ class Batch(JointArrays):
             pending.append((self.flags, self._flags))
         if pending:
             self.exchange.write(*pending)
-        # The host's copies are discarded only after the write, so that Ctrl-C during the write loses no changes.
+        # Discard the host's copies only after the write, so that Ctrl-C during the write loses no changes.
         if self.parallel:
             self._flags = self._clock = None
         self._walls = None
         self._flags_pending = self._row_pending = False
 
     def launch(self) -> None:
-        """Launch steps until some scene needs attention; on a GPU the steps run while Python continues."""
+        """Launch as many time steps as the planner chooses; scenes that need attention skip the rest of them.
+
+        On a GPU, the method returns while the steps are still running.
+        """
         launch_sizes = self.planner.launch_sizes(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         with self.changing():

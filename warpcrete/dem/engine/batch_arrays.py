@@ -25,9 +25,8 @@ from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Wal
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
-"""Fill level of a scene's arrays, as a fraction of their size. When the arrays of one scene of a batch must grow, those
-of the other scenes grow as well if their fill level is higher than this. The reason is that growing arrays discards all
-recorded launches of the batch."""
+"""Fill level, as a fraction of the array size, above which the arrays of a scene grow together with those of another
+scene. Growing any array discards all recorded launches of the batch, so it should happen rarely."""
 
 
 class JointArrays:
@@ -50,9 +49,9 @@ class JointArrays:
     across: DeviceArray
     """Neighbours of each triangle across its three edges, shape (faces, 6).
 
-    The first three numbers are the corners of the neighbouring triangles that lie opposite to the edges, and the last
-    three are the indices of these triangles. :meth:`Surfaces.across` describes the codes for edges without exactly one
-    neighbour.
+    Each edge joins a triangle to a neighbouring triangle. The first three columns contain, for each edge, the index of
+    the neighbour's corner opposite the edge. The last three columns contain the indices of the neighbours.
+    :meth:`Surfaces.across` describes the codes for edges without exactly one neighbour.
     """
     ring_start: DeviceArray
     """Index in `ring` at which each adjacency list begins, and the end of the last list, shape (lists + 1,).
@@ -60,9 +59,10 @@ class JointArrays:
     There is a list for each mesh corner, followed by a list for each edge shared by three or more triangles.
     """
     ring: DeviceArray
-    """Adjacency lists of mesh corners and shared edges, joined end to end.
+    """Adjacency lists of all mesh corners, then of all shared edges, joined end to end.
 
-    A list contains the lowest index of the triangles at the corner or edge, then the indices of the corners around it.
+    Each list begins with the lowest index of the triangles that meet at the corner or edge. The indices of the mesh
+    corners around that corner or edge follow.
     """
     face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
@@ -71,24 +71,25 @@ class JointArrays:
     wall_parameters: DeviceArray
     """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
     bond_parameters: DeviceArray
-    """Parameters of each kind of bonds, such as hydrated ones, for all scenes end to end."""
+    """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end."""
     segments: DeviceArray
     """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
     drive_axis: DeviceArray
     """Range in `segments` of the pipe axis along which a force drives each body group, shape (groups, 2).
 
-    The range begins at the first number and ends before the second; it is empty for a group without a driving force.
+    The columns are the index of the first segment and the index after the last segment. The two are equal for a group
+    without a driving force.
     """
     drive_force: DeviceArray
-    """Driving force along the axis on each single body of a group [N], for every body group, shape (groups,)."""
+    """Driving force on each single body of a group along the pipe axis [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray
     """Index of the scene to which each entry of `pairs.start` belongs, shape (spheres + scenes,). The array
-    `pairs.start` contains the first list entry of each sphere, and an end marker for each scene."""
+    `pairs.start` contains the index of each sphere's first list entry and, for each scene, the end of its list."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
-        """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
+        """Join the arrays of all models and states; each of `threads` CPU threads gets an array of wall forces."""
         model = models[0]
         self.models, self.states = models, states
         self.features, self.scalar, self.device = model.features, model.scalar, model.device
@@ -108,7 +109,8 @@ class JointArrays:
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
         """Allocated number of rows for the forces and moments of each scene's bonds, shape (scenes,).
 
-        If contacts can form bonds during the run, every listed pair has a row, and this number is unused.
+        If contacts can form bonds during the run, each entry of the neighbour list has a row, and this number is
+        unused.
         """
         self._join_states()
         self._join_models()
@@ -237,7 +239,7 @@ class JointArrays:
         self.face_wall = self._array(surfaces.owner(), wp.int32)
 
     def _set_constants(self, s: int, model: Model, state: State, *, walls_fixed: bool) -> None:
-        """Set the constant parameters of scene `s` on the host; `walls_fixed` says that no plane or pipe ever moves."""
+        """Set the constant parameters of scene `s` on the host; `walls_fixed` is True if no plane or pipe moves."""
         row = self.rows
         row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
         row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
@@ -272,8 +274,11 @@ class JointArrays:
         return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
 
     def set(self, s: int, **numbers: float) -> None:
-        """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
-        # Return early if nothing changes, because steppers often set the present values again.
+        """Change parameters of scene `s` on host and device.
+
+        The keywords are field names of the struct `SceneRow`.
+        """
+        # Return early if nothing changes, because steppers often set values that are already set.
         if numbers.items() <= self._settings[s].items():
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
@@ -290,7 +295,7 @@ class JointArrays:
         self.scenes.row.assign(self.rows)
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
-        """Enlarge the pair arrays to at least `wanted` entries for each scene; their contents are kept.
+        """Enlarge the pair arrays to at least `wanted` entries for each scene, without losing their contents.
 
         Raises :class:`CapacityError` if the arrays would be too long.
         """
@@ -303,9 +308,9 @@ class JointArrays:
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
-        # A link is a pair of the neighbour list, and the array `result` contains the contact forces of all links. It is
-        # the largest array of the old links, so free it before new arrays are allocated. Its values are not needed,
-        # because every step computes the forces anew.
+        # A link represents one listed pair, and the array `result` contains the contact forces of all links. This array
+        # is the largest one, so free it before new arrays are allocated. Its values are not needed, because every step
+        # computes the forces again.
         before.result = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
@@ -324,13 +329,16 @@ class JointArrays:
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Enlarge the mesh candidates (triangles near a sphere) to at least `wanted` entries for each scene."""
+        """Enlarge the list of mesh candidates (triangles near a sphere) to at least `wanted` entries per scene."""
         if np.any(wanted > self.face_capacity):
             self._regrow("candidates", ["face"], self.face_capacity, wanted)
             self._clear_near_candidates()
 
     def _clear_near_candidates(self) -> None:
-        """Allocate the near candidates, as many as there are candidates; all spheres must choose theirs anew."""
+        """Allocate an empty list of near candidates (triangles that may touch soon), with room for all mesh candidates.
+
+        Each sphere selects its near candidates again in the next step.
+        """
         self.candidates.near = zeros(len(self.candidates.face), dtype=wp.int32, device=self.device)
         self.candidates.chosen.zero_()
 
@@ -340,12 +348,14 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        # If contacts heal, every list entry has a row for bond forces, and the number of such rows is limited.
+        # If contacts can heal, every list entry has a row for bond forces, and the number of rows is limited to
+        # MOST_ROWS.
         if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # On a GPU, each pair has two list entries, which share up to four rows of results. The array of results thus
-        # has up to twice as many rows as the list has entries. 32-bit integers must suffice as indices of both.
+        # On a GPU, the forces of a pair take up to four rows of the array `result`, and a pair has two list entries.
+        # The array may therefore have twice as many rows as the list has entries, and its row numbers must still be
+        # 32-bit integers.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(
@@ -361,7 +371,7 @@ class JointArrays:
                     copy_array(after, before, int(new[s]), int(old[s]), kept)
                 view = after
                 if self.count > 1:
-                    empty = new[s] == new[s + 1]  # Warp cannot make a slice of length 0, so use one entry instead
+                    empty = new[s] == new[s + 1]  # Warp cannot make a slice of length 0.
                     view = after[:1] if empty else after[int(new[s]) : int(new[s + 1])]
                 setattr(getattr(state, struct), name, view)
             setattr(getattr(self, struct), name, after)

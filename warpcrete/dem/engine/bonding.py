@@ -42,7 +42,10 @@ def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int =
 
 
 def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: float, seed: int) -> int:
-    """Change a random `fraction` of the bonds of kind `old` to kind `new`; return the number of bonds of kind `new`."""
+    """Change a random `fraction` of the bonds of kind `old` to kind `new`.
+
+    Returns the number of bonds of kind `new` afterwards.
+    """
     _, reassign = bond_kernels(model.scalar)
     launch(
         reassign, state.sphere_count, model.device, old_kind=old, new_kind=new, fraction=fraction,
@@ -101,11 +104,11 @@ def _number(state: State, before: np.ndarray) -> None:
 
 
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
-    """Assign rows of `pairs.load` to the second list entries of bonds between spheres of two CPU threads, in `bond`.
+    """Store in `bond` which row of `pairs.load` belongs to the second list entry of each bond between two CPU threads.
 
-    A pair of such spheres has two entries in the neighbour list, one for each thread. The bond of the second entry is
-    stored in the row of `pairs.load` after that of the first entry. `low` and `high` are the indices of the bonded
-    spheres, and `place` is the first list entry of each bond.
+    A pair of spheres from two CPU threads has two entries in the neighbour list, one for each thread. The second entry
+    gets the row after that of the first entry. `low` and `high` are the sphere indices of all bonds, and `place` is the
+    first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
     # `place` contains the first list entry of each bonded pair, so all other bonded entries are second entries.

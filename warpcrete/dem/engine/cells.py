@@ -16,8 +16,8 @@ from .struct_types import Grid
 SAMPLED_SPHERES = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
 FARTHEST_CELL = 1e6
-"""Largest distance of a sphere from the middle of its scene that the fit of the grid takes into account, in cell
-widths. A sphere at a larger distance is treated as if it were at this distance."""
+"""Largest distance of a sphere from the middle of its scene, in cell widths, that affects the size of the grid. Spheres
+farther away are treated as if they were at this distance."""
 OUTSIDE_PERCENT = 0.1
 """Percentage of a scene's spheres that may lie beyond each end of the scene's block of cells, along each axis."""
 CELLS = 8
@@ -83,7 +83,9 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # Include an empty cell, which separates the blocks of two scenes.
+        # The cell indices from `low` to `high` are `high - low + 1` cells. One more, empty cell separates the blocks of
+        # two scenes.
+        sizes = high - low + 2
         # Choose the axis along which the longest block is shortest, and place the blocks of all scenes side by side
         # along it.
         axis = int(np.argmin(sizes.max(0)))

@@ -21,7 +21,7 @@ LAUNCH = {"cpu": 64, "cuda": 512}
 BATCH_LAUNCH = 40
 """Maximum number of steps that the host queues on a GPU for a batch of several scenes.
 
-After these steps the host serves the scenes that have halted.
+After these steps the host deals with the scenes that have halted, for example by rebuilding their neighbour lists.
 """
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.
@@ -36,7 +36,8 @@ A graph contains the recorded launches of several steps. Soon after the start of
 makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
-"""Step count that no scene ever reaches; the goal of a scene that runs until a given time instead of a step count."""
+"""Largest 32-bit integer, used as a step count that no scene ever reaches: the goal of a scene that runs until a given
+time."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists. If lists have become stale, the next lists are expected
 to last `LIFETIME_DECREASE` times as many steps. If lists are still valid at the end of their expected lifetime, this
@@ -70,7 +71,7 @@ class LaunchPlanner:
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
-        """True if a GPU rebuilds the lists of its only scene without the host.
+        """True if a GPU rebuilds the neighbour lists of a batch of one scene without the host.
 
         The host still rebuilds lists when bodies must be sorted or when the arrays are too small.
         """
@@ -101,9 +102,9 @@ class LaunchPlanner:
     def scenes_to_rebuild(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
-        These are the scenes with stale lists. On a GPU, several scenes share the launches of a rebuild, and a launch
-        for fewer scenes would take almost as long. A GPU therefore includes those of the running scenes `among` whose
-        lists will soon be stale. `flags` are the control flags of all scenes; `sort_every` is the number of steps
+        All scenes with stale lists must be rebuilt. On a GPU, the rebuild of several scenes takes hardly longer than
+        that of one scene. A GPU therefore also rebuilds those scenes whose lists will soon be stale. `among` contains
+        the numbers of the running scenes, `flags` the control flags of all scenes, and `sort_every` the number of steps
         between two re-sortings of each scene's bodies.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
@@ -140,10 +141,11 @@ class LaunchPlanner:
         """Divide the next launch of time steps into pieces, and return the number of steps of each piece.
 
         A launch is a sequence of time steps that the host requests at once. After each piece, a GPU estimates the
-        stable time step of the scenes that need an estimate. If the GPU can rebuild neighbour lists without the host,
-        it also rebuilds stale lists then.
+        stable time step of the scenes that need an estimate. A GPU that can rebuild neighbour lists without the host
+        also rebuilds stale lists after each piece.
 
-        The arguments are arrays with one row for each scene: control flags, times and parameters.
+        The arguments are arrays with one row for each scene: `flags` contains the control flags, `clock` the times, and
+        `rows` the parameters.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.
@@ -167,18 +169,18 @@ class LaunchPlanner:
             self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
         )
         if self.scenes > 1:
-            # Some scenes of a batch have waited for new neighbour lists, so they need the next estimate of their stable
-            # step later than the others. The first piece of the launch lasts until the last scene needs an estimate.
-            # The scenes that need an estimate earlier halt and wait.
+            # The scenes of a batch need their next estimates of the stable step at different steps, because some of
+            # them have waited for new neighbour lists. The first piece of the launch ends when the last scene needs an
+            # estimate. The other scenes halt when they need an estimate, and wait for the end of the piece.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, remaining_lifetime)
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # The device skips all remaining steps of a launch after the lists have become stale. If only the host can
-        # rebuild the lists, the launch therefore ends when the lists are expected to become stale. The last lifetime of
-        # the lists serves as the forecast.
+        # The device skips all steps of a launch that follow the moment at which the lists become stale. If only the
+        # host can rebuild the lists, the launch should therefore end at that moment. The forecast is that the lists
+        # last as long as the previous ones.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

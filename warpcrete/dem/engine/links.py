@@ -19,7 +19,7 @@ from .struct_types import Links
 
 
 def make_even(states: list[State]) -> None:
-    """Make the length of all pair arrays even, because a link belongs to two entries of the neighbour list."""
+    """Make the length of all pair arrays even, because one link represents two entries of the neighbour list."""
     for state in states:
         for name in pair_bytes(state.model):
             array: DeviceArray = getattr(state.pairs, name)
@@ -30,7 +30,7 @@ def make_even(states: list[State]) -> None:
 
 
 def rows_of(features: Features) -> int:
-    """Return the number of rows of four numbers in which a link (a listed pair) stores its force and moment."""
+    """Return the number of four-component rows that hold the force and the moment of one link (a listed pair)."""
     return result_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
@@ -70,8 +70,8 @@ def make_links(batch: BatchArrays) -> Links:
 def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
     """Copy the links (pairs of spheres) of each scene from the arrays of `before` into the enlarged arrays of `links`.
 
-    `old` and `capacity` are the numbers of neighbour list entries for which each scene had room before the enlargement
-    and has room afterwards, shape (scenes,).
+    `old` and `capacity` are the numbers of list entries for which each scene had room before and has room now, shape
+    (scenes,).
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))

@@ -17,7 +17,7 @@ from .stages import step_stages
 def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
     """Compile all kernels that a run will launch, or load them from the cache.
 
-    These are the kernels for time steps, neighbour lists, stable step estimates, samples and bonds.
+    These are the kernels for time steps, neighbour lists, stable step estimates, measurements and bonds.
     """
     batch = lists.batch
     if batch.sphere_count:
@@ -28,7 +28,7 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
 
 
 def _others(batch: Batch) -> list[Stage | Kernel]:
-    """Return the kernels that measure samples, create bonds, or copy the motion of spheres to their bodies."""
+    """Return the kernels that take measurements, create bonds, or copy the motion of spheres to their bodies."""
     f, scalar = batch.features, batch.scalar
     found: list[Stage | Kernel] = [
         probes.body_probe(scalar),

@@ -1,4 +1,4 @@
-"""Estimate the device memory of a run, and check it before the arrays are allocated."""
+"""Estimate the device memory that a run needs, and check that it is free before arrays are allocated."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from .stepper_protocol import SceneStepper
 
 BONDS_PER_SPHERE = 4  # Assumed number of bonded pairs per sphere in a dense packing, with a reserve.
 PAIRS_PER_SPHERE = (
-    8  # Assumed number of half list entries per sphere in a dense packing, with a reserve; a full list has twice that.
+    # Assumed entries per sphere in a half list (CPU) of a dense packing, with a reserve; a full list (GPU) has twice as
+    # many.
+    8
 )
 
 
@@ -53,16 +55,17 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        # Add memory for the search buffer, and for the index in this buffer of each sphere's first neighbour.
+        # Add memory for the neighbours that the search finds, and for the position of each sphere's first neighbour
+        # among them.
         listing += 4 * listed + 4
     else:
         # Add memory for the buffer in which the neighbour search stores the neighbours of each sphere.
         listing += 4 * MOST_KEPT
-        # Add memory for the links of a GPU. A link represents the two list entries of a pair. Near links are those
-        # whose spheres may touch soon.
-        # - A link stores the pair twice: in the list of all links and in that of near links. It also stores its scene,
-        #   its state, its index at both entries, and its forces and moments.
-        # - A sphere stores its position at the last selection of near links, and bits that mark touching neighbours.
+        # Add memory for the links of a GPU. A link represents one pair, which has two list entries. Near links are the
+        # links whose spheres may touch soon.
+        # - Memory per link: the pair in the list of all links and again in the list of near links, its scene, its
+        #   state, its index at both list entries, and its forces and moments.
+        # - Memory per sphere: its position at the last selection of near links, and bits that mark touching neighbours.
         listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(EXTRA_MASKS)
     if model.features.subcycling and model.scene.hydration is not None:
         # Add memory for the sub-cycled bonds. Each sphere has at most three bonded pairs, of which the fraction
@@ -71,13 +74,14 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     if model.features.analytic:
         listing += 4 * scalar  # Add memory for the sphere's position at the last check of its distance from walls.
     if model.features.meshes:
-        listing += 4 * scalar + 4  # Add memory for the choice of near candidates, the triangles that may touch soon.
+        # Add memory for the near candidates of each sphere, which are the triangles that may touch the sphere soon.
+        listing += 4 * scalar + 4
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 
 
 def memory_needed(model: Model, table: BodyTable) -> float:
-    """Return an estimate of the device memory that a run with the bodies of `table` needs [B]."""
+    """Return an estimate of the device memory [B] that a run needs for the bodies of `table`."""
     if len(table) == 0:
         return 0.0
     body, sphere = bytes_per_body(model, table)

@@ -86,9 +86,10 @@ class Model:
     groups: tuple[str, ...]
     """Name of each body group, by group number; number 0 means no group."""
     bond_kinds: tuple[Bonds, ...]
-    """Properties of the bond kinds 1, 2, ...; bonds that have gained strength at rest form the last kind."""
+    """Properties of the bond kinds 1, 2, ...; the last kind consists of the bonds that have gained strength at rest, if
+    any."""
     walls: tuple[Wall, ...]
-    """Walls of the scene in device order: planes and pipes first, then meshes."""
+    """Walls of the scene in the order of the device arrays: planes and pipes first, then meshes."""
     analytic_walls: int
     """Number of planes and pipes among the walls; their contacts are computed by formulas."""
     pair_parameters: DeviceArray
@@ -104,11 +105,11 @@ class Model:
     segments: DeviceArray
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: DeviceArray
-    """Range of the lines and arcs in `segments` along which a force drives each body group, shape (groups, 2). The
-    range begins at the first number and ends before the second. Both numbers are 0 for a group without a driving
+    """Range of the pipe axis in `segments` along which a force drives each body group, shape (groups, 2). The columns
+    are the index of the first segment and the index after the last segment. Both are 0 for a group without a driving
     force."""
     drive_force: DeviceArray
-    """Driving force along the axis on each single body of a group [N], for every body group, shape (groups,)."""
+    """Driving force on each single body of a group along the pipe axis [N], shape (groups,)."""
     meshes: tuple[wp.Mesh, ...]
     """The ``wp.Mesh`` objects of all mesh walls, kept alive because the wall table refers to them only by number."""
 
@@ -117,7 +118,7 @@ class Model:
 
     @property
     def stress_scale(self) -> float:
-        """Largest stress scale of all contact laws of the scene [Pa]."""
+        """Largest stress scale [Pa] of all contact laws: the order of magnitude of their contact stresses."""
         return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
 
     @property
@@ -129,7 +130,7 @@ class Model:
 def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool = False) -> Model:
     """Build the model of a scene for a Warp `device` and a `precision` ("float32" or "float64").
 
-    `growth` prepares for packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
+    `growth` is True for a packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
     contact laws, bonds or materials that the kernels cannot handle.
     """
     scalar = scalar_of(precision)
@@ -226,7 +227,7 @@ class _Axes:
         return first, len(self._segments)
 
     def rows(self, scalar: Scalar, device: wp.Device) -> DeviceArray:
-        """Return all axis segments as an array of structs on a device."""
+        """Return all axis segments as an array of structs `Segment` on the device, shape (segments,)."""
         Segment = axis_functions(scalar).Segment
         rows: list[object] = []
         for s in self._segments:
@@ -292,9 +293,9 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
 
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:
-    """Return the contact laws that replace the default law, by pair of materials.
+    """Return the contact laws that replace the default law for certain pairs of materials.
 
-    Both orders of a pair are keys of the returned dict.
+    The keys of the dict are the pairs (a, b) and (b, a) of material names.
     """
     contacts: dict[tuple[str, str], ContactLaw] = {}
     for (a, b), contact in scene.contacts.items():

@@ -1,9 +1,9 @@
 """Neighbour (Verlet) lists: search on a grid of cells, exact transfer of contact history, and re-sorting of bodies.
 
-A list contains all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved
-too far (L. Verlet, Phys. Rev. 159 (1967) 98). Each sphere has a row of neighbours in the list. In a full list (GPU)
-each pair is in the rows of both spheres. In a half list (CPU) a pair is in the row of one of its spheres. Each CPU
-thread computes one chunk of the spheres; only a pair between two chunks is listed for both spheres.
+A list contains all pairs of spheres whose gap is less than the skin. It serves for many steps, until some sphere may
+have moved too far (L. Verlet, Phys. Rev. 159 (1967) 98). The list stores the neighbours of each sphere together. A full
+list (GPU) contains each pair at both spheres. A half list (CPU) contains each pair at only one of its spheres, with one
+exception: a pair of spheres that belong to different CPU threads is listed at both, once for each thread.
 """
 
 from __future__ import annotations
@@ -40,28 +40,30 @@ DRIFT_LANES = 64
 OCTANTS = 8
 """Number of GPU threads that find the neighbours of one sphere if spheres are few, one for each octant around it."""
 KEPT = 32
-"""Maximum number of neighbours per sphere that a GPU stores when it counts neighbours.
+"""Maximum number of neighbours per sphere that a GPU stores while it counts them.
 
-The lists are filled from these stored neighbours. For a sphere with more neighbours, the search is repeated.
+These neighbours are later copied into the lists. For a sphere with more neighbours, the search is repeated.
 """
 MOST_KEPT = 64
-"""Value that replaces `KEPT` once some sphere has had more than `KEPT` but at most `MOST_KEPT` neighbours."""
+"""Larger value for `KEPT`, used after some sphere has had more than `KEPT` but at most `MOST_KEPT` neighbours."""
 
 
 class NeighborLists:
     """Builder of the neighbour lists of all scenes of a batch whose lists are stale.
 
     It also builds the lists of mesh candidates, which are the triangles near each sphere. A neighbour list contains all
-    pairs of spheres whose gap is less than a margin, the skin [m]. The list stays complete until a sphere has moved too
-    far. The limit is half the skin, relative to the motion of the scene as a whole (at its mean velocity when the list
-    was built). Relative to a mesh, the limit is the mesh skin.
+    pairs of spheres whose gap is less than a margin, the skin [m]. The list stays complete until a sphere has moved by
+    half the skin relative to the scene as a whole. The scene as a whole is assumed to move at the mean velocity that
+    its spheres had when the list was built. A list of mesh candidates stays complete until a sphere has moved by the
+    mesh skin [m] relative to the mesh.
     """
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self._builds = np.zeros(batch.count, dtype=int)
         self.by_device = zeros(1, dtype=wp.int32, device=batch.device)
-        """Number of list rebuilds that a GPU has done without the host, shape (1,); 0 in a batch of several scenes."""
+        """Number of list rebuilds that a GPU has done without the host, shape (1,); it stays 0 in a batch of several
+        scenes."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -73,8 +75,9 @@ class NeighborLists:
         self._count, self.scanned = new(n + scenes), new(n + scenes)
         slots = n + scenes if f.meshes else 0
         self._face_count, self.face_scanned = new(slots), new(slots)
-        # In half lists, each CPU thread stores the neighbours that it finds in its own section of `_found`. `_place`
-        # contains the position in that section where the neighbours of each sphere begin.
+        # Each CPU thread has a section of the array `_found`, where it stores the neighbours of its spheres. `_place`
+        # contains, for each sphere, the position in this section at which the sphere's neighbours begin. Both arrays
+        # are used only for half lists.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = new(int(self._room.sum()) if f.half_list else 0)
         self._place = new(n if f.half_list else 0)
@@ -103,7 +106,7 @@ class NeighborLists:
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
-        """Return the number of threads per sphere that find neighbours when a rebuild concerns `spheres` spheres."""
+        """Return the number of GPU threads that search around each sphere if `spheres` spheres need new lists."""
         return OCTANTS if self.batch.parallel and spheres < MANY_SPHERES else 1
 
     def __call__(self) -> None:
@@ -119,7 +122,8 @@ class NeighborLists:
             self._rebuild(False).launch_singly("fresh", "fresh")
             return
         stale = flags[:, int(STALE)] != 0
-        # Re-sort bodies only at fixed step counts: the times of rebuilds vary and must not influence results.
+        # Re-sort bodies only at fixed step counts. The times of rebuilds vary between devices and launches, and they
+        # must not influence results.
         b.planner.note_rebuilt(flags)
         due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
@@ -140,7 +144,7 @@ class NeighborLists:
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # In the larger arrays, the lists of the scenes begin at other indices, so copy the old lists again.
+            # Enlarging the arrays moves the lists of the scenes to other array positions, so copy the old lists again.
             self._keep_old(np.flatnonzero(stale))
         self._entries[stale] = wanted[stale]
         if b.features.meshes:
@@ -155,7 +159,7 @@ class NeighborLists:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Launch the phases `cells` and `search` of a rebuild of half lists, and return the complete rebuild.
+        """Launch the phases `cells` and `search` of a rebuild of half lists, and return all phases of this rebuild.
 
         If the search buffers are too small, they are enlarged and the search is repeated.
         """
@@ -186,15 +190,15 @@ class NeighborLists:
     def device_rebuild(self) -> Rebuild:
         """Return the phases of a list rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
 
-        The device launches all phases. In a rebuild by the host, the host first copies the old lists and then begins at
-        the phase `cells`.
+        The device launches all phases. The host, in contrast, copies the old lists itself and launches the phases from
+        `cells` on.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
         return self._rebuild(False)
 
     def lay_out_cells(self) -> None:
-        """Fit the grid of cells to scenes that have no grid yet, because their lists were loaded from a checkpoint."""
+        """Fit the cell grid to scenes whose lists come from a checkpoint, because no search has fitted it yet."""
         width = self._cells.width()
         self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
         self._cells.use_width(width)
@@ -202,8 +206,8 @@ class NeighborLists:
     def link(self, s: int) -> None:
         """Build the links of scene `s` from neighbour lists that a checkpoint contained.
 
-        A link stands for a listed pair when the GPU computes contact forces. Half lists have no links, so nothing is
-        done for them.
+        A link represents a listed pair when a GPU computes contact forces. A CPU has half lists and no links, so the
+        method then does nothing.
         """
         if self.batch.features.half_list:
             return
@@ -221,8 +225,9 @@ class NeighborLists:
         b = self.batch
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
-        # If only a few scenes of a batch are rebuilt, the spheres are few, and `OCTANTS` threads share each sphere. Add
-        # the kernels for this case.
+        # This case occurs only in batches: the whole batch has so many spheres that one thread searches for each
+        # sphere, but the scenes to rebuild have so few that `OCTANTS` threads search for each. Add the kernels for this
+        # case.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
@@ -230,7 +235,8 @@ class NeighborLists:
     def _keep_old(self, scenes: np.ndarray) -> None:
         """Copy the current neighbour lists of `scenes` to `_old`, the source of contact history for the new lists."""
         b = self.batch
-        # Copy whole arrays for a single scene on a GPU, because only the device may know how many entries are used.
+        # Copy whole arrays if more than a quarter of the scenes of a batch are rebuilt. Also copy them for a single
+        # scene on a GPU, because the host may not know how many entries a rebuild by the device has used.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array: DeviceArray = getattr(b.pairs, name)
@@ -270,9 +276,9 @@ class NeighborLists:
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
         """Return the phases of a rebuild of the neighbour lists, in the only order in which they may run.
 
-        A device may rebuild its lists without the host. After the phase `count`, it may find that its arrays are too
-        small. It can then stop, because no phase before `starts` changes the current lists. The host repeats the
-        rebuild with larger arrays. The host reads the lengths of the lists after `starts`.
+        A device that rebuilds its lists without the host may find after the phase `count` that its arrays are too
+        small. It can then stop, because the current lists are unchanged until the phase `starts`. The host repeats the
+        rebuild with larger arrays. A host that rebuilds lists reads their lengths after the phase `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
@@ -308,9 +314,9 @@ class NeighborLists:
             Phase("links", self._link_stages(scan)),
             # List the triangles of meshes within reach of each sphere as its mesh candidates.
             Phase("candidates", fill_faces),
-            # Find the new list entries of sub-cycled pairs, and the new array indices of their bodies.
+            # Find the new list entries of the sub-cycled pairs, and the array indices of the sub-cycled bodies.
             Phase("subcycles", b.subcycles.locating()),
-            # Compute the mean velocity (common drift), because the skin limits motion relative to the common drift.
+            # Compute the mean velocity of each scene's spheres, because the skin limits only motion relative to it.
             Phase("drift", [b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes)]),
             Phase("fresh", [b.stage(lists.clear_stale, b.count, lanes=self._lanes)]),
             # Select the near links, which are the pairs that may touch within the next steps.
@@ -362,8 +368,7 @@ class NeighborLists:
     def _transfer(self, old: Arguments) -> Recordable:
         """Return the launch that copies contact history from the old neighbour lists to the new ones.
 
-        On a CPU the launch is a group with one launch for each thread. It also writes the neighbours into the new
-        lists.
+        On a CPU this is a group of launches, one for each thread, which also write the neighbours into the new lists.
         """
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS
@@ -412,12 +417,12 @@ class NeighborLists:
         )
 
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
+        """Return the number of list entries of each scene, and the number of neighbours for which memory is missing.
 
-        The second result is 0 if the search buffer was large enough for the neighbours of every sphere. Otherwise it is
-        the largest number of neighbours of a sphere that needs more room. Both results are read from the device array
-        `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; its message names the list by
-        `what` and `entries`.
+        The second result is 0 if the search buffer was large enough for every sphere. Otherwise it is the largest
+        number of neighbours of any sphere for which the buffer was too small. Both results are read from the device
+        array `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; the message contains
+        `what`, the name of the list, and `entries`, the name of its entries.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)

@@ -16,9 +16,10 @@ def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def chunks_of(state: State) -> list[int] | None:
-    """Return the index of the first sphere of each CPU thread's range of spheres, and the number of spheres.
+    """Return the bounds of the ranges of spheres that the CPU threads compute, as sphere indices.
 
-    The result is None for full lists (GPU).
+    The list contains the first sphere of each range and ends with the number of spheres. The result is None for the
+    full lists of a GPU.
     """
     return list(state.chunks) if state.model.features.half_list else None
 
@@ -36,7 +37,8 @@ def pairs_of(
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # If a pair is listed at both spheres, use the entry whose `other` is not negative. In a half list, a pair whose
-        # spheres belong to the same CPU thread is listed only once, so always use its entry.
+        # If a pair is listed at both spheres, exactly one of its two entries has an `other` that is not negative; use
+        # that entry. If the spheres belong to the same CPU thread, a half list contains the pair only once; always use
+        # that entry.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

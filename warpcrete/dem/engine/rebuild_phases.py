@@ -39,9 +39,9 @@ class Chunks:
 class Rebuild:
     """All phases of a rebuild of the neighbour lists, as launches recorded on the batch's present arrays.
 
-    Every rebuild launches sections, that is, consecutive phases, of this one list. The host, a CUDA graph that decides
-    by itself when to rebuild, and a restart from a checkpoint launch different sections. Between two sections, the host
-    or the graph checks whether the new lists fit into the arrays.
+    A section is a sequence of consecutive phases. The host, a CUDA graph that decides by itself when to rebuild, and a
+    restart from a checkpoint launch different sections. Between two sections, the host or the graph checks whether the
+    new lists fit into the arrays.
     """
 
     def __init__(self, phases: Sequence[Phase], device: wp.Device) -> None:

@@ -16,9 +16,11 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""Fraction of a batch's spheres in running scenes, at or below which these scenes move to a smaller batch."""
+"""Fraction of a batch's spheres. If at most this fraction belongs to running scenes, these scenes move to a smaller
+batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of successive launches with few spheres in running scenes, after which these scenes move to a smaller batch.
+"""Number of successive launches with at most `LARGEST_SHARE` of the spheres in running scenes, before these scenes
+move.
 
 The delay is useful because the move costs more than it saves if the running scenes end soon.
 """
@@ -41,7 +43,7 @@ class Regrouping:
         self._few = 0
 
     def __call__(self, steppers: Sequence[SceneStepper]) -> None:
-        """Move the running scenes, given as steppers, to a batch of their own if they are few and memory allows."""
+        """Move the running scenes, which `steppers` advance, to a new batch if they are few and memory allows."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
         if not batch.parallel or len(steppers) == batch.count or spheres > LARGEST_SHARE * batch.sphere_count:
@@ -58,7 +60,7 @@ class Regrouping:
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move the scenes of some steppers of one batch to a new batch; the results stay the same to the bit."""
+    """Move the scenes of some steppers of one batch to a new batch, without changing a single bit of the results."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

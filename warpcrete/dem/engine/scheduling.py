@@ -30,8 +30,8 @@ POLL_INTERVAL = 50e-6
 class _Scene:
     """Scene of a batch with its coroutine, which yields goals (times or numbers of steps).
 
-    `waiting` is True while the coroutine waits for the time steps to its last goal. `result` is what the coroutine has
-    returned or raised at its end.
+    `waiting` is True while the coroutine waits for the time steps to its latest goal. `result` is what the coroutine
+    has returned or raised at its end.
     """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
@@ -41,7 +41,10 @@ class _Scene:
         self.result: Any = None
 
     def proceed(self, error: BaseException | None = None) -> None:
-        """Run the coroutine until it needs time steps or ends; raise `error`, if one is given, inside the coroutine."""
+        """Run the coroutine until it needs time steps or ends.
+
+        If `error` is not None, it is first raised inside the coroutine.
+        """
         self.waiting = False
         try:
             while True:
@@ -73,7 +76,7 @@ class _Drive:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        # `_launched` is the batch of the latest launch of time steps; it is None before the first launch.
+        # Batch on which the latest time steps were launched; None before the first launch.
         self._launched: Batch | None = None
         self.stop: KeyboardInterrupt | None = None
 
@@ -89,7 +92,7 @@ class _Drive:
 
     @property
     def results(self) -> dict[int, Any]:
-        """Value that each coroutine returned or exception that it raised, by the number of its scene."""
+        """Return value or exception of each coroutine that has ended, by the number of its scene."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
@@ -160,11 +163,11 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return two launches; a GPU inserts one of them after each piece of a sequence of time steps.
+        """Return the two launches of which a GPU inserts one after each piece of a sequence of time steps.
 
-        The first launch rebuilds stale neighbour lists. The second launch does the same, and then estimates stable time
-        steps. Only a GPU with a batch of one scene can rebuild its lists without the host. If it cannot, the first
-        launch is None, and the second only estimates. On a CPU, both are None.
+        The first one rebuilds stale neighbour lists. The second one does the same and then estimates stable time steps.
+        A GPU can rebuild lists without the host only for a batch of one scene; for several scenes, the first launch is
+        None and the second one only estimates. On a CPU, both are None.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)

@@ -14,15 +14,16 @@ from .batch import Batch
 from .state import OF_BATCH, struct_of
 
 SORTED = {"bodies": ("first", *OF_BATCH["bodies"]), "spheres": ("scene", "body", "force", "moment"), "slots": ()}
-"""Arrays that keep their order when bodies are re-sorted, by name of their struct. All other arrays of these structs
-are permuted. The listed arrays are recomputed, do not depend on the order, or contain only zeros."""
+"""Names of arrays that stay in place when bodies are re-sorted, by the name of their struct. These arrays are
+recomputed, do not depend on the order of bodies, or contain only zeros. All other arrays of these structs are
+permuted."""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place: DeviceArray) -> None:
-    """Re-sort the bodies of all scenes that `due` marks, shape (scenes,), along a Morton curve.
+    """Re-sort the bodies of all scenes marked in `due`, shape (scenes,), along a Morton curve.
 
-    Writes to `old_place` the former index of each sphere in the new order, and to `new_place` the inverse permutation,
-    both of shape (spheres,).
+    Writes two arrays of shape (spheres,): `old_place` maps the new index of each sphere to its old index, and
+    `new_place` maps the old index to the new one.
     """
     b, device, kernels, permute = batch, batch.device, order_kernels(batch.scalar), permute_kernels(batch.scalar)
     bodies = b.body_count

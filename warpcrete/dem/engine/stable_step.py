@@ -51,7 +51,7 @@ class StableStep:
         self._precomputed: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate the stable step of scene `s`, unless :meth:`precompute` has just estimated it."""
+        """Estimate the stable step of scene `s`, unless an unused result of :meth:`precompute` exists."""
         if s in self._precomputed:
             self._precomputed.discard(s)
             return

@@ -24,18 +24,19 @@ from .batch import Batch
 from .links import rows_of
 
 MANY_SPHERES = 200_000
-"""Number of spheres above which one thread per sphere suffices to keep a GPU busy while neighbour lists are built."""
+"""Minimum number of spheres for which a GPU uses one thread per sphere to build neighbour lists. With fewer spheres,
+several threads share a sphere, so that they keep the GPU busy."""
 NEAR_LINK_INTERVAL = 20
 """Number of steps between two selections of the near links, which are the pairs of spheres that may touch soon.
 
 It equals the default number of steps between two estimates of the stable step.
 """
 NEAR_MARGIN = 0.25
-"""Largest gap between a sphere and a triangle of a mesh that becomes a near candidate, as a fraction of the neighbour
-lists' skin.
+"""Largest gap between a sphere and a triangle that becomes a near candidate, as a fraction of the lists' skin.
 
-A sphere tests only its near candidates for contact, until it has moved through this gap. Compared with 0.25, a step in
-a reducer takes 5, 9 and 15 % longer on a CPU if the fraction is 0.1, 0.5 and 1.
+A sphere tests only its near candidates for contact, until it has moved by this gap. A small fraction means frequent
+selection, a large one many tests: in a reducer, CPU steps with the fractions 0.1, 0.5 and 1 take 5, 9 and 15 % longer
+than with 0.25.
 """
 THREADS_PER_LINK = 0.5
 """Number of GPU threads that compute the forces of near links, divided by the number of all links.
@@ -44,25 +45,25 @@ A link is a listed pair of spheres; it is a near link if the spheres may touch s
 threads, some threads compute several links.
 """
 WALL_LANE_BITS = 3
-"""Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
+"""Exponent of the largest number of GPU threads that share the walls (planes and pipes) of one sphere: 2^3 = 8."""
 WALL_THREADS = 100_000
-"""Largest total number of GPU threads for wall contacts if several threads share the walls of each sphere.
+"""Largest total number of GPU threads for wall contacts, if several threads share the walls of each sphere.
 
-More threads would not hide more memory latency: with 100,000 spheres, eight threads for each sphere took a tenth longer
-than the single thread that this limit allows.
+More threads would not hide more memory latency: for 100,000 spheres, eight threads per sphere took a tenth longer than
+one thread per sphere.
 """
 LANE_BITS = 2
-"""Base-2 logarithm of the number of GPU threads that share the motion of one clump.
+"""Exponent of the number of GPU threads that share the motion of one clump: 2^2 = 4.
 
-Several threads share a clump if there are few spheres, or if the forces of each contact take more than two rows of
+Several threads share a clump if the scene has few spheres, or if the forces of each contact take more than two rows of
 memory. Otherwise a single thread moves a clump.
 """
 
 
 def tasks(batch: Batch, bodies: int) -> int:
-    """Return the number of tasks of a kernel for `bodies` bodies or spheres.
+    """Return the number of tasks (threads of a launch) of a kernel for `bodies` bodies or spheres.
 
-    A task on a CPU computes SPAN bodies in vector lanes; a task on a GPU computes one body.
+    A CPU task computes `SPAN` bodies or spheres with vector instructions; a GPU task computes one body or sphere.
     """
     return -(-bodies // SPAN) if batch.features.half_list else bodies
 

@@ -50,16 +50,17 @@ def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
 
 
 class HoldingBatch(Protocol):
-    """Protocol of the batch to which a state belongs.
+    """Protocol of the batch to which a state belongs, for modules that cannot import the class `Batch`.
 
-    It serves modules that cannot import the class `Batch`. The module `state` cannot, because the module `batch`
-    imports it. The measuring functions in `probes` know a batch only through a state.
+    The module `state` cannot import it, because the module `batch` imports `state`. The measuring functions in `probes`
+    reach a batch only through a state.
     """
 
     device: wp.Device
     exchange: Exchange
     version: int
-    """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
+    """Number that increases whenever arrays or the division of bodies among CPU threads change, which makes recorded
+    launches invalid."""
     rows: np.ndarray
     """Host copy of the parameters of all scenes, as a structured array of shape (scenes,)."""
 
@@ -82,13 +83,13 @@ class HoldingBatch(Protocol):
         ...
 
     def host_flags(self) -> np.ndarray:
-        """Return the control flags of all scenes."""
+        """Return the control flags of all scenes, such as halted or failed, shape (scenes, FLAGS)."""
         ...
 
     def host_clock(self) -> np.ndarray:
-        """Return simulated time, time step and other data of the time steps of each scene, shape (scenes, CLOCK).
+        """Return simulated time, time step and other time data of each scene, shape (scenes, CLOCK).
 
-        The columns are listed in `kernels/dem/structs.py`. Callers must not change the array.
+        `kernels/dem/structs.py` says what each column contains. Callers must not change the array.
         """
         ...
 
@@ -116,20 +117,20 @@ class State:
     flags: DeviceArray
     """Control flags of the scene, such as halted or failed, shape (1, FLAGS); see `kernels/common/control.py`."""
     scenes: Scenes
-    """Struct `Scenes` of arrays with one row for the scene, which contains its simulated time and time step, for
-    example."""
+    """Struct `Scenes` of arrays with one row for this scene, for example its simulated time and its time step."""
     bodies: Bodies
     """Struct `Bodies` of arrays with one row for each body, such as positions and velocities."""
     spheres: Spheres
     """Struct `Spheres` of arrays with one row for each sphere, such as positions and forces."""
     slots: Slots
-    """Struct `Slots` of arrays with a row for each sphere and a column (slot) for each possible wall contact."""
+    """Struct `Slots` of arrays with a row for each sphere. Each column is a slot, which can hold one contact with a
+    wall."""
     pairs: Pairs
     """Struct `Pairs` of arrays that form the neighbour list, with contact history and bonds."""
     candidates: Candidates
     """Struct `Candidates` of arrays that list the mesh candidates, which are the triangles near each sphere."""
     walls: Walls
-    """Struct `Walls` of arrays with one row for each wall, such as positions and impulses."""
+    """Struct `Walls` of arrays with one row for each wall, such as positions and impulses (forces summed over time)."""
 
     def __init__(self, model: Model, table: BodyTable) -> None:
         self.model = model
@@ -160,9 +161,9 @@ class State:
         self._make_scene()
 
     def _fill(self, struct: str, **arrays: HostArray | Shape) -> None:
-        """Create the named arrays of the struct `struct` on the device.
+        """Create arrays of the struct `struct` on the device.
 
-        Each value is the host data of an array, or a shape, which creates an array of zeros.
+        Each keyword is the name of an array. Its value is the array's host data, or a shape for an array of zeros.
         """
         target = getattr(self, struct)
         variables = struct_of(self.structs, struct).vars
@@ -261,8 +262,9 @@ class State:
     def _make_scene(self) -> None:
         clock = np.zeros((1, CLOCK))
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
-        # Wall forces are summed as 64-bit integers. The largest possible sum is 2e5 times the typical force, and the
-        # resolution is 5e-14 times the typical force.
+        # Wall forces are summed in fixed point, as 64-bit integers. One unit is between 2^-44 and 2^-43, about 1e-13,
+        # times the typical force. The largest possible sum, 2^63 units, is therefore at least 2^19, about 5e5, times
+        # the typical force.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self._fill("scenes", clock=clock, scale=np.ones(1), reference_velocity=1)
         self.flags = zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
@@ -297,8 +299,8 @@ class State:
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
         """Return the dict in which probes store their recorded launches by name.
 
-        `version` is the present version of the batch. If it has changed since the last call, the dict is empty, because
-        the arrays of earlier launches may have been replaced.
+        `version` is the present version of the batch. If it has changed since the last call, the dict is emptied,
+        because the recorded launches may refer to arrays that have been replaced.
         """
         if self._launches[0] != version:
             self._launches = version, {}
@@ -389,10 +391,11 @@ def pair_bytes(model: Model) -> dict[str, int]:
 
 
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the first sphere of each body, the spheres' offsets and radii [m], and the moments of inertia [kg m2].
+    """Return the index of each body's first sphere, the spheres' offsets and radii, and the bodies' moments of inertia.
 
-    Offsets are sphere centres relative to the body's centroid, in the body's axes. The shapes are (bodies + 1,),
-    (spheres, 4) and (bodies, 3).
+    The shapes are (bodies + 1,), (spheres, 4) and (bodies, 3). The offset [m] is the position of the sphere's centre
+    relative to the body's centroid, in the body's axes; the fourth column is the radius [m]. The moments of inertia [kg
+    m2] are principal moments.
     """
     first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
     offsets = np.zeros((int(first[-1]), 4))

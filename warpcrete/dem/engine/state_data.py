@@ -70,8 +70,8 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # Without healing, a broken bond acts like no bond. Whether it is still stored depends on when the lists were
-    # rebuilt, so the hash ignores broken bonds.
+    # If bonds do not heal, a pair with a broken bond behaves like a pair without a bond. Whether the broken bond is
+    # still stored depends on when the lists were rebuilt, so the hash must treat both alike.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0
@@ -86,8 +86,8 @@ def state_hash(state: State) -> str:
     if features.bonds:
         bond = bond[kept][ranks]
         digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
-        # A pair without an intact bond has the bond row 0. For such a pair, `loads` now contains a row that may belong
-        # to another bond, so hash zeros instead.
+        # For a pair without an intact bond, `bond_rows` returns row 0, which may belong to another bond. Hash zeros for
+        # such a pair.
         loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
         loads[bond <= 0] = 0.0
         digest.update(loads.tobytes())

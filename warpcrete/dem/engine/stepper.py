@@ -40,8 +40,8 @@ SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
 """Number of steps after which the host re-sorts the bodies in memory, by kind of device.
 
 Neighbour lists are rebuilt 13 to 55 times in this interval. The key "few" stands for a GPU with few bodies. Few bodies
-fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, a step takes 1.3 us less if
-bodies are sorted every 16,000 instead of every 4000 steps. Without any sorting it takes as long as with 16,000 steps.
+fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, sorting every 16,000 instead
+of every 4000 steps shortens a step by 1.3 us; never sorting gives the same time as every 16,000 steps.
 """
 
 
@@ -76,7 +76,7 @@ class Stepper:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        # `running` becomes True at t = 0. Before, an unstable fixed step raises a SceneError, and afterwards an
+        # `running` becomes True at t = 0. Before t = 0, an unstable fixed step raises a SceneError, and from then on an
         # InstabilityError.
         self.running = False
         self._skin, self._sort_every = skin, sort_every
@@ -86,8 +86,8 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest step in which no wall with prescribed motion moves farther than `LEAP` times the smallest sphere
-        radius [s]."""
+        """Longest time step [s] in which no wall with prescribed motion moves farther than `LEAP` times the smallest
+        sphere radius."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -95,8 +95,7 @@ class Stepper:
     ) -> None:
         """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
-        ended.
+        `resumed` is the `state_dict` of an earlier stepper, whose work this stepper continues, or None.
         """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
@@ -111,7 +110,8 @@ class Stepper:
             skin=self.skin,
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
-            # If meshes move, spheres may move by half of the mesh skin before a rebuild, and meshes by the other half.
+            # The lists of mesh candidates stay complete while spheres and meshes move relative to each other by at most
+            # `mesh_skin`. If meshes move, half of this distance is left to the spheres and half to the meshes.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -119,8 +119,8 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        # Rebuild stale lists now, because a resumed run must give the same results as an uninterrupted run, which
-        # rebuilds stale lists before it estimates the stable step.
+        # An uninterrupted run rebuilds stale lists before it estimates the stable step. A resumed run must give the
+        # same results, so rebuild stale lists now.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()
@@ -152,7 +152,10 @@ class Stepper:
         return self.state.dt
 
     def change(self, **settings: float) -> None:
-        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (1: walls stand still) for the next steps."""
+        """Change parameters of the scene for the next steps.
+
+        They are `local_damping`, `growth_rate`, `growth_end`, and `held`, which is 1 while all walls stand still.
+        """
         self.batch.set(self.index, **settings)
 
     def rebuild(self) -> None:
@@ -163,7 +166,7 @@ class Stepper:
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
         """Bond all unbonded pairs with gaps up to `bonds.gap` [m], and return the number of bonds of this `kind`.
 
-        `kind` is the number of the bonds' kind, counted from 1 in the model's `bond_kinds`. If `group` is not -1, only
+        `kind` is the position of these bonds in the model's `bond_kinds`, counted from 1. If `group` is not -1, only
         pairs inside the body group of this number are bonded.
         """
         self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
@@ -175,7 +178,10 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random `fraction` of the bonds of kind `old` to kind `new`, and return the number of kind `new`."""
+        """Change a random `fraction` of the bonds of kind `old` to kind `new`.
+
+        Returns the number of bonds of kind `new` afterwards.
+        """
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -183,10 +189,10 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Strengthen the scene's bonds and lubrication layer by what they gain while the concrete rests.
+        """Apply the rest of the concrete: strengthen bonds and lubrication layer, and bond all unbonded pairs.
 
-        Pairs without a bond are bonded as well. Returns the present travel [m] of the wall `Rest.wall`; the slip along
-        the wall is counted from there.
+        Returns the present travel [m] of the wall `Rest.wall`. The slip along the wall after the rest is measured from
+        this travel.
         """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
@@ -203,17 +209,16 @@ class Stepper:
         """Add the yield stress that the lubrication layer gained at rest.
 
         Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
-        since the rest. `travel_at_rest` is the distance that it had moved in total when the rest took place [m].
+        since the rest. `travel_at_rest` is the total distance [m] that this wall had moved by the time of the rest.
         """
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
-        """Choose the number of sub-cycling rounds, the shorter steps for hydrated bonds within each time step."""
+        """Choose the number of sub-cycling rounds per time step, which are short steps for the hydrated bonds."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        # Estimate the stable step without the hydrated bonds, which an estimate ignores while the number of rounds is
-        # still 0.
+        # An estimate ignores the hydrated bonds while the number of sub-cycling rounds is 0, as it still is here.
         unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
@@ -295,7 +300,7 @@ class Stepper:
     def _fastest_wall(self, model: Model) -> float:
         """Return the largest speed of all walls with prescribed motion [m/s], or 0 without such walls.
 
-        Raises :class:`SceneError` if a wall moves further in a fixed step than the radius of the smallest sphere.
+        Raises :class:`SceneError` if a wall moves by more than the radius of the smallest sphere in a fixed time step.
         """
         speeds = {wall.name: wall.top_speed() for wall in model.walls}
         fixed, radius = self.time_step.fixed, self.state.smallest_radius
@@ -315,7 +320,7 @@ class Stepper:
         return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Advance the scene to a time, to within one step, or by a number of steps of the current size.
+        """Advance the scene to `goal`: a time, reached to within one step, or a number of steps of the current size.
 
         This coroutine yields whenever the batch must step. It must be resumed when the scene has halted, because the
         scene has reached the goal or needs a new estimate of its stable step.
@@ -342,7 +347,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether the goal is a number of steps and the stable step must be estimated before the next step."""
+        """Return whether the latest goal was a number of steps and an estimate of the stable step is now due."""
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 

@@ -19,7 +19,7 @@ from .state import State
 
 @dataclass(frozen=True)
 class Steps:
-    """Goal of a scene's coroutine: `count` further time steps of the current size. The other kind of goal is a time."""
+    """Goal of a scene's coroutine: `count` more time steps of the current size. Another kind of goal is a time."""
 
     count: int
 
@@ -51,7 +51,7 @@ class SceneStepper(Protocol):
         ...
 
     def wants_estimate(self) -> bool:
-        """Return whether the goal is a number of steps and the stable step must be estimated before the next step."""
+        """Return whether the latest goal was a number of steps and an estimate of the stable step is now due."""
         ...
 
     def failure(self, flags: np.ndarray) -> Exception | None:
@@ -70,8 +70,7 @@ class SceneStepper(Protocol):
     ) -> None:
         """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
-        ended.
+        `resumed` is the `state_dict` of an earlier stepper, whose work this stepper continues, or None.
         """
 
     def state_dict(self) -> StepperRecord:

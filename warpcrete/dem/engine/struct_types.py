@@ -14,7 +14,7 @@ from ...core.device.arrays import DeviceArray
 
 
 class Scenes(Protocol):
-    """Arrays with one row for each scene: parameters, simulated time and time step, and others."""
+    """Arrays with one row for each scene: its parameters, simulated time, time step and scale of sphere sizes."""
 
     row: DeviceArray
     clock: DeviceArray
@@ -185,7 +185,7 @@ class Grid(Protocol):
 
 
 class Estimate(Protocol):
-    """Arrays in which the estimate of the stable step collects sums of stiffness and damping, and extreme values."""
+    """Arrays for the estimate of the stable step: sums of stiffness and damping, and smallest and largest values."""
 
     sums: DeviceArray
     wall_load: DeviceArray

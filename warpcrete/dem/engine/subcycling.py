@@ -28,21 +28,23 @@ from .state import pair_bytes
 from .struct_types import Subcycled
 
 MARGIN = 1.1
-"""Reserve in the number of sub-cycling rounds.
+"""Safety factor for the number of sub-cycling rounds.
 
-The number is chosen once. It allows time steps up to MARGIN times as long as the time step at the moment of the choice.
+This number is chosen once in a run. With the factor, the rounds stay stable in later time steps that are up to `MARGIN`
+times as long as the step for which the number was chosen.
 """
 ROUND_BLOCK = 128
 """Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
 RESIDENT_BLOCKS = 2
-"""Number of blocks of the kernel for sub-cycling rounds that always fit on one multiprocessor of a GPU together.
+"""Number of thread blocks of the sub-cycling kernel that always fit on one multiprocessor of a GPU at the same time.
 
 Two blocks of 128 threads fit even if each thread uses the maximum number of registers.
 """
 OF_BODIES = ("position", "orientation")
-"""Names of the arrays of sub-cycled bodies that checkpoints must contain, because the next step depends on them."""
+"""Names of the arrays with one row per sub-cycled body that checkpoints contain, because the next step depends on
+them."""
 OF_ENDS = ("force", "torque")
-"""Names of the arrays with two rows per sub-cycled pair, one for each body, that checkpoints must contain."""
+"""Names of the arrays with two rows per sub-cycled pair, one for each body, that checkpoints contain."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,
@@ -51,11 +53,11 @@ BODY_ARRAYS = (
 
 
 def rounds_for(ratio: float) -> int:
-    """Return the number of sub-cycling rounds in a time step; `ratio` is this step over the stable step.
+    """Return the number of sub-cycling rounds in a time step.
 
-    The stable step is that of the stiff bonds without damping. Stiff bonds have dashpots with a relaxation time of
-    RELAXATION times the step. A round of 1/n of the step is then stable if n^2 >= ratio^2 (1 + RELAXATION n). The
-    result is the smallest whole number n for which this holds.
+    `ratio` is the time step divided by the stable step of the stiff bonds without damping. The dashpots of stiff bonds
+    have a relaxation time of `RELAXATION` times the time step. With this damping, n rounds are stable if n^2 >= ratio^2
+    (1 + RELAXATION n). The result is the smallest whole number n for which this holds.
     """
     damped = 0.5 * RELAXATION * ratio * ratio
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))
@@ -65,8 +67,8 @@ def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> i
     """Return the number of GPU blocks that compute the sub-cycling rounds of one batch.
 
     A round computes `count` pairs or bodies. The blocks of a batch wait for each other after every round, so all of
-    them must be resident on the GPU at once. Several batches, `concurrent_batches` in number, may compute rounds at the
-    same time. They share the blocks that fit on the GPU.
+    them must be resident on the GPU at once. If several batches (`concurrent_batches`) compute rounds at the same time,
+    each of them gets an equal share of the blocks that fit on the GPU.
     """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 
@@ -106,7 +108,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Make all pairs of scene `s` that have hydrated bonds now the sub-cycled pairs of this scene."""
+        """Make those pairs of scene `s` that have hydrated bonds now the sub-cycled pairs of this scene."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
@@ -138,7 +140,7 @@ class Subcycles:
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Return the sub-cycled pairs of scene `s`, and the arrays of pairs and bodies that a checkpoint needs."""
+        """Return the data of scene `s` for a checkpoint: sub-cycled pairs, and the arrays OF_BODIES and OF_ENDS."""
         if not self._by_scene[s]:
             return {}
         pairs = self._by_scene[s]
@@ -168,8 +170,9 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # `ends` holds, for each pair, the rows of its two bodies, and the two rows of the pair in the array of forces
-        # on bodies. In that array, the forces on one body stand next to each other.
+        # The array `ends` has four columns for each pair: the rows of its two bodies in the body arrays, and the rows
+        # of its two forces in the force array. The force array is ordered by body, so that all forces on one body are
+        # neighbours in memory.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,
@@ -206,10 +209,11 @@ class Subcycles:
         self._body_place = zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the bodies of scene `s` with stiff bonds, the number of pair ends at each, and these ends.
+        """Return the bodies of scene `s` with stiff bonds, the number of pair ends on each body, and the ends by body.
 
-        The bodies are given by their permanent numbers. The end 2k is the sphere of pair k that has the lower permanent
-        number, and the end 2k + 1 is its other sphere.
+        Each sub-cycled pair k has two ends: 2k is the sphere with the lower permanent number, and 2k + 1 the other
+        sphere. The bodies are given by their permanent numbers, in ascending order. The third array lists the ends of
+        the first body, then those of the second body, and so on.
         """
         pairs = self._by_scene[s]
         if not pairs:
@@ -217,7 +221,8 @@ class Subcycles:
         state = self.batch.states[s]
         body_of = np.empty(state.sphere_count, dtype=int)
         body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
-        # `ends` contains the two bodies of each pair, pair by pair.
+        # For each pair, `ends` contains the permanent number of the body of its first sphere and then that of its
+        # second sphere.
         ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]
         number, counts = np.unique(ends, return_counts=True)
         return number, counts, np.argsort(ends, kind="stable")
@@ -232,12 +237,12 @@ class Subcycles:
             stored.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
     def locate(self) -> None:
-        """Find the sub-cycled pairs in rebuilt neighbour lists, and the bodies of the pairs in the body arrays."""
+        """Find the list entries of the sub-cycled pairs in rebuilt lists, and the array indices of their bodies."""
         for stage in self.locating():
             stage()
 
     def locating(self) -> list[Stage]:
-        """Return the launches that find the sub-cycled pairs in rebuilt neighbour lists, and the pairs' bodies.
+        """Return the launches that find the sub-cycled pairs in rebuilt lists, and the array indices of their bodies.
 
         The result is empty if no pair is sub-cycled.
         """
@@ -302,7 +307,7 @@ class Subcycles:
         return self._stage(prediction_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
     def _stage(self, kernel: Kernel, part: int, count: int, **named: Any) -> Stage:
-        """Return a launch of `kernel` for the pairs or bodies, out of `count`, that CPU thread `part` computes."""
+        """Return a launch of `kernel` for CPU thread `part`, which computes its share of `count` pairs or bodies."""
         b = self.batch
         first, last = count * part // b.threads, count * (part + 1) // b.threads
         tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first

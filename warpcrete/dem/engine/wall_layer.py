@@ -21,8 +21,8 @@ def _rest_of(scene: Scene) -> Rest:
 class Structure:
     """Yield stress that the lubrication layers on walls have gained at rest and lose again by slip.
 
-    The value can differ between the scenes of a batch. After the slip s, the fraction exp(-s / breakdown) of the gain
-    is left. The slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
+    Each scene of a batch has its own value. After the slip s, the fraction exp(-s / breakdown) of the gain is left. The
+    slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
     """
 
     def __init__(self, batch: SceneBatch) -> None:
@@ -56,12 +56,15 @@ class Structure:
         """Add the yield stress that the lubrication layer of scene `s` gained at rest.
 
         Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
-        since the rest. `begun` is the distance that it had moved in total when the rest took place [m].
+        since the rest. `begun` is the total distance [m] that this wall had moved by the time of the rest.
         """
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Copy the gained yield stress and the wall travel at the rest from scene `index` of `other` to scene `s`."""
+        """Set gain and slip of scene `s` to those of scene `index` of `other`, from whose batch the scene comes.
+
+        The copied values are the gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
+        """
         self._set(s, other._gained[index], other._travel_at_rest[index])
 
     def _set(self, s: int, gained: float, begun: float) -> None:

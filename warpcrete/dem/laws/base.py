@@ -33,8 +33,8 @@ class ContactLaw(Declared, ABC):
     """Base class of all contact laws; an object holds the parameters of the law for one pair of materials.
 
     The parameters are annotated fields in SI units and cannot be changed. Every field exists on the device under the
-    same name. Numbers keep their value, words become their index among the choices, and a nested law becomes the struct
-    of its parameters. :class:`OnDevice` declares exceptions.
+    same name. A number keeps its value. A choice between words is stored as the index of the chosen word. A nested law
+    is stored as the struct of its parameters. :class:`OnDevice` declares exceptions.
     """
 
     rolls: ClassVar[bool] = False
@@ -64,11 +64,12 @@ class ContactLaw(Declared, ABC):
         - `moment_energy(p, touch, history)` returns the elastic energy of the rolling spring [J].
 
         The functions are called for contacts with a negative `touch.gap`. For a bonded pair they are also called at
-        positive gaps, where a law must switch off its own forces. Without a history the energy must be zero at the gap
-        0.
+        positive gaps, where a law must switch off its own forces. If the history is zero, the energy must be zero at
+        the gap 0.
 
-        A CPU evaluates `force` and `moment` of several contacts at once in vector lanes. This works only if no branch
-        assigns a vector or returns. A branch should choose a number instead, by which the code then multiplies.
+        A CPU evaluates `force` and `moment` of several contacts at once with vector instructions. This works only if
+        branches neither assign vectors nor return. Let a branch assign a number instead, and multiply the vector by
+        this number.
         """
 
     @property
@@ -91,10 +92,9 @@ class ContactLaw(Declared, ABC):
         """Return a copy of the law for packing aggregates, without friction and with enough damping to come to rest."""
 
     def gripped(self, grip: float) -> "ContactLaw":
-        """Return the law for contacts with a wall that resists sliding and rolling `grip` times as much as bodies do.
+        """Return a copy of the law for a rough wall, which resists sliding and rolling `grip` times as much as a body.
 
-        The fields named in RESISTANCES are multiplied by `grip`. If a field is itself a contact law, this is done in
-        that law as well.
+        The fields named in RESISTANCES are multiplied by `grip`, also in fields that are themselves contact laws.
         """
         changes: dict[str, Any] = {}
         for name in declared_fields(type(self)):
@@ -107,7 +107,7 @@ class ContactLaw(Declared, ABC):
 
     @classmethod
     def functions(cls, scalar: Any) -> SimpleNamespace:
-        """Return the struct `Parameters` and the device functions of the law for the number type `scalar`."""
+        """Return the struct `Parameters` and the device functions of the law for the floating-point type `scalar`."""
         return _functions(cls, scalar)
 
     def row(self) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def damping_ratio(restitution: float) -> float:
     """Return the damping, as a fraction of critical damping, that gives a coefficient of `restitution` from 0 to 1.
 
     With the coefficient of restitution e, the damping is -ln e / sqrt(ln^2 e + pi^2). It is exact for the linear and
-    the Hertz-Mindlin law with a dashpot that may pull.
+    the Hertz-Mindlin law if the dashpot may make the total normal force tensile at the end of an impact.
     """
     between("restitution", restitution, 0, 1)
     if restitution == 0:

@@ -2,9 +2,9 @@
 """Hertz-Mindlin contact: Hertz' normal force, Mindlin's tangent stiffness without micro-slip, Coulomb slider.
 
 The dashpots follow Tsuji et al. 1992 in the form of Antypov & Elliott 2011, so that the coefficient of restitution does
-not depend on speed. The shear force is incremental. While the normal load falls, the shear force can fall with the
-tangent stiffness (`rescale`; Thornton et al. 2013), which never creates energy, or stay as it is (`hold`), as in the
-simplest codes.
+not depend on speed. The shear force is incremental. There are two rules for the shear force while the normal load
+falls. With `rescale`, it falls in proportion to the tangent stiffness, which never creates energy (Thornton et al.
+2013). With `hold`, it stays as it is, as in the simplest codes.
 """
 
 from dataclasses import dataclass, replace
@@ -45,7 +45,10 @@ class HertzMindlin(ContactLaw):
     def of(
         cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others: Any
     ) -> "HertzMindlin":
-        """Return the law for two bodies with this Young's modulus [Pa], or for one such body and a rigid partner."""
+        """Return the law for two bodies of one material, or for one body of this material and a rigid partner.
+
+        The material has the given Young's modulus [Pa] and Poisson ratio. `others` are further fields of the law.
+        """
         positive("young_modulus", young_modulus, "Pa")
         between("poisson_ratio", poisson_ratio, 0, 0.5)
         bodies = 1 if rigid_partner else 2
@@ -66,7 +69,7 @@ class HertzMindlin(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # the shear dashpot transmits a force even without friction
+        return True  # The shear dashpot transmits a force even without friction.
 
     def frictionless(self) -> "HertzMindlin":
         return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))
@@ -119,10 +122,10 @@ class HertzMindlin(ContactLaw):
             kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
-                # If the overlap changes, the stiffness of the shear spring changes, and the energy stored in the spring
-                # changes with it. While the overlap grows, the force stays constant and the spring becomes stiffer.
-                # While the overlap shrinks, the force decreases in proportion to the stiffness if `unloading` is
-                # RESCALE; otherwise it stays constant.
+                # The energy stored in the shear spring changes with the spring's stiffness, which depends on the
+                # overlap. While the overlap grows, the force stays constant and the spring becomes stiffer. While the
+                # overlap shrinks, the force decreases in proportion to the stiffness if `unloading` is RESCALE;
+                # otherwise it stays constant.
                 ratio = wp.sqrt(overlap / before)
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))

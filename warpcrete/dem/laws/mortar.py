@@ -32,8 +32,8 @@ from .base import ContactLaw, OnDevice
 class BinghamMortar(ContactLaw):
     """Hard cores in soft shells of Bingham mortar; core friction and yield stress limit the shear force.
 
-    The cores' spring has the stiffness A E*/L. The shear force has the limit mu N_core + A tau_0, where a slider slips.
-    Here A is the contact's area, E* the effective modulus, L the distance of the centres at first touch, mu the
+    The cores' spring has the stiffness A E*/L. A contact slips when the force of the shear spring reaches mu N_core + A
+    tau_0. Here A is the contact's area, E* the effective modulus, L the distance of the centres at first touch, mu the
     friction coefficient, N_core the force of the cores' spring, and tau_0 the yield stress of the mortar.
     """
 
@@ -68,7 +68,7 @@ class BinghamMortar(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # the mortar's viscous drag acts in shear
+        return True  # The mortar's viscous drag acts in shear, even without friction.
 
     def frictionless(self) -> "BinghamMortar":
         return replace(self, friction=0.0, yield_stress=0.0, bending=0.0)
@@ -92,7 +92,8 @@ class BinghamMortar(ContactLaw):
             cn = scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core) + scalar(3.0) * drag
             ks, cs = kn * p.shear_to_normal, drag
             if p.bending > scalar(0.0):
-                # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
+                # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
+                # limits the step at most as much as a shear stiffness k_r / r^2, so add this.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square

@@ -79,7 +79,8 @@ class PlasticMortar(BinghamMortar):
             cn = core_dashpot(p, touch) + drag
             ks, cs = slider, drag
             if p.bending > scalar(0.0):
-                # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
+                # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
+                # limits the step at most as much as a shear stiffness k_r / r^2, so add this.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square
@@ -123,8 +124,7 @@ class PlasticMortar(BinghamMortar):
             if deep > zero:
                 cn = core_dashpot(p, touch)
             stiff = slider_stiffness(p, touch)
-            # If the spheres first touched within this step, load the slider's spring only from the moment of touching
-            # on.
+            # If the spheres first touched within this step, extend the spring only over the time since the first touch.
             loading = dt
             if -vn * dt > overlap:
                 loading = overlap / -vn

@@ -1,10 +1,10 @@
 # pyright: reportInvalidTypeForm=false
 """Linear contact with rolling resistance: elastic-plastic spring with dashpot, model C of Ai, Chen, Rotter & Ooi 2011.
 
-The moment of the rolling spring grows with the relative rotation of the two bodies about axes in the contact plane. At
-the moment mu_r R N the spring slips. Here mu_r is the coefficient of rolling friction and N the force of the normal
-spring. R is R1 R2 / (R1 + R2) for spheres of the radii R1 and R2, or the sphere's radius against a wall. The stiffness
-of the rolling spring is k_s R^2, with the shear stiffness k_s of the contact (Iwashita & Oda 1998).
+The moment of the rolling spring grows with the relative rotation of the two bodies about axes in the contact plane. The
+spring slips when its moment reaches mu_r R N. Here mu_r is the coefficient of rolling friction and N the force of the
+normal spring. R is R1 R2 / (R1 + R2) for spheres of the radii R1 and R2, or the sphere's radius against a wall. The
+stiffness of the rolling spring is k_s R^2, with the shear stiffness k_s of the contact (Iwashita & Oda 1998).
 
 The dashpot is a fraction of the critical one and acts while the spring does not slip. Unlike in the paper, the sum of
 spring and dashpot is limited to mu_r R N. Otherwise, when a spinning sphere meets a floor, the dashpot would brake it
@@ -78,7 +78,8 @@ class RollingResistance(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
+            # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r limits
+            # the step at most as much as a shear stiffness k_r / r^2, so add this.
             k = linear_stiffness(p.contact, touch)
             if p.rolling_friction > scalar(0.0):
                 kr, cr = rolling_stiffness(p, touch)

@@ -25,23 +25,22 @@ PARTS = 20
 STONES = 5
 """Minimum number of aggregates in each of the parts of the concrete that are checked for standing still."""
 CHECKS_PER_WINDOW = 8
-"""Number of checks for blockage per window.
+"""Number of checks for blockage while the piston moves by `BlockageWatch.window`.
 
-The window is the travel of the piston during which a part of the concrete must stand still, and the pressure must rise,
-for the pipe to count as blocked.
+A pipe counts as blocked if a part of the concrete stands still during such a window and the pressure rises.
 """
 STANDING_RATIO = 0.2
-"""Ratio of the advance of a part of the concrete to that of the piston, both by volume, below which the part counts as
-standing still.
+"""Largest advance of a part of the concrete, divided by the advance of the piston, at which the part counts as standing
+still; both advances are measured by volume.
 
 In runs without blockage the ratio was at least 0.9 for all parts once they moved. Advances count by volume, so a
-widening of the bore does not lower the ratio. In a closed pipe the last part still advances by the
-compression of the concrete ahead of it.
+widening of the bore does not lower the ratio. In a closed pipe, too, the last part advances a little, because the
+concrete ahead of it is compressed.
 """
 GRADIENT = 200e3
 """Pressure gradient that pumping never reaches [Pa/m]; 5 to 50 kPa/m are usual."""
 OPPOSITE = np.radians(150.0)
-"""Minimum angle [rad] about the axis between two wall contacts of a contact network that spans the pipe."""
+"""Smallest angle [rad] around the pipe's axis between two wall contacts that counts as opposite sides of the wall."""
 QUADRATURE = 24
 """Number of directions across the axis in which the bore's radius is measured to find its area."""
 
@@ -55,18 +54,20 @@ class BlockageWatch:
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
         self.bores = varying_bores(model.scene.stations)
-        """Radii of a pipe whose width changes along its axis, otherwise None."""
+        """Radius of the bore along the axis, if the bore varies; otherwise None."""
         self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
-        """Piston travel during which a part of the concrete must stand still in a blocked pipe [m]."""
+        """Piston travel [m] during which a part of the concrete must stand still before the pipe counts as blocked."""
         self.found: dict[str, float] = {}
         """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
         self.slowest = np.nan
-        """Advance of the slowest part over that of the piston, by volume, at the last check; NaN before two checks."""
+        """Ratio of the advance of the slowest part to that of the piston, by volume, between the last two checks.
+        Before the second check it is NaN."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0
         self._places = np.zeros(0)
-        # Permanent numbers of the aggregates, which exclude the balls of a plug, and their volumes [m3].
+        # Permanent numbers of the aggregates, without the balls of a plug, and in `_volume` the volumes of these
+        # aggregates [m3].
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
 
@@ -112,7 +113,10 @@ class BlockageWatch:
         self._checked_travel, self._places = travel, s
 
     def _widening(self, s: np.ndarray) -> np.ndarray | float:
-        """Return the area of the bore at arc lengths `s` [m] over that at the piston, a weight of advances."""
+        """Return the area of the bore at the arc lengths `s` [m], divided by its area at the piston.
+
+        Multiplied by this ratio, the advance of an aggregate becomes an advance by volume.
+        """
         return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +184,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part, from the second part on
+    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part except the first part
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
@@ -191,11 +195,12 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the axial forces of touching pairs, the arc lengths between which they act, and strong contacts.
+    """Return forces along the pipe between touching spheres, where they act, and the pairs of bodies in strong contact.
 
-    Axial forces are the axial parts of the normal forces [N], shape (m,). Arc lengths are those of the two sphere
-    centres, lower first [m], shape (m, 2). The normal force of a strong contact exceeds the mean; strong contacts
-    are returned as pairs of indices into the body arrays, shape (k, 2).
+    - The axial part of the normal force of each touching pair [N], shape (m,).
+    - The arc lengths of both sphere centres of each pair, the lower one first [m], shape (m, 2).
+    - The indices of the two bodies of each strong contact in the body arrays, shape (k, 2). The normal force of a
+      strong contact exceeds the mean normal force.
     """
     i, j, force = pair_forces(model, state)
     body, centre = state.spheres.body.numpy(), state.spheres.position.numpy()[:, :3].astype(float)
@@ -223,8 +228,8 @@ def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) ->
 def count_spanning_networks(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
     """Count the separate networks of strong contacts that connect opposite sides of the wall near one cross-section.
 
-    Only bodies within half a `length` [m] of the arc length `at` [m] count. `chains` has the index pairs of the bodies
-    in strong contact, as :func:`axial_forces` returns them.
+    The cross-section is at the arc length `at` [m]; only bodies within `length` / 2 [m] of it count. `chains` contains
+    the index pairs of the bodies in strong contact, as :func:`axial_forces` returns them.
     """
     position = state.bodies.position.numpy().astype(float)
     s = axis.along(position)

@@ -50,7 +50,7 @@ def _finite(value: float) -> float | None:
 
 
 def not_blocked_words(run: Any) -> str:
-    """Return a phrase that says that the pipe of `run` was not blocked, and how far that can be relied on."""
+    """Return a phrase that says that the pipe of `run` was not blocked, and how reliable this statement is."""
     window, slowest = number(run.result["blockage_window"]), run.result.get("slowest_advance")
     travel = float(run.series["travel"][-1])
     if travel < 2 * window:

@@ -84,10 +84,10 @@ class ElementDisplay(Display):
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
-        """Return the value at the top of the colour scale, which depends on what colours the aggregates.
+        """Return the value at the top of the colour scale for the quantity by which the aggregates are coloured.
 
-        For contact forces the top is a large force, for sizes the largest size, and for speeds 1.5 times the speed of
-        the piston or of the fastest driven wall.
+        For contact forces the top is a large force [N], for sizes the largest size [m], and for speeds 1.5 times the
+        speed of the piston or of the fastest driven wall [m/s].
         """
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
@@ -129,7 +129,7 @@ class ElementDisplay(Display):
         return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
 
     def packed_colours(self) -> np.ndarray:
-        """Return the colour of each sphere as one integer, computed per body because there are fewer bodies."""
+        """Return the colour of each sphere packed into one integer, shape (n,); a sphere has the colour of its body."""
         return np.take(packed(self._painted()), self._bodies_of_spheres())
 
     def _bodies_of_spheres(self) -> np.ndarray:
@@ -137,7 +137,7 @@ class ElementDisplay(Display):
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return, for every sphere, the number, the velocity [m/s] and the largest contact force [N] of its body."""
+        """Return, for every sphere, permanent number, velocity [m/s] and largest contact force [N] of its body."""
         place = self.read("spheres.body")[self._sphere_order()]
         velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
@@ -166,7 +166,10 @@ class ElementDisplay(Display):
         )
 
     def _shown(self) -> np.ndarray:
-        """Return the size, speed or largest contact force by which each body is coloured, in the state's order."""
+        """Return the size, speed or largest contact force by which each body is coloured.
+
+        The bodies are in the order of the state's arrays.
+        """
         if self.colouring == "size":
             return self.read("bodies.size").astype(float)
         if self.colouring == "speed":
@@ -204,17 +207,17 @@ class ElementDisplay(Display):
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
     def _present_stresses(self, stations: Stations) -> np.ndarray:
-        """Return the stresses in all slices of the pipe, shape (slices, columns).
+        """Return the stresses in all slices of the pipe [Pa], shape (slices, columns).
 
-        If the recorded series contains them, its last row is used, which is at most 0.01 s old by default. Otherwise
-        the stresses of the present state are computed.
+        If the time series contains stresses, the result is its last row, which was by default measured at most 0.01 s
+        before. Otherwise the stresses of the present state are computed.
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # no measurements exist before t = 0
+        if sampler is None:  # before t = 0 nothing is measured
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
-            # A recorded sample never changes, so the display needs no copy of it.
+            # The samples are never changed after they have been recorded, so the display needs no copy.
             return self.snapshot_value("stations", lambda: sampler.log.samples[-1])
         unit = simulation.scene.contact.stress_scale * self._largest**3
         stress = self.snapshot_value("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
@@ -275,9 +278,9 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """Return the wear record of a wall; None if no wear is recorded or if the whole wall is a single patch.
+        """Return the wear record of a wall; None if no wear is recorded or if the wall is not divided into patches.
 
-        Planes are single patches, so there is no distribution of wear to draw.
+        A plane is a single patch, so it has no distribution of wear that could be drawn.
         """
         sampler = getattr(self.simulation, "sampler", None)  # wear is recorded only from t = 0 on
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
@@ -346,7 +349,8 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        if not self.simulation.scene.hydration:  # The second kind then belongs to a group, such as the plug.
+        # Without hydration, the second kind of bond belongs to a body group such as the plug.
+        if not self.simulation.scene.hydration:
             return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)
         bonds = {"bonds": lines((kinds > 0) & ~hydrated), "hydrated bonds": lines(hydrated)}

@@ -83,8 +83,9 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # The outer spheres alone give a lower bound for the reach of the heap in every direction. A sphere that lies nearer
-    # to the origin than the smallest of these bounds cannot change the result, so skip it.
+    # Speed up the search by leaving out spheres that cannot change the result. The outer spheres alone give a lower
+    # bound for the reach of the heap in every direction. A sphere that lies nearer to the origin than the smallest of
+    # these bounds cannot extend the heap.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 

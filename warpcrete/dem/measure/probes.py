@@ -30,10 +30,10 @@ class ContactSums:
     """Mean over touching pairs of the overlap divided by the smaller radius."""
     largest_overlap: float
     deepest: float
-    """Largest overlap, relative to the depth beyond which a contact law loses its meaning.
+    """Largest overlap of any contact, divided by the overlap at which contact laws lose their meaning.
 
-    Between spheres this depth is reached where the larger sphere contains the smaller one, or where the centres are
-    only half as far apart as at first touch, whichever comes first. On walls this depth is the radius.
+    Between spheres that is the overlap at which the larger sphere contains the smaller one, or at which the centres are
+    only half as far apart as at first touch, whichever comes first. On walls it is the radius of the sphere.
     """
     elastic_energy: float
     """Energy stored in contact springs, walls included, at the middle of the last step [J]."""
@@ -42,7 +42,8 @@ class ContactSums:
     bonded: int
     hydrated: int
     virial: float
-    """Sum over contacts of the scalar product of normal spring force and vector between the bodies' centroids [J]."""
+    """Sum over contacts of the scalar product of the normal spring force and the vector from centroid to centroid
+    [J]."""
     broken_tension: int
     """Number of bonds broken by tension since t = 0."""
     broken_shear: int
@@ -109,7 +110,7 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Return the sums that the device computed, one array for each name in `what`: "bodies" or "contacts"."""
+    """Read the sums computed on the device; return one array for each name in `what` ("bodies" or "contacts")."""
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
     return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))
@@ -210,10 +211,10 @@ def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> N
 
 
 def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
-    """Return the arrays to which the measured values of contacts are written.
+    """Return two device arrays for measured values: of the contacts of each sphere, and of each listed pair.
 
-    The first has a row of values for each sphere, in order of permanent numbers. The second has a normal force for each
-    entry of the neighbour list.
+    The first array has one row for each sphere, in order of permanent numbers, shape (spheres, CONTACT_COLUMNS). The
+    second contains a normal force for each entry of the neighbour list [N].
     """
     values = state.scratch("contact rows", (state.sphere_count, int(column.CONTACT_COLUMNS)), wp.float64)
     return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)
@@ -247,7 +248,7 @@ def deepest_sphere(model: Model, state: State) -> int:
 def listed_forces(model: Model, state: State) -> np.ndarray:
     """Return the normal force of each entry of the neighbour list [N], shape (pairs,).
 
-    A pair with two entries, one in the row of each sphere, has its force at one entry and zero at the other.
+    If a pair has two entries, one for each of its spheres, one entry contains the force and the other contains 0.
     """
     return _measure_contacts(state)[1].numpy().copy() if state.sphere_count else np.zeros(0)
 
@@ -285,7 +286,7 @@ def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def touching_bodies(state: State) -> np.ndarray:
-    """Return each pair of touching bodies once, as indices into the body arrays, shape (m, 2)."""
+    """Return the pairs of touching bodies as indices into the body arrays, shape (m, 2); each pair occurs once."""
     i, j, _ = listed_pairs(state)
     position = state.spheres.position.numpy()
     touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < position[i, 3] + position[j, 3]

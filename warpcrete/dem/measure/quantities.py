@@ -34,8 +34,8 @@ LEVEL = 0.1
 difference between the mean over the final window and the mean over an equal window before it. The second is the rise of
 a straight line that is fitted to the pressure in the final window."""
 NOISE = 2.0
-"""Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
-fall by chance in a short window."""
+"""Tolerance for the change of the pressure in the final window, in standard deviations of the pressure's noise. The
+tolerance is needed because a noisy pressure may rise or fall by chance in a short window."""
 MEDIAN = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 
@@ -53,12 +53,15 @@ class Known:
     """Sums over the contacts at the end of the run, coordination number included."""
     wear: WearMap | None = None
     blockage: BlockageWatch | None = None
-    """Watch for blockages; None if the run had none."""
+    """Watch that has looked for blockages during the run; None if the scene did not request it."""
     log: StationLog | None = None
     """Measurements in slices (stations) along the pipe; None if the scene does not request them in every sample."""
 
     def along(self, name: str) -> float | None:
-        """Return a friction loss in the final window by its name in :func:`warpcrete.dem.measure.stations.losses`."""
+        """Return the friction loss called `name`, averaged over the final window; None if it was not measured.
+
+        :func:`warpcrete.dem.measure.stations.losses` lists the names and their units.
+        """
         if self.log is None or not self.pumped:
             return None
         return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
@@ -106,7 +109,7 @@ class Known:
 
     @property
     def restarted(self) -> bool:
-        """True if the piston has started its last stroke after a stop."""
+        """True if the piston has moved again after the last prescribed stop."""
         pipe = self.scene.pipe
         return self.pumped and pipe is not None and pipe.stops is not None and len(self.peaks) > pipe.stops.count
 
@@ -127,15 +130,15 @@ def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: floa
 
     All three conditions must hold:
 
-    - The mean pressure over the travel `width` [m] before `begin` differs from the mean after `begin` by at most LEVEL
-      times the latter.
+    - The mean pressure after `begin` differs from the mean over the travel `width` [m] before `begin` by at most LEVEL
+      times the mean after `begin`.
     - The least-squares line through the pressures after `begin` rises or falls by no more than a tolerance. The
       tolerance is LEVEL times the mean, or NOISE times the noise if that is more.
     - The mean over the last quarter of the travel after `begin` differs from the mean after `begin` by no more than the
       same tolerance.
 
-    The noise is the standard deviation from the line. It is estimated from the median distance, so that a jump at the
-    end does not count as noise.
+    The noise is the standard deviation of the pressures from the line. It is computed from their median distance to the
+    line, so that a few pressures far from the line, such as a jump at the end, do not increase it.
     """
     late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
     if not ahead.any() or np.count_nonzero(late) < 2:
@@ -157,7 +160,7 @@ def stroke_start(scene: Scene, travel: float) -> float:
 
 
 def past_ramp(scene: Scene, travel: float) -> bool:
-    """Return whether the piston had its final speed during the whole final window that ends at `travel` [m]."""
+    """Return whether the piston had its final speed in the whole final window of a run that ends at `travel` [m]."""
     return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
 
 
@@ -241,7 +244,7 @@ def _middle_words(run: Run) -> str:
 
 
 def no_plateau(run: Run) -> str:
-    """Return the reason why a run with a pressure has no plateau; empty if it has one."""
+    """Return why the pressure of a run has not reached a plateau; empty if it has, or if no pressure was measured."""
     if "end_pressure" not in run.result or "plateau_pressure" in run.result:
         return ""
     travel, pipe = float(run.series["travel"][-1]), run.scene.pipe

@@ -56,7 +56,7 @@ A column is named after the wall, the quantity and an axis, for example piston_f
 """
 AXES = "xyz"
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
-"""Names of the columns of stored energies, which can be recovered, unlike dissipated energy."""
+"""Names of the columns of stored energies, which can turn into motion again; dissipated energy cannot."""
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
@@ -110,7 +110,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore rows and other values from a `state_dict`."""
+        """Restore the rows, and the other data that the next row depends on, from a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
@@ -174,10 +174,10 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Update the mean wall forces and the work of drives; return the impulses on all walls, shape (walls, 6)."""
+        """Update mean wall forces and the work of the drives; return the impulses on all walls, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
-        # In the leapfrog scheme the impulse on a wall sums the forces up to the middle of the last step. The mean wall
-        # forces therefore end at that time.
+        # The impulse on a wall is the sum of its forces over time. In the leapfrog scheme this sum reaches to the
+        # middle of the last step, so the time over which the mean wall force is taken also ends there.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
             self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()
@@ -189,7 +189,7 @@ class Sampler:
         return impulse
 
     def _pressure(self, walls: np.ndarray) -> dict[str, float]:
-        """Return travel [m] and pressure [Pa] of the wall that the scene's pressure probe names."""
+        """Return the travel [m] of the wall at which the scene measures the pressure, and the pressure on it [Pa]."""
         probe = self.model.scene.pressure
         if probe is None:
             return {}

@@ -26,16 +26,18 @@ UNITS = dict.fromkeys(
 - `mixing`: Lacey's mixing index of large and small stones.
 """
 POINTS = 64
-"""Number of points that represent a sphere's volume when it is divided between inner and outer half of the radius."""
+"""Number of points that represent a sphere's volume, so that it can be divided between inner and outer half of the
+radius."""
 ENDS = 0.05
 """Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
 RINGS, STATIONS = 3, 5
-"""Cells for the mixing index: number of rings of equal area, and of stretches of the pipe with equally many stones."""
+"""Number of rings of equal area, and of sections along the pipe with equally many stones. Rings and sections divide the
+pipe into the cells of the mixing index."""
 
 
 Stones = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Spheres of the aggregate: centres (n, 3) [m], radii (n,) [m], shares in the volumes of their bodies (n,) [m3], and
-sizes of their bodies (n,) [m]."""
+"""Spheres that form the aggregates: their centres [m], shape (n, 3), radii [m], volumes [m3], and the sizes of the
+aggregates to which they belong [m], each of shape (n,)."""
 
 
 def ball_points(count: int = POINTS) -> np.ndarray:
@@ -110,7 +112,10 @@ def measured(axis: Any, radius: float | Bores, stones: Stones) -> dict[str, floa
 
 
 def _volumes(radius: float | Bores, begin: float, middle: float, end: float) -> tuple[float, float, float]:
-    """Return three volumes of a pipe [m3]: from `begin` to `end`, from `middle` to `end`, from `begin` to `middle`."""
+    """Return the volumes of three sections of a pipe [m3].
+
+    The sections extend from `begin` to `end`, from `middle` to `end`, and from `begin` to `middle` (arc lengths in m).
+    """
     if isinstance(radius, Bores):
         return radius.volume(begin, end), radius.volume(middle, end), radius.volume(begin, middle)
     whole = np.pi * radius**2 * (end - begin)
@@ -131,11 +136,12 @@ def are_large(size: np.ndarray, volume: np.ndarray) -> np.ndarray:
 def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     """Return Lacey's mixing index of large and small stones: 0 if separate, 1 if mixed at random (Lacey 1954).
 
-    The index is (s0^2 - s^2) / (s0^2 - sr^2). It contains three variances of the share of `large` stones, by number:
+    The index is (s0^2 - s^2) / (s0^2 - sr^2). It compares three variances of the number fraction of `large` stones:
 
-    - s^2 is the actual variance, over cells that are formed by rings and stretches of the pipe.
-    - s0^2 = p (1 - p) is the variance of completely separate stones, with the overall share p.
-    - sr^2 = s0^2 / n is the variance of randomly mixed stones, with n stones per cell.
+    - s^2 is the variance found between the cells into which rings and sections divide the pipe.
+    - s0^2 = p (1 - p) is the variance if large and small stones were completely separate; p is the overall number
+      fraction.
+    - sr^2 = s0^2 / n is the variance if the stones were mixed at random, with n stones per cell.
 
     `s` is the arc length of each stone [m], and `apart` is its distance from the axis divided by the pipe's radius.
     """
@@ -150,7 +156,7 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    by_chance = apart_wholly * len(count) / count.sum()  # sr^2: the mean of s0^2 / n over the cells, weighted with n
+    by_chance = apart_wholly * len(count) / count.sum()  # sr^2 is the mean of s0^2 / n over the cells, weighted with n.
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 
 
@@ -166,10 +172,10 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 
 
 def _outward(place: int) -> Callable[[Any], float | None]:
-    """Return a function that computes the radial segregation in one row of the time series.
+    """Return a function that computes the radial segregation in the row `place` of the time series.
 
-    `place` is the index of the row. The function takes the data of a run. It subtracts the volume fraction of aggregate
-    in the inner part of the cross-section from that in the outer part, and divides by the mean fraction.
+    The function takes the data of a run. It subtracts the volume fraction of aggregate in the inner half of the radius
+    from that in the outer half, and divides the difference by the mean volume fraction.
     """
 
     def found(known: Any) -> float | None:

@@ -29,12 +29,13 @@ from ..scene.slices import FEWEST, Stations
 from .probes import launch_recorded, scene_stage
 
 RINGS = 5
-"""Number of rings of equal width over which a velocity profile is averaged."""
+"""Number of rings of equal width around the axis, in each of which the axial velocity is averaged for a profile."""
 FRONT = 0.98
-"""Fraction of the solid volume that lies behind a point, which is defined as the front of the concrete. Beyond this
-point the concrete no longer fills the cross-section."""
+"""The front of the concrete is defined as the point along the pipe behind which this fraction of the solid volume lies.
+Ahead of the front, concrete does not fill the whole cross-section."""
 FARTHEST = 8
-"""The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
+"""The search for the front is limited to the 1/FARTHEST of all bodies that are farthest along the pipe, to save
+time."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
@@ -44,10 +45,10 @@ READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.bo
 """Names of the arrays of a state that a measurement in the slices reads, in addition to the contact forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
-"""Units of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the normal stress
-along the pipe, which carries the piston's push. Both are positive in compression. `wall_stress` acts along the wall
-against the flow. `velocity` is the mean velocity of the solids along the pipe; the names of its ring columns end with
-the ring's mean radius in pipe radii."""
+"""Units of the columns of a table of stations. `pressure` is the mean normal stress, and `axial_stress` the normal
+stress along the pipe, which transmits the piston's force; both are positive in compression. `wall_stress` is the shear
+stress of the wall against the flow. `velocity` is the mean velocity of the solids along the pipe. The other columns
+contain the mean velocity in a ring; their names end with the mean radius of the ring, divided by the pipe's radius."""
 
 
 @dataclass
@@ -71,7 +72,10 @@ class StationLog:
 
 
 def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
-    """Return the present measurements in all slices, shape (slices, COLUMNS); NaN in slices that are not full."""
+    """Measure all slices of the pipe in the present state; return an array of shape (slices, COLUMNS).
+
+    Slices that concrete does not fill are NaN.
+    """
     axis, edges = stations.axis, np.array(stations.edges)
     found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
     seen = read_arrays(model, state)
@@ -168,7 +172,7 @@ def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.n
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """Return the arc length [m] behind which the bodies have the total volume `behind`."""
+    """Return the arc length [m] at which the bodies' volume, added up from the rear of the pipe, reaches `behind`."""
     # Sort only the farthest bodies, because sorting all bodies takes four times as long as this search for the front.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
@@ -182,16 +186,18 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
     """Return the friction losses along a pipe, from a table of the measured stress at stations along it.
 
-    The weight of the concrete is subtracted. For a straight pipe the losses are the pressure gradient [Pa/m] and the
-    wall stress [Pa]. For a pipe with a bend or taper in its middle, both are returned for the straight stretch before
-    the middle and for that behind it. They follow from straight lines, fitted to each stretch without one radius at
-    each end. Such a pipe has three more results:
+    The weight of the concrete is subtracted. For a straight pipe, the losses are the pressure gradient [Pa/m] and the
+    wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight
+    section upstream of the middle and for the section downstream of it. Each loss follows from a straight line that is
+    fitted to the stresses in its section. The fit leaves out a length of one radius at each end of the section. A pipe
+    with a middle has three more results:
 
-    - `middle_loss` [Pa] is the axial stress lost over the middle, between the two lines.
+    - `middle_loss` [Pa] is the loss of axial stress in the middle, from the end of the upstream line to the beginning
+      of the downstream line.
     - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
       pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
       middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
-    - `flux_ratio` is the solid volume flux downstream divided by that upstream.
+    - `flux_ratio` is the downstream solid volume flux divided by the upstream one.
 
     A result is left out if concrete fills too few of the slices that it needs.
     """
@@ -231,12 +237,16 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
 
 @dataclass
 class _Straight:
-    """Line fits of axial and wall stress over arc length in a straight stretch, mean wall stress and mean flux."""
+    """Stresses and flux in a straight section of a pipe.
+
+    `stress` and `shear` are the coefficients of straight lines, fitted to the axial stress and to the wall stress [Pa]
+    over the arc length [m]. `flux` is the mean product of velocity, solid fraction and squared radius [m3/s].
+    """
 
     stress: np.ndarray
     shear: np.ndarray
     mean: float
-    """Mean wall stress in the straight stretch [Pa]."""
+    """Mean wall stress in the straight section [Pa]."""
     flux: float
 
 
@@ -246,7 +256,10 @@ def _logarithmic_mean(a: float, b: float) -> float:
 
 @dataclass(frozen=True)
 class StationArrays:
-    """Host copies of the arrays that a measurement in the slices reads; on a CPU they are the run's own arrays."""
+    """Host copies of the arrays from which the slices are measured.
+
+    On a CPU, they are the run's own arrays and not copies.
+    """
 
     model: Model
     chunks: list[int] | None
@@ -265,7 +278,7 @@ def read_arrays(model: Model, state: State) -> StationArrays:
 
 
 class _Spheres:
-    """Spheres of a state, in order of permanent numbers. The spheres of a plug count with a solid volume of zero."""
+    """Spheres of a state, in order of permanent numbers; the spheres of a plug have a solid volume of 0 here."""
 
     def __init__(self, seen: StationArrays, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
@@ -276,7 +289,8 @@ class _Spheres:
         self.tangent = axis.at(self.s)[1]
         self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
         self.solid = seen["bodies.group"][body] == 0
-        # The spheres of a clump overlap, so each receives a share of the clump's volume in proportion to its own.
+        # The spheres of a clump overlap. Give each sphere a share of the clump's volume in proportion to the sphere's
+        # volume.
         own = self.radius**3
         whole = np.bincount(body, own, len(seen["bodies.size"]))[body]
         size = seen["bodies.size"].astype(float)[body]
@@ -323,10 +337,10 @@ class _Spheres:
 
 
 def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.ndarray:
-    """Return stress times volume of each slice [J], shape (slices, 2): isotropic part and axial component.
+    """Return mean normal stress and axial stress in each slice, times the slice's volume [J], shape (slices, 2).
 
-    The columns are a third of the trace of the sum of force times branch vector, and its component along the pipe. Both
-    are positive for pressing contacts.
+    Both follow from the sum over contacts of force times branch vector: the first is a third of its trace, the second
+    its component along the pipe. Both are positive in compression.
     """
     edges, axis = np.array(stations.edges), stations.axis
     body_s = axis.along(spheres.middle)
@@ -359,7 +373,7 @@ def _of_contacts(
 
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Spread each of the `values` (n, k) evenly from its `begin` to its `end` [m]; return the sums in slices (m, k)."""
+    """Distribute each row of `values` (n, k) evenly between its `begin` and `end` [m]; return sums per slice (m, k)."""
     # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread its value
     # over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
@@ -374,11 +388,11 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Find the slices of the pipe that each span from `low` to `high` overlaps; yield pairs of index arrays.
+    """Find all slices of the pipe that the intervals from `low` to `high` [m] overlap; yield pairs of index arrays.
 
-    `edges` are the boundaries of the slices. Each pair holds the indices of some spans, and the index of one slice for
-    each of them. The first pair has the first slice of every span, the second pair its second slice, and so on. Spans
-    with fewer slices are missing in later pairs.
+    `edges` are the boundaries of the slices [m]. The first pair of arrays contains the indices of all intervals and the
+    first slice of each. The second pair contains the intervals that overlap at least two slices, and the second slice
+    of each, and so on.
     """
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):
@@ -388,9 +402,10 @@ def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[
 
 
 def _wall_pushes(seen: StationArrays, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return wall forces [N], vectors from sphere centres to contact points [m] and wall numbers.
+    """Return wall forces [N], vectors from sphere centres to contact points [m], and the indices of the walls.
 
-    The arrays have a row for each sphere in `order` and an entry for each wall contact that a sphere can have.
+    The arrays have a row for each sphere, in the order given by `order`, and a column for each wall contact that a
+    sphere can have.
     """
     push, arm = (seen[name].astype(float)[order] for name in ("wall pushes", "wall arms"))
     wall = np.broadcast_to(np.arange(push.shape[1]), push.shape[:2]).copy()
@@ -411,7 +426,7 @@ def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
 
 
 def _probe(model: Model, state: State) -> None:
-    """Compute the forces of all contacts and store them in the arrays that `_arrays` returns."""
+    """Compute the forces of all contacts and store them in the device arrays returned by `_arrays`."""
     launch_recorded(state, "forces", lambda: _force_stages(model, state))
 
 

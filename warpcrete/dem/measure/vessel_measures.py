@@ -1,4 +1,4 @@
-"""Measurements of grains in a test vessel, by the columns of the standard test."""
+"""Measurements in standard tests of fresh concrete, whose concrete consists of spheres in a vessel."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ def unit_of_column(name: str) -> str | None:
 def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[str, float]:
     """Return the values that a test in a vessel records in one sample, by column name.
 
-    `spheres` has rows of centre and radius [m], shape (n, 4), n > 0; the first three columns of `velocity` are their
-    velocities [m/s]. Speeds are those of the main body, because a stray aggregate may roll for a long time.
+    `spheres` has rows of centre and radius [m], shape (n, 4), n > 0. The first three columns of `velocity` are the
+    velocities of the spheres [m/s]. Speeds are measured only in the main body of the concrete, because a stray
+    aggregate may roll for a long time.
     """
     spheres = spheres.astype(float)
     speed = np.linalg.norm(velocity[:, :3].astype(float), axis=1)
@@ -56,7 +57,7 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
     """Return whether the main body of a heap has stayed slow for one second after its release.
 
-    Returns False in tests in which the concrete flows out of a vessel.
+    For a test in which the concrete flows out of a vessel, the result is always False.
     """
     return vessel.test.outflow is None and is_at_rest(rows, vessel.opened, vessel.rest_speed)
 
@@ -67,7 +68,7 @@ def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 
 def outcome(known: Any) -> Outcome | None:
-    """Return the data of a run from which the results of its test follow; None if there is no test."""
+    """Return the data from which the results of a standard test are computed; None if the run is no such test."""
     vessel, series, fill = known.scene.vessel, known.series, known.scene.fill
     if vessel is None:
         return None

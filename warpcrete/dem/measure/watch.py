@@ -1,4 +1,4 @@
-"""Watch over a run, which stops it when its state has become meaningless."""
+"""Check the state of a run against limits, and stop the run when the state has become meaningless."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
 MAX_ROUNDING = (
-    # Largest rounding error of positions, divided by the smallest radius; overlaps of 1 % then keep one exact digit.
+    # Largest allowed rounding error of positions, divided by the smallest radius. An overlap of 1 % of the radius is
+    # then known to one digit.
     1e-3
 )
 
@@ -22,21 +23,22 @@ MAX_ROUNDING = (
 class Watch:
     """Check of every row of the time series against the limits of the scene; speeds are also checked in every step.
 
-    The checks cost little, because the rows contain overlaps and energies anyway.
+    The checks cost little, because the overlaps and energies that they need are recorded in each row anyway.
     """
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.limits = model.scene.watch
         self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
-        # Ignore changes of energy that are too small to lift all bodies by a hundredth of the smallest radius.
+        # Changes of energy below this floor are ignored. They could not even lift all bodies by a hundredth of the
+        # smallest radius.
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0  # largest kinetic and elastic energy, or work, in the rows so far [J]
+        self.scale = 0.0  # largest energy (kinetic plus elastic) or work in the rows so far [J]
 
     def state_dict(self) -> dict[str, float]:
-        """Return the energies of earlier rows with which later rows are compared, for a checkpoint."""
+        """Return the energies of earlier rows, with which later rows are compared, to store them in a checkpoint."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
@@ -93,5 +95,5 @@ class Watch:
 
 
 def _free(row: dict[str, float]) -> float:
-    """Return the stored energy minus the work of walls and drives [J]."""
+    """Return the stored energy minus the work of walls and drives [J]; only dissipation may change this difference."""
     return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])

@@ -32,10 +32,10 @@ They are the work of sliding [J], the energy lost in impacts [J], and normal for
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 RAY_TOLERANCE = 1e-4
-"""Tolerance of the test that decides if a triangle is visible from the axis, divided by its distance from the axis.
+"""Tolerance of the test whether a triangle is visible from the axis, divided by the triangle's distance from the axis.
 
-A ray from the axis towards the triangle first hits a surface. The triangle counts as visible if it lies behind that
-surface by no more than the tolerance.
+The test follows a ray from the axis towards the triangle to the first surface that it hits. The triangle counts as
+visible if it lies behind that surface by no more than the tolerance.
 """
 
 
@@ -73,8 +73,8 @@ class PipePatches(Patches):
     """Division of a pipe wall into patches: rings of patches (stations) follow one another along the pipe.
 
     All stations have the same number of patches, and patches are numbered station by station. Angles around the axis
-    are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a straight pipe they are 0 in
-    the direction of a normal of the axis.
+    are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a straight pipe, the angle 0 is
+    the direction of the axis' normal vector.
     """
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:
@@ -100,8 +100,8 @@ class PipePatches(Patches):
             piece = segment["piece"]
             if begin <= s <= begin + piece.length and isinstance(piece, Arc):
                 _, _, normal, _ = self.axis.frame(begin)
-                # The axis frame does not twist along the pipe, so bends to opposite sides have their outsides at
-                # opposite angles.
+                # The frame of the axis does not rotate about the tangent along the pipe. The outsides of two bends to
+                # opposite sides therefore lie at opposite angles.
                 yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
             begin += piece.length
 
@@ -134,7 +134,10 @@ class PipePatches(Patches):
 
 
 class MeshPatches(Patches):
-    """Division of a mesh wall: each triangle is a patch; of coinciding triangles, the first receives all the wear."""
+    """Division of a mesh wall into patches: each triangle is one patch, even if several triangles coincide.
+
+    The wear of coinciding triangles is credited to the first of them.
+    """
 
     def __init__(self, wall: MeshWall) -> None:
         self._wall = wall
@@ -150,7 +153,7 @@ class MeshPatches(Patches):
     def seen_from(self, axis: Axis) -> np.ndarray:
         """Return a mask of the triangles that are visible from the axis, shape (f,).
 
-        In a wall with a thickness these are the triangles of the inner surface.
+        If the mesh describes a wall with an inner and an outer surface, these are the triangles of the inner surface.
         """
         middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
         nearest = axis.nearest(middle)
@@ -220,7 +223,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Credit each sphere's wear of walls since the last call to the patch that the sphere touched last."""
+        """Record the wear since the last call; each sphere's share goes to the patch that the sphere touched last."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()
@@ -251,7 +254,7 @@ class WearMap:
 
     @property
     def main(self) -> WornWall | None:
-        """Most worn pipe or mesh, or most worn bounded plane if the scene has neither; None without such walls."""
+        """Most worn pipe or mesh; without pipes and meshes, the most worn plane of finite area, or None."""
         found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
         shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

@@ -14,7 +14,10 @@ from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
-    """Return a function of a run's data that applies `of` to the most worn wall, and returns None without wear."""
+    """Return a function that takes the data of a run and applies `of` to the run's most worn wall.
+
+    It returns None if no wear was measured.
+    """
 
     def found(known: Any) -> float | None:
         wall = known.wear.main if known.wear is not None else None
@@ -39,11 +42,11 @@ def _by_volume(wall: WornWall, known: Any) -> float | None:
 
 
 def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
-    """Return the selection of patches over which the wear of a wall is averaged.
+    """Return a mask or slice that selects the patches over which the wear of a wall is averaged.
 
-    In a pipe or pipe-like mesh these are the patches in the stretch that aggregates touched. Patches on the outside of
-    a mesh are left out, unless an aggregate touched them. In other walls, and in walls that were never touched, all
-    patches are selected.
+    In a pipe, or a mesh around a pipe's axis, these are the patches in the range of arc lengths that aggregates
+    touched. Patches on the outside of a mesh are left out, unless an aggregate touched them. In other walls, and in
+    walls that were never touched, all patches are selected.
     """
     found = places(wall, scene)
     touched = wall.done[:, 2] > 0
@@ -54,7 +57,10 @@ def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
 
 
 def inside(wall: WornWall, scene: Any) -> np.ndarray:
-    """Return a mask of the patches that concrete can touch, shape (patches,); in a mesh those visible from the axis."""
+    """Return a mask of the patches that concrete can touch, shape (patches,).
+
+    In a mesh, these are the patches that are visible from the axis; in other walls, all patches.
+    """
     if not isinstance(wall.patches, MeshPatches):
         return np.ones(len(wall.done), bool)
     return wall.patches.seen_from(scene.pipe.axis)
@@ -66,9 +72,9 @@ def _mean(wall: WornWall, known: Any, column: int) -> float:
 
 
 def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return arc length [m] and angle about the axis [rad] of the middle of each patch of a pipe or pipe-like mesh.
+    """Return arc length [m] and angle about the axis [rad] of the middle of each patch of a pipe.
 
-    Returns None for all other walls.
+    A mesh in a scene with a pipe is treated like a pipe. For all other walls the result is None.
     """
     patches = wall.patches
     if isinstance(patches, PipePatches):
@@ -103,7 +109,8 @@ QUANTITIES = (
     Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0))),
     Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi))),
 )
-"""Wear results of the most worn wall since t = 0: means over the stretch that aggregates touched, and worst patch."""
+"""Wear results of the most worn wall since t = 0: means over the part of the wall that aggregates touched, and the
+values of the most worn patch."""
 
 
 def report(run: Any) -> Iterator[tuple[str, str]]:

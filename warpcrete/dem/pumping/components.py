@@ -40,7 +40,10 @@ def linear_of(given: Any) -> Contact:
 
 
 def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
-    """Return the contact law on pipe and piston, by pair of materials; empty if it is the law between aggregates."""
+    """Return the contact law on pipe and piston, by pair of materials.
+
+    The result is empty if walls follow the same law as contacts between aggregates.
+    """
     if given.wall_contact is not None:
         return {("aggregate", "wall"): given.wall_contact}
     if given.contact is not None:
@@ -151,7 +154,10 @@ MOST_BALLS = 600_000
 
 @dataclass(frozen=True)
 class Plug:
-    """Plug that closes the front of the concrete: bonded balls or a plate, pushed against the flow; may be empty."""
+    """Plug that closes the front of the concrete: bonded balls or a plate, on which a pressure acts against the flow.
+
+    If there is no plug, all fields are empty.
+    """
 
     bodies: tuple[Bodies, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
@@ -163,7 +169,8 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
     """Return the plug at the arc length `at` [m] of a pipe's axis.
 
     `given` holds the parameters of the scene. A plug of balls has `layers` layers and fills a bore of radius `inner`
-    [m]. The plug resists the flow with the force of the plug pressure on a circle of radius `radius` [m].
+    [m]. The plug resists the flow with a constant force: the plug pressure times the area of a circle of radius
+    `radius` [m].
     """
     area, density = math.pi * radius**2, given.bulk_density or given.density
     if given.plug == "balls":
@@ -192,7 +199,7 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
     across = radius / ball
-    # Multiply, because `across**2` could raise OverflowError, whereas a product becomes infinite.
+    # Use a product: for a very large number, `across**2` would raise OverflowError, but a product becomes infinite.
     count = layers * math.pi * across * across
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
@@ -233,7 +240,7 @@ def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
 
 
 def settings_of(given: Any) -> dict[str, Any]:
-    """Return the arguments of a scene for contacts, bonds, gravity, settling, time step and output."""
+    """Return arguments of a :class:`Scene` that follow from the parameters `given`, such as contacts and bonds."""
     return {
         "contact": contact_of(given),
         "contacts": wall_contact_of(given),

@@ -33,7 +33,8 @@ from .parameter_groups import (
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
 UPRIGHT = 0.4
-"""Ratio of thickness to diameter from which a plug stays upright after a bend; at 0.13 it tipped over in test runs."""
+"""Smallest ratio of a plug's thickness to its diameter at which the plug does not tip over behind a bend. At a ratio of
+0.13, plugs tipped over in test runs."""
 WIDEST_STONE = 0.4
 """Ratio of the largest pumpable rounded aggregate to the pipe's diameter (ACI 304.2R; for crushed aggregate, 1/3)."""
 
@@ -46,7 +47,7 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the section `elements` of a concrete's file, and the parameters that it may contain."""
+        """Return "elements", the name of a section in a concrete's file, and the parameters allowed in this section."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
@@ -141,7 +142,10 @@ class PipeParameters(
 
     @property
     def distance(self) -> float:
-        """Travel of the piston [m]."""
+        """Travel of the piston in the whole run [m].
+
+        It is the parameter `travel` if given, otherwise it follows from strokes, bend, ramp or length of the pipe.
+        """
         if self.travel is not None:
             return self.travel
         if self.stroke is not None:
@@ -214,10 +218,10 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     """Yield the parameters that trade accuracy for computing time in a pumping scene.
 
     One of them is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws need no
-    rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the overlap
-    relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by their
-    critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the momentum
-    that each impact carries.
+    rescaling. A contact's stiffness is modulus times area over length, so the contact stress depends only on the ratio
+    of overlap to size, which stays the same. The strengths of bonds and lubrication layer are stresses, and dashpots
+    are given by their ratio to critical damping. Coarse-graining therefore changes only the number of aggregates across
+    the pipe and the momentum that each impact carries.
     """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
@@ -247,9 +251,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # The pipe's length is one of the parameters that can be reduced to save run time. If the wall stress is uniform
-        # along the pipe, the pressure without the plug's share is proportional to this length. Each shorter length
-        # therefore comes with the factor that converts its pressures to those of the pipe as given.
+        # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pressure minus the plug
+        # pressure is proportional to the length. Give each shorter length the factor by which this difference must be
+        # multiplied to obtain the pressure in the full length.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",
@@ -261,7 +265,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
 
 
 def coarser(given: AggregateParameters, factor: float) -> Level:
-    """Return the coarse-graining level at which aggregates are `factor` times as large, with its relative cost."""
+    """Return the level of coarse-graining with aggregates that are `factor` times as large, and its relative cost."""
     names = ("size_min", "size_max", "size_mean", "size_deviation")
     sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
     # The computing time scales as factor^-4: the number of aggregates as factor^-3, that of steps as factor^-1.

@@ -131,14 +131,14 @@ class PartElements(
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return parameters that the file of a line, of a mesh or of a concrete implies, by name."""
+        """Return the parameters, by name, that follow from the file of a line, of a mesh or of a concrete."""
         said = {**parameters_from_line(values), **parameters_from_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}
 
 
 @dataclass(frozen=True)
 class Course:
-    """Course of a pipe from the piston's initial position: first the run-up for the piston's travel, then the part."""
+    """Course of a pipe: a straight run-up as long as the piston's travel, followed by the part to be simulated."""
 
     axis: Axis
     bores: Bores
@@ -152,9 +152,10 @@ class Course:
     """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if it is straight."""
     line: PipeLine | None = None
     inserts: tuple[Insert, ...] = ()
-    """Stretches of the pipe whose bore is a mesh."""
+    """Sections of the pipe whose bore is a mesh."""
     clear: Bores | None = None
-    """Radii of the largest circles about the axis inside the bore; None if no stretch of the bore is a mesh."""
+    """Radii of the largest circles about the axis that lie inside the bore; None if no section of the bore is a
+    mesh."""
 
     @property
     def narrowest(self) -> float:
@@ -169,12 +170,12 @@ class Course:
 
     @property
     def advance(self) -> float:
-        """Distance by which the front of the concrete moves while the piston travels, by volume conservation [m]."""
+        """Distance [m] by which the front of the concrete moves during the piston's travel, at constant volume."""
         return self.travel * float(self.bores.at(0.0) / self.bores.at(self.axis.length)) ** 2
 
 
 def course_of(given: PartElements) -> Course:
-    """Return the pipe of a scene: a straight stretch in which the piston moves, then a part or a whole pump line.
+    """Return the pipe of a scene: a straight section in which the piston moves, then a part or a whole pump line.
 
     Raises :class:`SceneError` if parameters contradict each other.
     """
@@ -221,7 +222,10 @@ def _middle(line: PipeLine) -> tuple[float, float] | None:
 
 
 def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
-    """Yield the stretches of a line whose bore is a mesh; a run-up of `travel` [m] shifts their arc lengths."""
+    """Yield the sections of a line whose bore is a mesh.
+
+    Their arc lengths include the run-up of `travel` [m] before the line.
+    """
     for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
         if part.mesh:
             yield Insert(part.mesh, float(begin), float(end))
@@ -271,10 +275,10 @@ def _meshed(given: PartElements) -> PipeLine:
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
-    """Return the axis of a single pipe part, its inner radii, and the ends of the stretch that is not straight pipe.
+    """Return the axis of a single pipe part, its inner radii, and where its bend and taper begin and end.
 
-    The axis begins at the origin. The ends of the stretch are arc lengths [m]. For a straight pipe of constant
-    diameter, None takes their place.
+    The axis begins at the origin. Beginning and end are arc lengths [m]. For a straight pipe of constant diameter, the
+    third result is None.
     """
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight
@@ -282,8 +286,8 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     if narrows:
         between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
                 "for a larger change, use a 'line' from a file with several parts 'reducer'")  # fmt: skip
-    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
-    # taper.
+    # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, it lies downstream, behind a
+    # straight section.
     narrowing = straight + given.taper if narrows else 0.0
     if not given.unit.startswith("bend"):
         pieces: tuple[Line | Arc, ...] = (Line(straight + (narrowing or straight)),)

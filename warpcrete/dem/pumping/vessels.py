@@ -24,11 +24,13 @@ from .parameter_groups import BY_ITSELF
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
-"""Default contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores stiffer than its shells."""
+"""Default contact modulus [Pa] of the laws for which Zhan's 1e5 Pa is too soft: the cores of mortar-covered spheres
+must be stiffer than their shells."""
 LAW_FRACTION = {"mortar": 0.66, "plastic": 0.66}
-"""Solid fraction of packings by contact law, for laws whose packings need more than DEFAULT_FRACTION.
+"""Solid fraction of packings, by contact law; laws that are not listed use DEFAULT_FRACTION.
 
-In a denser packing the mortar shells of neighbours overlap on all sides.
+The two listed laws need denser packings, in which the mortar shell of each sphere overlaps shells of neighbours on all
+sides.
 """
 DEFAULT_FRACTION = 0.6
 LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
@@ -36,9 +38,9 @@ LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
 The law `rolling` needs high friction. With low friction its spheres would slide instead of roll, and the rolling
 resistance would have no effect."""
 CONTACTS = 6.9
-"""Mean number of mortar spheres in a packing whose shells touch the shell of one sphere.
+"""Coordination number of mortar-covered spheres: mean number of neighbours whose shells touch the shell of a sphere.
 
-In the packings that were examined the number was 6.7 to 6.9.
+In the packings that were examined it was 6.7 to 6.9.
 """
 
 WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
@@ -222,10 +224,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def mould_grip_or_default(self) -> float:
-        """Resistance of the mould to sliding, divided by that of the grains.
+        """Resistance of the mould to sliding, divided by that of the grains: the parameter, or its default.
 
-        The friction and the yield stress of contacts with the mould are those of the grains times this factor. The
-        default depends on the contact law, and is at most the plate's factor.
+        Friction, yield stress and viscosity of contacts with the mould are those between grains times this factor. The
+        default depends on the contact law, and is at most the factor of the plate.
         """
         if self.mould_grip is not None:
             return self.mould_grip
@@ -233,9 +235,9 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def is_gripped(self) -> bool:
-        """True if a wall can resist sliding more or less than grains do.
+        """True if the resistance of walls to sliding can be scaled, relative to the resistance between grains.
 
-        This requires that the contact law has parameters for friction, yield stress or viscosity, which can be scaled.
+        This requires that the contact law has parameters for friction, yield stress or viscosity.
         """
         law = self.grain_law()
         return law.gripped(0.5) != law
@@ -298,7 +300,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         return Gaussian(middle, max(half, 1e-6 * middle), self.size_min, self.size_max)
 
     def settings(self) -> dict[str, Any]:
-        """Return the arguments of a scene for duration, contact laws, bonds, time step and output."""
+        """Return arguments of a scene: duration, contact laws, bonds, gravity, settling, time step and output."""
         return {
             "duration": self.duration,
             "contact": self.grain_law(),
@@ -316,7 +318,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
 
 def shear_means() -> tuple[float, float, float]:
-    """Return three means over contacts in all directions, in a simple shear of rate 1.
+    """Return three means over the directions of contacts, in a simple shear of rate 1.
 
     Let n be the direction of a contact and D the strain rate tensor. The vector D n has a part across n (sliding) and a
     part along n (approach). The results are:
@@ -337,7 +339,7 @@ def shear_means() -> tuple[float, float, float]:
 
 
 def _springs(given: VesselParameters) -> dict[str, float]:
-    """Return the constants of springs, dashpots and friction between grains, which all contact laws have in common."""
+    """Return the constants of springs, dashpots and friction between grains, which every contact law needs."""
     return {
         "effective_modulus": given.stiffness,
         "stiffness_ratio": given.stiffness_ratio,
@@ -347,7 +349,7 @@ def _springs(given: VesselParameters) -> dict[str, float]:
 
 
 def _core_and_shell(given: VesselParameters) -> dict[str, float]:
-    """Return the constants of the cores and shells of grains, which both laws of mortar have in common."""
+    """Return the constants of the cores and shells of grains, which both laws of mortar need."""
     return {**_springs(given), "shell_fraction": given.shell_fraction, "shell_modulus": given.shell_modulus}
 
 
@@ -356,10 +358,11 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 
     The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d touches Z
     neighbours, so there are Z/2 contacts per grain. Each contact has an area of pi d^2/4 and spans the distance d. At
-    the solid fraction phi all contacts together fill 3/4 Z phi of the volume. A contact dissipates its yield stress
-    times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the sliding
-    plus, by Trouton's ratio, three times the square of the closing speed. The sum over all contacts equals the
-    dissipation of the concrete.
+    the solid fraction phi all contacts together fill 3/4 Z phi of the volume. The power that a contact dissipates per
+    volume has two parts. The yield stress contributes in proportion to the sliding velocity across the contact's
+    normal. The viscosity contributes in proportion to the square of the sliding velocity plus three times (Trouton's
+    ratio) the square of the closing velocity. The constants are chosen so that all contacts together dissipate as much
+    as the concrete.
 
     Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
     deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a
@@ -382,10 +385,10 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     is the yield stress times |D n|, whose mean is pi/8. The other part is the viscosity over the shell thickness, times
     |D n|^2, whose mean is 1/6.
 
-    The tension of the shells, in units of the yield stress, does not follow from the concrete. It was chosen by trials
-    with a cone of a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands
-    whole. For comparison, the closed form of a tall cone gives 78 mm, and the implicit material points of Newton 1.8
-    give 104 mm. At other yield stresses the slumps are predictions without a fit.
+    The tension of the shells, in units of the yield stress, does not follow from properties of the concrete. It was
+    chosen by trial simulations of a slump cone with a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by
+    120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm, and the implicit
+    material point method of Newton 1.8 gives 104 mm. Slumps at other yield stresses are predicted, not fitted.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(

@@ -60,7 +60,10 @@ class BodyTable:
         return BodyTable(none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0, int), np.zeros(0), [], [], ())
 
     def joined(self, other: BodyTable) -> BodyTable:
-        """Return a table with the bodies of this table followed by those of `other`; templates are stored once."""
+        """Return a table with the bodies of this table followed by those of `other`.
+
+        A template object that occurs in both tables is stored once.
+        """
         templates = list(self.templates)
         for template in other.templates:
             if all(template is not known for known in templates):
@@ -81,7 +84,7 @@ class BodyTable:
 
 
 def placed_bodies(scene: Scene) -> BodyTable:
-    """Return a table of the bodies whose positions the scene gives explicitly, without packed ones."""
+    """Return a table of the bodies whose positions the scene gives explicitly; it does not contain packed bodies."""
     table = BodyTable.empty()
     for bodies in scene.bodies:
         n = len(bodies.positions)

@@ -81,8 +81,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # The integration sums over vertical prisms of rectangular cross-section. A prism's extent in x adds steps[0]^2/12
-    # to the mean of x^2 in the prism, and its extent in y adds steps[1]^2/12 to the mean of y^2.
+    # The integration sums over prisms along z with a rectangular cross-section. In the mean of x^2 over a prism, the
+    # width of the prism in x adds steps[0]^2/12 to the square of its middle; the same holds for y and steps[1].
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()
@@ -117,8 +117,8 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     if np.linalg.det(axes) < 0:
         axes = axes * [1, 1, -1]
     if np.ptp(moments) < 1e-4 * moments.mean():
-        # Set moments equal that agree within the accuracy of the integration: the rotation of a body with three equal
-        # moments is cheaper to compute.
+        # Set moments equal if they agree within the accuracy of the integration, because the rotation of a body with
+        # three equal moments is cheaper to compute.
         moments = np.full(3, moments.mean())
     offsets = (centres - centroid) @ axes / size
     return ClumpTemplate(name, offsets, radii / size, moments / (volume * size**2))
@@ -134,8 +134,8 @@ def sphere() -> ClumpTemplate:
 def elongated(shape_factor: float) -> ClumpTemplate:
     """Return a straight row of equal spheres whose ratio of length to width is `shape_factor`, from 1 to 20.
 
-    Zhan (2019, Fig. 14) shows such rows for the factors 1.5, 2.5, 3.5 and 4.5. Here the centres are at most one radius
-    apart, so the narrowest cross-section is wider than 0.86 of the full width.
+    Zhan (2019, Fig. 14) shows such rows for the factors 1.5, 2.5, 3.5 and 4.5. The rows of this function have centres
+    that are at most one radius apart, so that their narrowest cross-section is wider than 0.86 of the full width.
     """
     between("shape_factor", shape_factor, 1.0, 20.0)
     if shape_factor == 1:
@@ -165,10 +165,10 @@ TEMPLATE_SETS = ("reference", "spheres", "shape-1.5", "shape-2.5", "shape-3.5", 
 
 
 def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
-    """Return the templates with a name: `reference` (four clumps), `spheres`, or `shape-F` with F from 1 to 20.
+    """Return templates by name: `reference` (four clumps), `spheres`, or `shape-F` with a shape factor F of 1 to 20.
 
-    F is the shape factor. A name with a file extension is the path of a closed mesh, which is covered by `spheres`
-    spheres; several paths may be separated by commas. Raises :class:`SceneError` for an unknown name.
+    A name with a file extension is the path of a closed mesh, which is covered by `spheres` spheres; several paths may
+    be separated by commas. Raises :class:`SceneError` for an unknown name.
     """
     if name == "reference":
         return reference()
@@ -195,9 +195,9 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     """Create a template that approximates a closed triangle mesh by a given number of spheres.
 
     Candidates are spheres tangent to the surface from inside, centred at interior points of a grid with `resolution`
-    cells along the longest side. A greedy search adds the sphere that covers most of the volume not yet covered.
-    Finally all radii grow by the same length until the union has the mesh's volume. Cavities count as filled, because a
-    body touches others only with its outer surface.
+    cells along the longest side. A greedy search repeatedly adds the candidate that covers most of the volume not yet
+    covered. Finally all radii grow by the same length until the union has the mesh's volume. Cavities count as filled,
+    because a body touches others only with its outer surface.
 
     `mesh` is a ``trimesh.Trimesh`` or a path that trimesh can read; `spheres` is 1 to 500. Raises :class:`SceneError`
     for an open or unreadable mesh.
@@ -221,7 +221,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     points, depth = points[inside], depth[inside]
     # Spheres centred near the surface are small, so the 4,000 deepest points are enough as candidates for centres.
     candidates = np.argsort(-depth)[:4000]
-    # Grid points are sorted by x, so the points that a candidate can cover lie in one slice of them.
+    # The points are sorted by x, so all points that a candidate sphere can cover are in one slice of the array.
     reach = depth[candidates] + 0.25 * step
     first = np.searchsorted(points[:, 0], points[candidates, 0] - reach - step)
     last = np.searchsorted(points[:, 0], points[candidates, 0] + reach + step)
@@ -232,8 +232,9 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     ]
     uncovered = np.ones(len(points), dtype=bool)
     chosen: list[int] = []
-    # A candidate's new coverage only shrinks as spheres are added, so an earlier count is an upper bound. The candidate
-    # with the highest bound is best if its count has not changed; among equal counts the deepest candidate is best.
+    # The number of uncovered points that a candidate sphere would cover can only fall when spheres are added, so a
+    # number counted earlier is an upper bound. If the candidate with the highest bound still has this number, it is the
+    # best one. Among candidates with equal numbers, take the deepest one.
     bounds = [(-int(np.count_nonzero(cover)), number) for number, cover in enumerate(coverage)]
     heapq.heapify(bounds)
     while len(chosen) < spheres:

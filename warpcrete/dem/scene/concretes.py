@@ -27,9 +27,9 @@ ratio is only 0.02.
 def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
     """Return the parameters of discrete elements that the concrete named in `values` implies.
 
-    `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete.
-    Returns an empty dictionary if `values` already sets all of them, as the record of a run does. Raises
-    :class:`SceneError` for a concrete that does not exist or that sets other parameters.
+    `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete. If
+    `values` already contains all of these parameters, as in the stored scene of a run, the result is an empty
+    dictionary. Raises :class:`SceneError` for a concrete that does not exist or that sets other parameters.
     """
     name = values.get("concrete", default)
     name = str(name) if isinstance(name, os.PathLike) else name
@@ -52,11 +52,11 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
 def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     """Return the parameters of a concrete for which only flow properties are known: bulk density and slip layer.
 
-    The slip layer alone acts on the walls, without friction. All other parameters keep the values of Zhan (2019, Table
-    1).
+    The walls then have no friction and resist only by the slip layer. Parameters that are not returned keep the values
+    of Zhan (2019, Table 1).
 
     Discrete elements support only Bingham's law for the slip layer. Raises :class:`SceneError` for another law, unless
-    `layer_given` says that other values replace this layer.
+    `layer_given` is True, which means that the caller replaces this layer by other values.
     """
     flow = flow_amounts(found)
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]

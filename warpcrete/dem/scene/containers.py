@@ -33,10 +33,10 @@ class PipeContainer:
     """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
 
     A round pipe of constant radius is described by `radius` alone. In other pipes, such as a reducer or a pipe of few
-    facets, the mesh `bore` is the wall. Then `radius` is the smallest radius and `area` the mean cross-sectional area.
+    facets, the mesh `bore` is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area.
     If the radius varies, `bores` gives the radius as a function of arc length, so that aggregates are placed evenly
     over the volume. If the cross-section is not round, `clear` gives the radii of the largest circles about the axis
-    that lie inside the bore. Aggregates are placed within these circles.
+    that lie inside the bore; aggregates are placed within these circles.
     """
 
     axis: Axis
@@ -58,7 +58,7 @@ class PipeContainer:
 
     @property
     def volume(self) -> float:
-        """Volume [m3], computed as for a straight pipe; by Pappus's theorem a bend does not change it."""
+        """Volume [m3], from cross-section and length of the axis; a bend does not change it (Pappus's theorem)."""
         if self.bores is not None:
             return self.bores.volume(0.0, self.length)
         return float(np.pi * self.radius**2 if self.area is None else self.area) * self.length
@@ -80,7 +80,7 @@ class PipeContainer:
         return (PipeWall(name="pipe", axis=self.axis, radius=self.radius, material=material), *ends)
 
     def pilot(self) -> PipeContainer:
-        """Return a shorter pipe for cheap trial packings, whose properties are nearly those of the whole packing."""
+        """Return a shorter pipe for cheap trial packings, which have nearly the properties of the whole packing."""
         return replace(self, length=min(self.length, 3 * self.radius))
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
@@ -168,9 +168,10 @@ class Fill:
 
     @property
     def filled_density(self) -> float:
-        """Density of the filled container [kg/m3], that of the grains alone if `bulk_density` is not given.
+        """Mass of the bodies per volume of the filled container [kg/m3]; 0 if it is not known in advance.
 
-        It is 0 if a pressure determines the packing, whose density is then not known in advance.
+        It is `bulk_density` if given, otherwise the density of the grains times the solid fraction. It is not known if
+        a pressure determines how densely the grains are packed.
         """
         return self.bulk_density or self.density * (self.solid_fraction or 0.0)
 
@@ -196,7 +197,7 @@ class Fill:
             refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers, none below 0 and not all 0",
                    "give one fraction for each shape")  # fmt: skip
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
-        # A long aggregate can lie along the container, so its thickness, not its length, decides whether it fits.
+        # A long aggregate may lie along the container, so only its thickness decides whether it fits.
         thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
         if thickest >= self.container.narrowest:
             refuse(

@@ -48,7 +48,7 @@ class AxisDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """Bodies of one shape and density that a scene places at given positions."""
+    """Bodies of one shape and one density, which a scene places at given positions."""
 
     positions: np.ndarray
     """Centroids of the bodies [m], shape (n, 3)."""
@@ -120,7 +120,7 @@ class PressureProbe:
 
 @dataclass(frozen=True, kw_only=True)
 class PipeUnit:
-    """Description of a pipe, through which a piston pushes concrete, for measurements, checks and figures."""
+    """Description of a pipe through which a piston pushes concrete; measurements, checks and figures use it."""
 
     name: str
     axis: Axis
@@ -143,7 +143,7 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Return the travel [m] at which the stroke that contains the travel `travel` [m] began.
+        """Return the piston's travel [m] at the beginning of the stroke in which it reaches `travel` [m].
 
         During a stop the next stroke counts as begun.
         """
@@ -154,7 +154,7 @@ class PipeUnit:
 
 @dataclass(frozen=True, kw_only=True)
 class Vessel:
-    """Description of a vessel, in which fresh concrete is tested, for measurements and checks."""
+    """Description of a vessel in which fresh concrete is tested; measurements and checks use it."""
 
     test: StandardTest
     opened: float
@@ -198,14 +198,15 @@ class Scene(Parametrised):
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
-    """Contact laws for single pairs of materials, which replace `contact`; the order within a pair does not matter."""
+    """Contact laws for certain pairs of materials, which replace `contact`; the order within a pair does not matter."""
     contact: ContactLaw = field(default_factory=Contact)
     """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
     and one against walls; the parameters of each may differ between pairs of materials."""
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
-    """Bonds inside a named group of bodies, made before settling; used for the plug."""
+    """Bonds between the bodies of a group, by the name of the group; they are made before settling, for example in a
+    plug."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0
@@ -235,7 +236,8 @@ class Scene(Parametrised):
     remarks: tuple[str, ...] = ()
     """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the scene's function creates this scene again; empty if there is no such function."""
+    """Arguments that the scene's function needs to create this scene again; empty for a scene not created by a
+    function."""
 
     @property
     def caption(self) -> str:

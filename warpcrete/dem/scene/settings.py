@@ -9,9 +9,9 @@ from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, Within
 
 MUCH_STIFFER = 200.0
-"""Ratio of the modulus of hydrated bonds to the largest other modulus, above which sub-cycling of the bonds saves
-computing time. At a ratio of 100, a run with sub-cycling takes as long as a run without, whose time steps must all be
-as short as the stiff bonds require."""
+"""Smallest ratio of the modulus of hydrated bonds to the largest other modulus at which sub-cycling of the bonds saves
+computing time. Without sub-cycling, all time steps must be as short as the stiff bonds require. At a ratio of 100, runs
+with and without sub-cycling take equally long."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Hydration(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class TimeStep(Declared):
-    """Choice of the time step: a fixed size, or an automatic one from masses and current stiffness."""
+    """Choice of the time step: a fixed size, or an automatic size that follows from masses and current stiffness."""
 
     called = "time_step"
 
@@ -147,7 +147,7 @@ class Wear(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Blockage(Declared):
-    """Settings for detecting blockage: part of the concrete in a pipe stands still while the piston advances."""
+    """Settings for detecting a blockage: part of the concrete in a pipe stands still while the piston advances."""
 
     called = "blockage"
 
@@ -162,17 +162,18 @@ class Blockage(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Rest(Declared):
-    """Rest of the concrete for minutes at one moment of a run: its structure grows by a law, without time steps.
+    """Rest of the concrete for minutes at one moment of a run: a formula gives the build-up of its structure.
 
     The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t, with the duration t of the rest and the growth
     rate A_thix (Roussel 2006). The same stress is added to the tensile strength and cohesion of the scene's bonds, and
     to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry, and
     contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a group, for example the
-    plug, do not change. A bond that breaks later stays broken. If the scene lets bonds heal, it returns with the
-    strength from before the rest.
+    plug, do not change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals
+    has the strength from before the rest.
 
     Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
-    the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest.
+    the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest, so it
+    takes no time steps.
     """
 
     called = "rest"

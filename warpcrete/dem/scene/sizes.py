@@ -94,12 +94,13 @@ class SieveCurve:
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return `count` random sizes [m].
 
-        A mass that is even over the logarithm of the size means a number density that falls as size^-4. The inverse of
-        its cumulative distribution turns uniform random numbers into sizes.
+        Between two openings, the mass is spread evenly over the logarithm of the size d, so the number of grains per
+        size is proportional to d^-4. Inverting the cumulative distribution of d turns uniform random numbers into
+        sizes.
         """
         openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
-        # Relative numbers of particles between neighbouring sieve openings.
+        # Relative number of grains between each pair of neighbouring sieve openings.
         number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
         fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)

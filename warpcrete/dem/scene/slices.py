@@ -13,9 +13,9 @@ from ...geometry.axis import Axis
 from ...geometry.bores import Bores
 
 CLEAR, FEWEST = 1.0, 2
-"""Limits for line fits of measurements along a straight stretch of pipe.
+"""Limits for line fits of measurements along a straight section of pipe.
 
-`CLEAR` is the distance from the ends of the stretch, in pipe radii, within which slices are ignored. `FEWEST` is the
+`CLEAR` is the distance from the ends of the section, in pipe radii, within which slices are ignored. `FEWEST` is the
 minimum number of slices for a fit.
 """
 
@@ -70,17 +70,17 @@ class Stations:
 
     @property
     def straights(self) -> tuple[tuple[float, float], ...]:
-        """Arc lengths of both ends of each straight stretch [m]: before and behind `middle`, or the whole pipe."""
+        """Arc lengths of both ends of each straight section [m]: before and behind `middle`, or the whole pipe."""
         if self.middle is None:
             return ((self.edges[0], self.edges[-1]),)
         return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])
 
     @property
     def can_fit_losses(self) -> bool:
-        """True if every straight stretch has enough slices to fit a line through its measurements."""
+        """True if every straight section has enough slices to fit a line through its measurements."""
         return all(np.count_nonzero(self.clear(*ends)) >= FEWEST for ends in self.straights)
 
 
 def varying_bores(stations: Stations | None) -> Bores | None:
-    """Return the bores of a pipe whose width changes along its axis; None for a straight pipe or without stations."""
+    """Return the radii of a bore that varies along the axis; None if it does not vary or if `stations` is None."""
     return None if stations is None or stations.bores.is_straight else stations.bores

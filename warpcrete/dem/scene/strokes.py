@@ -13,7 +13,7 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Last fraction of each pause of the piston, over which the pressure held during the pause is averaged."""
+"""Fraction of each pause of the piston, at its end, over which the pressure held in the pause is averaged."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ class Stroke:
 def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
     """Return a :class:`Stroke` for each stroke of the piston that began within the run; an empty list without stops.
 
-    A stroke selects the samples of the run that belong to it. `time` has the times of all samples [s], shape
-    (samples,).
+    Each :class:`Stroke` selects samples of the run. `time` contains the times of all samples [s], shape (samples,).
     """
     if pipe is None or pipe.stops is None:
         return []
@@ -48,7 +47,10 @@ def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
 
 
 def _stop(stops: Stops, number: int) -> tuple[float, float]:
-    """Return when the piston stops after stroke `number` and when it starts again [s]; infinite for the last."""
+    """Return the times [s] at which the piston stops after stroke `number` and starts again.
+
+    Both are infinite for the last stroke, because no stop follows it.
+    """
     if number == stops.count:
         return np.inf, np.inf
     begin = number * stops.period
