@@ -19,11 +19,13 @@ BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "
 LAW_DEFAULTS = {
     "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
 }  # fmt: skip
-"""Default values of the constants that other laws than Bingham's have; with these values a law is Bingham's."""
+"""Names and default values of the constants that only other laws than Bingham's need. With the default values these
+laws are equal to Bingham's law."""
 CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
-"""Names of all constants and factors of a named concrete; parameters of the same names replace its values."""
+"""Names of all constants and factors of a concrete. A scene's parameter of such a name replaces the value of the named
+concrete."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
@@ -148,10 +150,11 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
 
 
 def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
-    """Return True if `given` has enough constants, so that the concrete called `name` need not be looked up.
+    """Return whether `given` contains enough constants that the concrete called `name` need not be looked up.
 
-    Usually all constants in `CONSTANTS` are needed. If `name` is the path of a file that no longer exists, Bingham's
-    constants are enough, because the records of runs of earlier versions contain only these.
+    `given` maps names of constants to values. Usually all constants in `CONSTANTS` are needed. If `name` is the path of
+    a file that no longer exists, Bingham's constants are enough, because the records of runs of earlier versions
+    contain only these.
     """
     known = [each for each in CONSTANTS if given.get(each) is not None]
     return len(known) == len(CONSTANTS) or (
