@@ -119,7 +119,7 @@ class GridLayout:
 
     @property
     def volume(self) -> float:
-        """Mean volume of a particle [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
+        """Mean initial volume of a particle [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
         radius = float(self.fluid[:, 0].mean()) if self.axial else 1.0
         return radius * float(np.prod([self.particle_spacing * h / self.spacing for h in self.room.width]))
 

@@ -31,7 +31,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 
 
 def _course(simulation: PartSimulation) -> Course:
-    """Return the expected duration and time step of a run that ends when the flow is steady.
+    """Return the expected duration and time step of a run until the flow is steady.
 
     A run of a coarser copy of the flow gives the duration.
     """
