@@ -25,8 +25,7 @@ ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 STRUCTURED = Needs("rest", lambda value: value > 0, "is above 0", ("rebuild_rate",))
 MAX_PARTICLES = 2**26
-"""Maximum number of particles of a column. The neighbour lists of more particles would not fit in the memory of any current
-GPU."""
+"""Maximum number of particles of a column. Neighbour lists of more particles would exceed the memory of current GPUs."""
 # Minimum length of a column in particle spacings. In a shorter column, the piston and the free surface disturb the flow
 # everywhere.
 MIN_SPACINGS_HIGH = 8
