@@ -99,7 +99,7 @@ def water_mass(parts: Mapping[str, float]) -> float:
 def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
     """Return the masses of sand and of coarse aggregate among the ingredients [kg/m3].
 
-    Both are 0 if the names do not tell for all aggregate whether it is sand or coarse.
+    Both are 0 if the name of an ingredient tells that it is aggregate, but not whether it is sand or coarse.
     """
     sand, stone = 0.0, 0.0
     for name, mass in parts.items():

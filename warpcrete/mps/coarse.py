@@ -16,9 +16,8 @@ import warp as wp
 from ..core.device.device import parallel
 
 WIDTH = 4.0
-"""Width of a cube of the coarse grid, in particle spacings. Wider cubes need more iterations of the linear solves: 6
-instead of 4 needs a quarter more. Narrower cubes are more numerous: 3 instead of 4 doubles their number and saves only
-a tenth of the iterations."""
+"""Width of a cube of the coarse grid, in particle spacings. A width of 6 would need a quarter more iterations of the
+linear solves. A width of 3 would save only a tenth of the iterations, with twice as many cubes."""
 LEAST = 12.0
 """Minimum height of a column of concrete, in cubes of the coarse grid, for which the coarse grid is used. Solves for a
 lower column take no longer without it."""

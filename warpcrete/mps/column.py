@@ -262,8 +262,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    # The closed forms assume the same yield stress everywhere. Thixotropic structure changes it from place to place, so
-    # pressure and wall stress are not compared with them.
+    # The closed forms assume the same yield stress everywhere, but that of thixotropic concrete varies with its
+    # structure. Pressure and wall stress are therefore not compared with the closed forms.
     if scene.is_structured:
         found = {name: found[name] for name in ("volume", "balance of forces")}
     # The limits of this check assume that the yield stress is largest directly after the rest. This does not hold if
@@ -297,7 +297,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def plug_restart_state(scene: FluidScene) -> Steady:
-    """Return the state just after a rest, when the whole cross section slips as a plug on an intact slip layer."""
+    """Return the state just after a rest, if the whole cross-section slips as a plug and no structure is broken yet."""
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = float(concrete.layer_law.stress(scene.velocity))
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,

@@ -52,7 +52,9 @@ class FlowDisplay(Display):
         x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
-        if x.shape[1] == 2:  # Axisymmetric: radius and height only. Give each particle its own angle.
+        if x.shape[1] == 2:
+            # An axisymmetric flow has only radius and height as coordinates. Draw each particle at its own angle about
+            # the axis.
             angle = GOLDEN_ANGLE * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
@@ -159,7 +161,7 @@ class FlowDisplay(Display):
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
-        # The picture always shows the whole box. A short column would fill it in height and leave no room for the
-        # pipe's width, so its box is made higher.
+        # The picture always shows the whole box of these bounds. For a short column, the box is made higher than the
+        # column, so that the picture has room for the width of the pipe.
         across = max(0.0, 4 * self.simulation.scene.radius - size)
         return np.array([[0.0, 0.0, -0.5 * across], [0.0, 0.0, size + 0.5 * across]])

@@ -45,7 +45,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     change = 0.0
     if before is not None and flow.time > before["time"]:
         change = (momentum - before["momentum"]) / (flow.time - before["time"])
-    # The driving force must equal the sum of weight, wall drag and rate of change of momentum. The residual is the
+    # The driving force must equal the sum of weight, wall drag and rate of change of momentum; the residual is the
     # difference.
     residual = force - mass * scene.gravity - stress * wet - change
     radius, mean = profile(flow)
@@ -73,9 +73,9 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return the mean gained yield stress [Pa] that slip and shear have left along the wall, in slip layer and bulk.
+    """Return what is left of the yield stress gained at rest [Pa]: in the slip layer, and in the concrete at the wall.
 
-    The concrete gained it at rest. The result is empty for concrete without thixotropy.
+    Each value is a mean along the wall. The result is empty for concrete without thixotropy.
     """
     if not flow.state.layout.kind.thixotropic:
         return {}
@@ -108,7 +108,10 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity of each cell [m/s], averaged over its width, by distance from the axis."""
+    """Return the theoretical velocity of each cell [m/s], averaged over its width; cells are sorted by their distance.
+
+    The distance is that from the axis of a tube, or from the middle of a channel.
+    """
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL

@@ -56,7 +56,7 @@ class MovingParticles(Stepping):
     shifting: Any
     """Linear system whose solution moves particles out of crowded regions, a struct `NumberSolve`.
 
-    Its right-hand side is the density error.
+    The residual of the system is the density error.
     """
 
     def __init__(self, state: FluidState, *, threads: int | None = None) -> None:

@@ -109,7 +109,8 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     force = pressure * area
     drag = float(np.sum(weight * stress)) * layout.volume
     outcomes = flow.outcomes()
-    # The piston's force must equal weight, wall drag and the rate of change of momentum.
+    # The piston's force must equal the sum of weight, wall drag and rate of change of momentum; the residual is the
+    # difference.
     residual = force - state.mass * scene.gravity - drag - change
     surface = np.array([layout.height - 0.5 * layout.spacing])
     if flow.steps:

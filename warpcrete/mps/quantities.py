@@ -15,7 +15,7 @@ from .common.run import largest
 from .scene import FluidScene
 
 AVERAGED_FRACTION = 0.2
-"""If the scene states a duration, quantities are means over this last fraction of the simulated time.
+"""Last fraction of the simulated time over which quantities are averaged, if the scene states a duration.
 
 A run without a stated duration ends when the flow is steady, and its quantities are those of the last row of the time
 series.

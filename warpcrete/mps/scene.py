@@ -25,7 +25,7 @@ ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 STRUCTURED = Needs("rest", lambda value: value > 0, "is above 0", ("rebuild_rate",))
 MAX_PARTICLES = 2**26
-"""Maximum number of particles of a column. Neighbour lists of more particles would exceed the memory of current GPUs."""
+"""Maximum number of particles of a column. With more, neighbour lists would exceed the memory of current GPUs."""
 # Minimum length of a column in particle spacings. In a shorter column, the piston and the free surface disturb the flow
 # everywhere.
 MIN_SPACINGS_HIGH = 8
@@ -291,6 +291,6 @@ class FluidScene(Parametrised, FlowSettings):
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
 
     def restart(self) -> Steady:
-        """Return the state by theory at the full flow just after the rest, when no structure is broken yet."""
+        """Return the state by theory at full flow directly after the rest, before any structure is broken."""
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

@@ -2,11 +2,12 @@
 
 A step is a pressure-correction scheme whose predictor uses the pressure of the previous step:
 
-1. Geometry: moment matrices, apparent viscosity, and the filtered pressure of the previous step. 2. Velocities: an
-implicit solve with viscosity, slip layer, predicted pressure and weight, in which grains are rigid bodies. 3. Pressure:
-the increment of the pressure that removes the divergence of these velocities. 4. Positions: particles move with their
-velocities. A further solve, with a loose tolerance, then moves them out of crowded regions without changing any
-velocity.
+1. Geometry: moment matrices, apparent viscosity, and the filtered pressure of the previous step.
+2. Velocities: an implicit solve with viscosity, slip layer, predicted pressure and weight, in which grains are rigid
+   bodies.
+3. Pressure: the increment of the pressure that removes the divergence of these velocities.
+4. Positions: particles move with their velocities. A further solve, with a loose tolerance, then moves them out of
+   crowded regions without changing any velocity.
 
 The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails,
 notebooks/theory/particles.md says what is done instead and why.
@@ -108,7 +109,7 @@ class StepPart:
     # The following methods return the stages of a step, in the order of the step.
 
     def geometry(self) -> list[Any]:
-        """Return the stages that compute the apparent viscosity and the moments of the neighbours of each particle."""
+        """Return the stages that compute the particles' apparent viscosities and the moments of neighbour positions."""
         kernel = geometry_kernel(*self.kind, self.two_phase, self.scene.concrete.bulk_law.name)
         return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 

@@ -130,7 +130,8 @@ class BodyState:
     def volume_inside(self, opens: int) -> float:
         """Return the fraction of the aggregates' volume that has not left the box through an open side.
 
-        Each bit of `opens` stands for a side of the box, and is 1 if the side is open.
+        The bits of `opens` are 1 for open sides: bit 2 k for the lower side along axis k, and bit 2 k + 1 for the upper
+        one.
         """
         centre, volume = self.bodies.centre.numpy().astype(float), self.radius**3
         left = np.zeros(self.count)
@@ -143,8 +144,8 @@ class BodyState:
         return float(np.sum(np.maximum(volume - left, 0.0)) / np.sum(volume))
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap to a neighbour or wall at the start of the last step, divided by a radius.
+        """Return the smallest gap of an aggregate to a neighbour or wall, divided by the aggregate's radius.
 
-        The gap is negative for an overlap.
+        The gaps are those at the start of the last step. A gap is negative for an overlap.
         """
         return float(self.pairs.smallest_gap.numpy().min())

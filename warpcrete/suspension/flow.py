@@ -167,13 +167,13 @@ class SuspensionFlow(GridFlow):
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     def share(self, abreast: int) -> None:
-        """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
+        """Set the number of flows that share the GPU; each flow's solves may occupy only their share of its blocks."""
         super().share(abreast)
         self._build_stages()
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow, by the names of the kernel parameters for which they are passed."""
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
         return self._kernel_arrays
 
     @property

@@ -177,8 +177,8 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
     order = np.argsort(key, kind="stable")
     ranked, first, second = key[order], [], []
     own, own_place = key[:count], np.arange(count)
-    # Points are sorted by the key of their cell. Cells that adjoin along the last axis have consecutive keys, so the 27
-    # cells around a point are nine ranges of keys.
+    # Points are sorted by the key of their cell. Cells that adjoin along the last axis have consecutive keys, so nine
+    # ranges of keys cover the 27 cells at and around a point.
     for step in product((-1, 0, 1), repeat=2):
         middle = own + (step[0] * shape[1] + step[1]) * shape[2]
         start, end = np.searchsorted(ranked, middle - 1), np.searchsorted(ranked, middle + 1, "right")

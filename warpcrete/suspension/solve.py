@@ -31,8 +31,8 @@ CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 """Smallest residual that rounding errors allow, divided by the largest residual of the step, by precision."""
 NEGLIGIBLE = 0.1
-"""Tolerance of the pressure solve in the preconditioner, as a fraction of the coupled solve's tolerance. A smaller
-residual of the pressure solve would hardly improve the coupled solve."""
+"""Residual at which a pressure solve of the preconditioner may stop, as a fraction of the residual that the coupled
+solve accepts. A smaller residual would hardly improve the coupled solve."""
 CONTACT_PASSES = 3
 """Maximum number of coupled solves in a step. A solve that finds new contacts is repeated with these contacts."""
 ROUGH_ERROR, CERTAIN = 3e-2, 0.9

@@ -35,9 +35,9 @@ def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
     """Combine independent causes of uncertainty into one band.
 
     `ends` gives, for each cause, the results if this cause alone is at the lower or upper end of its own band. If all
-    values are positive, deviations are measured as logarithms of ratios. A factor of uncertainty then counts alike for
-    multiplication and division. The deviations to one side are the square root of a sum of squares, as for independent
-    errors.
+    values are positive, deviations are measured as logarithms of ratios, because an uncertainty by a factor of three
+    means division or multiplication by three. The total deviation to each side is the square root of the sum of the
+    squared deviations, as for independent errors.
     """
     logarithmic = value > 0 and all(end > 0 for pair in ends.values() for end in pair)
     below, above = 0.0, 0.0

@@ -43,7 +43,7 @@ class FlowLaw:
     viscosity: float
     """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
 
-    For a slip layer, this attribute holds that value divided by the n-th power of the layer's thickness.
+    For a slip layer, it is this value divided by the n-th power of the layer's thickness.
     """
     index: float = 1.0
     """Flow index n."""

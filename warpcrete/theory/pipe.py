@@ -111,7 +111,8 @@ MIXES = {
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),
     "no3": dict(cement=360, sand=872, gravel=913, water=191, superplasticizer=0.900, viscosity_modifier=0.720),
 }
-"""Proportions of the three mixes [kg/m3]; Xu et al. 2021, Table 1, states superplasticizer and modifier in %."""
+"""Masses of the ingredients of the three concretes of Xu et al. 2021 [kg/m3]. Their Table 1 states superplasticizer and
+viscosity modifier in per cent."""
 
 
 @dataclass(frozen=True, kw_only=True)

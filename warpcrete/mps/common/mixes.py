@@ -115,12 +115,12 @@ class ConcreteParameters:
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """Return a concrete by name or from a file, or `own` with all :data:`BINGHAM_CONSTANTS`.
+    """Return a concrete by its name, from a file, or, for the name `own`, with the given constants alone.
 
-    Given constants replace those of the named concrete, and factors scale the result (:func:`scaled`). For a concrete
-    in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has a thickness [m]
-    and no slip viscosity is given. Raises :class:`SceneError` if constants are missing, or if the table does not list
-    the thickness.
+    Other concretes have the given constants in place of their own. Factors then scale the constants (:func:`scaled`).
+    For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has
+    a thickness [m] and no slip viscosity is given. Raises :class:`SceneError` if one of :data:`BINGHAM_CONSTANTS` is
+    missing, or if the table does not list the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if _is_complete(name, given) else _flow_of(name)
@@ -183,8 +183,9 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
     """Return the aggregate's parameters from the concrete file that a scene's parameters name.
 
-    They are volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is empty
-    unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of these values.
+    These are the volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is
+    empty unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of these
+    values.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

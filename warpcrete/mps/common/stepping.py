@@ -158,7 +158,7 @@ class Stepping(ABC):
             self.build()
 
     def _read_progress(self, flags: np.ndarray) -> None:
-        """Take the number of completed steps from the control flags, and compute the simulated time from it."""
+        """Read the number of completed steps from the control flags, and compute the simulated time from it."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
 

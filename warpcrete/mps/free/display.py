@@ -132,7 +132,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, the axis of axisymmetric flow; None for a flow in a plane."""
+        """Coordinate y [m] of the cutting plane, which contains the axis of axisymmetric flow; None for plane flow."""
         return super().cut if self._solid else 0.0 if self._axial else None
 
     def walls(self) -> list[DrawnWall]:

@@ -18,7 +18,7 @@ def free_knobs(
     The parameters are cell width, time step or its allowed error, regularisation and precision. The cell widths are
     `spacing` [m] multiplied by each of `factors`, up to `coarsest` [m]. If all time steps are equal, a cell must also
     be wider than the distance that concrete covers in one step after falling by `fall` [m]. The run time is assumed to
-    grow with the cell width to the power `power`.
+    be proportional to the cell width to the power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m")

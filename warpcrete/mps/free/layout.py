@@ -111,7 +111,10 @@ def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
 
 
 def section_distance(scene: FreeScene, polygon: Points) -> Distance:
-    """Return a function that gives the signed distance of points from the body of a polygon [m], negative inside."""
+    """Return a function of points that gives the signed distance [m] from a body, negative inside.
+
+    The body has `polygon` as its section, and is a body of revolution if `scene.round` is true.
+    """
     distance = polygon_distance(polygon)
     if scene.round:
         return lambda points: distance(np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], 1))

@@ -69,7 +69,8 @@ def reach(flow: GridFlow) -> float:
     """Return how far the concrete reaches from the axis or the left side [m], at the height where it is widest."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
     if flow.scene.round:
-        # At each height, a quarter of a disc with the area of the concrete gives the radius; return the largest radius.
+        # Only a quarter of a round vessel is simulated. At each height, take the radius of a quarter disc with the area
+        # of the concrete, and return the largest of these radii.
         return float(np.sqrt(4 / np.pi * fill.sum((1, 2)) * layout.spacing * layout.room.width[1]).max())
     if not layout.axial:
         return float((fill.sum(-1) * layout.spacing).max())

@@ -89,7 +89,7 @@ def _mirrors(scene: FreeScene) -> int:
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
-    """Return the fraction of the initial outline of the concrete that three-dimensional walls do not occupy."""
+    """Return the fraction of space in the concrete's initial outline that three-dimensional walls leave free."""
     if not scene.walls:
         return 1.0
     (left, low), (right, high) = scene.extent

@@ -87,7 +87,7 @@ class FreeScene(Parametrised, FreeSettings):
     round: bool = False
     """True if the polygons of a flow in space are sections of bodies of revolution about the axis x = y = 0."""
     blocks: tuple[Points, ...] = ()
-    """Polygons that are walls."""
+    """Polygons that are sections of walls at rest."""
     walls: tuple[Wall, ...] = ()
     """Three-dimensional walls at rest. Concrete is on the side of a wall's closed mesh on which the point `amid`
     lies."""

@@ -119,7 +119,10 @@ class GridDisplay(Display):
         return np.clip(volume if self.time == 0 else smoothed(volume) / smoothed(np.ones(room.shape)), 0.0, 1.0)
 
     def _of_cells(self, path: str) -> np.ndarray:
-        """Return a state array with one value per cell of the grid, shape (nx, ..., nz), without the outer cells."""
+        """Return an array of the state with one value per cell, shape (nx, ..., nz).
+
+        The layer of cells around the grid is left out.
+        """
         values = self.read(path).astype(float).reshape(self._layout.shape)
         return values[(slice(1, -1),) * values.ndim].transpose()
 

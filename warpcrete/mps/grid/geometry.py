@@ -48,9 +48,9 @@ Distance = Callable[[np.ndarray], np.ndarray]
 class Geometry:
     """Open fractions of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
 
-    All arrays include one layer of cells around the grid. With it, `shape` is the number of cells along each axis, last
-    axis first. Arrays of cells have this shape. Arrays of faces have the shape (axes, *shape), and `depth` has the
-    shape (*shape, 2^axes).
+    All arrays include one layer of cells around the grid. `shape` is the number of cells along each axis, with this
+    layer, last axis first. Arrays of cells have this shape. Arrays of faces have the shape (axes, *shape), and `depth`
+    has the shape (*shape, 2^axes).
     """
 
     solid: np.ndarray
@@ -82,8 +82,8 @@ class Room:
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
         """Return a point [m] in each cell of the grid and in each cell of the layer around the grid.
 
-        Along each axis, a point lies `shift` cell widths from the lower end of its cell. With `more`, there are so many
-        further points beyond the upper end of each axis. The shape is (*(cells + 2 + more), axes).
+        Along each axis, a point lies `shift` cell widths from the lower end of its cell. `more` is the number of
+        additional points beyond the upper end of each axis. The shape is (*(cells + 2 + more), axes).
         """
         along = [
             o + (np.arange(-1, n + 1 + more) + s) * h
@@ -124,14 +124,15 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         share = _positive_fraction(_corner_values(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
-        # A closed face on a wall parallel to it has the velocity of the wall across it. Near an inclined wall, the
-        # velocity across a closed face is an unknown of the solve.
+        # At a closed face that lies on a wall parallel to it, the velocity normal to the face is that of the wall. Near
+        # an inclined wall, the velocity normal to a closed face is an unknown of the solve.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
-        # The velocity across a face on a side of the box is that of the side, even where another wall covers the face.
-        # If it were an unknown, an edge between two walls would hardly determine it, and solves would converge slowly.
+        # At a face on a side of the box, the velocity normal to the face is that of the side, even where another wall
+        # covers the face. If it were an unknown, an edge between two walls would hardly determine it, and solves would
+        # converge slowly.
         for side, at in zip(room.sides[axis], (1, depth.shape[axis] - 1), strict=True):
             if side == WALL:
                 on_side = closed & (index[axis] == at)

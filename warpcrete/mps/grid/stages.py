@@ -1,10 +1,10 @@
 """One time step of a flow on a grid, as a list of stages for each thread.
 
-1. Sort particles into cells, compute how full the cells are, and transfer velocities from particles to faces. 2.
-Compute shear rates, apparent viscosities and wall friction, and solve for the velocities. 3. Solve for the pressure
-increment, and remove the divergence of the velocities. 4. Adapt the driving force, measure the speed, break the
-thixotropic structure, and move crowded particles apart. 5. Extrapolate the velocities beyond the concrete, move the
-particles, and advance the clock.
+1. Sort particles into cells, compute how full the cells are, and transfer velocities from particles to faces.
+2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
+3. Solve for the pressure increment, and remove the divergence of the velocities.
+4. Adapt the driving force, measure the speed, break the thixotropic structure, and move crowded particles apart.
+5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
 """
 
 from __future__ import annotations

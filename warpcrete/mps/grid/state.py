@@ -142,7 +142,10 @@ class GridState:
         return many.get(name, 1) * self.slots
 
     def _geometry(self, found: Geometry | None) -> Any:
-        """Return a struct `Geometry`; its arrays are empty without a geometry, if all walls are sides of cells."""
+        """Return a struct `Geometry`.
+
+        Without a geometry (`found` is None), all walls are sides of cells, and the arrays of the struct are empty.
+        """
         own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
         names = [name for name in self.structs.Geometry.vars if name not in own]
         given = {name: 0 if found is None else getattr(found, name).ravel() for name in names}

@@ -104,9 +104,10 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row of the next coarser level that contains each row, and the rows that each coarser row contains.
+    """Return for each row its parent on the next coarser level, and for each coarser row its children, the finer rows.
 
-    Missing rows are -1. In the second array, the finer rows of each coarser row are adjacent.
+    Rows of the coarsest level have the parent -1. The second array has 2^axes entries for each coarser row, one after
+    the other; entries without a child are -1.
     """
     axes = len(shapes[0])
     parent = np.full(first[-1], -1)

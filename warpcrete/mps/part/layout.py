@@ -82,7 +82,7 @@ def part_room(scene: PartScene) -> Room:
 
 
 def bore_distance(scene: PartScene) -> Distance:
-    """Return a function that gives the distance of grid points from the wall of the bore [m]."""
+    """Return a function of grid points that gives their distance from the wall of the bore [m], positive inside."""
     frame, axis = Frame(scene), scene.axis
     if scene.inner is not None:
         inner = scene.inner
@@ -101,9 +101,10 @@ def bore_distance(scene: PartScene) -> Distance:
 
 
 def inlet_distance(scene: PartScene) -> Distance:
-    """Return a function that gives the distance of grid points from the plane through which concrete enters [m].
+    """Return a function of grid points that gives their distance from the plane through which concrete enters [m].
 
-    Far from the pipe the distance is large, because the plane does not extend there.
+    The distance is positive on the side of the pipe. Away from the pipe it is large, because the plane does not extend
+    there.
     """
     frame = Frame(scene)
     start, tangent = (a[0] for a in scene.axis.at(0.0))

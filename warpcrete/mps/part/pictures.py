@@ -1,4 +1,4 @@
-"""Matplotlib figures of flows through parts of a line."""
+"""Matplotlib figures of flows through parts of a pump line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements of concrete that flows through a part of a line."""
+"""Measurements of concrete that flows through a part of a pump line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result quantities of a flow through a part of a line."""
+"""Result quantities of a flow through a part of a pump line."""
 
 from __future__ import annotations
 

@@ -179,7 +179,7 @@ class PartScene(Parametrised, PartSettings):
         check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return arc lengths along the part [m] and radii of circles of the mesh's area [m]; None without a mesh."""
+        """Return arc lengths [m], and for each the radius of a circle with the bore's area [m]; None without a mesh."""
         object.__setattr__(self, "_inner", None)
         if self.wall is None:
             return None
@@ -323,7 +323,7 @@ class PartScene(Parametrised, PartSettings):
         return steady(self.concrete, line, self.flow)
 
     def friction(self, begin: float, end: float) -> float:
-        """Return the frictional loss between two arc lengths [Pa], as the sum of short straight pipes by theory."""
+        """Return the frictional loss by theory between two arc lengths [Pa], as the sum over short straight pipes."""
         inner = [place for place in self.bores.places if begin < place < end] if self.wall is None else []
         return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
 

@@ -23,8 +23,8 @@ from .quantities import QUANTITIES, RunData
 from .scene import PartScene
 
 SAMPLES = 10
-"""Number of longest time steps in one of the two successive periods over which the pressure must not change in a steady
-flow."""
+"""Length of the two successive periods over which the pressure must not change in a steady flow, in longest allowed
+time steps."""
 
 
 class PartSimulation(FlowRun):
@@ -54,7 +54,10 @@ class PartSimulation(FlowRun):
         return measured(self.flow)
 
     def ended_early(self) -> bool:
-        """Return whether the frictional pressure stayed within `steadiness` over two periods of `SAMPLES` steps."""
+        """Return whether the frictional pressure changed by less than `steadiness` in each of two successive periods.
+
+        The length of a period is `SAMPLES` time steps.
+        """
         scene, rows = self.scene, [row for row in self._rows if row["time"] > 0]
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
