@@ -139,10 +139,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
-        """Return the given flow [m3/s], or the flow that the given pressure drives by theory.
+        """Return the volume flow [m3/s]: the parameter `flow`, or the flow that `pressure` drives by theory.
 
         `bulk` is the pipe's radius minus the thickness of the slip layer [m]. Raises :class:`SceneError` if flow and
-        pressure are both given, or if nothing flows.
+        pressure are both stated, or if nothing flows.
         """
         flow = self.flow
         if self.pressure is not None:
@@ -156,10 +156,11 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
-        """Return the kind of the pipe's ends, "piston" or "periodic": the given kind, or the one that suits the flow.
+        """Return the kind of the pipe's ends, "piston" or "periodic"; if `ends` is "auto", choose the one for the flow.
 
         `flow` [m3/s] is the volume flow and `bulk` [m] the pipe's radius minus the slip layer. A column that a piston
-        drives along a wall to which the concrete sticks loses volume and force balance, so "piston" requires slip.
+        drives along a wall to which the concrete sticks loses volume and force balance, so "piston" is chosen only for
+        flows with much slip, or with aggregates.
         """
         if self.ends != "auto":
             return self.ends
@@ -320,7 +321,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any
 
     The variants have other concretes, flow rates and pipes. With more or less flow, slip carries a larger or smaller
     part of the flow; the self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends
-    (piston or periodic) as the given flow, because the settings found for the given flow are applied to the variants.
+    (piston or periodic) as the flow itself, because the settings found for the flow are applied to its variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

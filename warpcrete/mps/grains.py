@@ -59,8 +59,8 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            # The layout's particles are sorted by their distance from the piston, so those near the height of a grain
-            # are contiguous.
+            # The layout's particles are sorted by their distance from the piston. Those at the heights of a grain are
+            # therefore a contiguous range.
             widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
             near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
             offset = places[near] - centre

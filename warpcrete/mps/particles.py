@@ -249,7 +249,7 @@ class MovingParticles(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one time step with the arrays that are allocated now, one list for each thread."""
+        """Stages of one time step (kernel launches and barriers) with the current arrays, one list for each thread."""
         if self._step is None:
             self._step = step_stages(self)
         return self._step

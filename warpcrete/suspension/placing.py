@@ -165,8 +165,8 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
     count = len(x)
     origin = np.arange(count)
     if period > 0:
-        # Copy the points near each end of the period to a place beyond the opposite end, where their neighbours across
-        # the end find them.
+        # Copy the points near each end of the period to the space beyond the opposite end, so that pairs across an end
+        # are found.
         x = x - np.where(np.arange(3) == 2, period * np.floor((x - x.min(0)) / period), 0.0)
         up, down = (np.flatnonzero(x[:, 2] < x[:, 2].min() + reach), np.flatnonzero(x[:, 2] > x[:, 2].max() - reach))
         shift = np.array([0.0, 0.0, period])

@@ -117,7 +117,7 @@ viscosity modifier in per cent."""
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Declared):
-    """Straight pipe, whose wall has a slip layer."""
+    """Straight pipe with a slip layer at its wall."""
 
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
     length: Annotated[float, "Length L [m]", Above()] = 0.3

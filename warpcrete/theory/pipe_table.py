@@ -40,9 +40,9 @@ def _law_text(law: FlowLaw) -> str:
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
     """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
-    Each form of the theory has a row. At given flows Kaplan's model has a row too, if all laws are Bingham's. If the
-    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
-    flows in any form.
+    Each form of the theory has a row. For each flow, Kaplan's model has a row too, if all laws are Bingham's. If the
+    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing flows
+    in any form.
     """
     lines = [
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "

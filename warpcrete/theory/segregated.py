@@ -87,7 +87,8 @@ class Segregated:
             begin = max(low, line.radius * zone.yield_stress / stress) if stress > 0 else high
             if begin < high:
                 # The flow by shear is the integral of pi r^2 times the shear rate over the radius r. The shear rate is
-                # (stress r / R - yield stress) / viscosity, with the stress at the wall and the radius R of the pipe.
+                # (stress r / R - yield stress) / viscosity. Here the stress is that at the wall, and R is the radius of
+                # the pipe.
                 if (law := zone.bulk_law).name == BINGHAM:
                     rise = stress / line.radius * (high**4 - begin**4) / 4
                     rise -= zone.yield_stress * (high**3 - begin**3) / 3

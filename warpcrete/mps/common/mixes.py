@@ -115,12 +115,12 @@ class ConcreteParameters:
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """Return a concrete by its name, from a file, or, for the name `own`, with the given constants alone.
+    """Return a concrete by its name, from a file, or, for the name `own`, from the argument `constants` alone.
 
-    Other concretes have the given constants in place of their own. Factors then scale the constants (:func:`scaled`).
-    For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has
-    a thickness [m] and no slip viscosity is given. Raises :class:`SceneError` if one of :data:`BINGHAM_CONSTANTS` is
-    missing, or if the table does not list the thickness.
+    The values in `constants` take the place of the concrete's own, and factors among them multiply the result
+    (:func:`scaled`). For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if
+    the slip layer has a thickness [m] and `constants` has no slip viscosity. Raises :class:`SceneError` if one of
+    :data:`BINGHAM_CONSTANTS` is missing, or if the table does not list the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if _is_complete(name, given) else _flow_of(name)

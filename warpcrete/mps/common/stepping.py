@@ -67,7 +67,7 @@ class Stepping(ABC):
     @property
     @abstractmethod
     def step(self) -> Step:
-        """Stages of one step, one list for each thread."""
+        """Stages of one time step (kernel launches and barriers), one list for each thread."""
 
     @abstractmethod
     def solves(self) -> dict[int, Any]:

@@ -30,7 +30,7 @@ COARSE_CELLS_HIGH = 12
 def forecast(
     scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation
 ) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
+    """Return the forecast of a run on a Warp `device`; `probe` measures the wall time of recording one frame.
 
     `make` is the class whose instance simulates the scene.
     """

@@ -207,7 +207,7 @@ class GridFlow(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one time step, one list for each thread."""
+        """Stages of one time step (kernel launches and barriers), one list for each thread."""
         if self._step is None:
             self._step = [GridStep(self, range(part, part + 1)).stages() for part in range(self.threads)]
         return self._step

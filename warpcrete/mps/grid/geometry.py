@@ -101,9 +101,9 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    # Leave the sides of the box out of the distances at the corners of cells. They coincide with sides of cells, so
-    # they need no interpolation. With them, interpolation would round off every wall that meets a side of the box at an
-    # angle.
+    # Leave the sides of the box out of the distances at the corners of cells. The sides of the box coincide with sides
+    # of cells, so they need no interpolation. With them, interpolation would round off every wall that meets a side of
+    # the box at an angle.
     corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):

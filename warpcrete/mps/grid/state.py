@@ -76,7 +76,7 @@ class GridState:
         drive[int(FORCE)] = layout.drive
         clock = np.zeros(CLOCK)
         clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST_STEP_RATIO if scene.step_error else 1.0)
-        # 1 in the cells that are full at all times: the open cells of a full pipe. 0 elsewhere.
+        # Mark the cells that are full at all times with 1: the open cells of a full pipe. All other cells get 0.
         full = np.zeros(self.shape, np.int32)
         if layout.periodic or layout.full:
             inner = (slice(1, -1),) * layout.axes
@@ -126,7 +126,7 @@ class GridState:
         )
 
     def _rows(self, name: str) -> int:
-        """Return the number of entries of the mesh array with a given name."""
+        """Return the number of entries of the mesh array called `name`."""
         if name in PARTICLE_LISTS:
             return self.count
         if name == "reserved_places":

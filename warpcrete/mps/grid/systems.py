@@ -81,7 +81,7 @@ def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: in
 
 
 NUMBERS = ("near_capacity", "rows", "levels", "children")
-"""Members of the struct `Matrix` that are numbers."""
+"""Members of the struct `Matrix` that are single numbers, not arrays."""
 
 
 def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
