@@ -126,8 +126,9 @@ class GridStep:
     def _extrapolate(self) -> list[Stage]:
         """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
 
-        The launches read from one of the two arrays `flow.extended` and write to the other, in alternation. The last
-        launch writes to the first array.
+        The first launch reads the velocities of the mesh, and each further one those that the launch before it has
+        written. The launches write to the two arrays `flow.extended` in alternation, so that the last one writes to the
+        first array.
         """
         flow, found = self.flow, []
         for turn in range(EXTRAPOLATED_CELLS):
