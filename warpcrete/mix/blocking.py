@@ -107,7 +107,7 @@ def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: flo
 
 
 def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix in a line: at its narrowest bore, and behind its reducers."""
+    """Return the verdicts of all rules on a mix in a pump line: at its narrowest bore, and behind its reducers."""
     found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone)
     return [*found, *behind_reducers(line)]
 
@@ -148,7 +148,7 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
 
 
 def powder(mix: MixEntries) -> RuleVerdict:
-    """Compare the mass of powder with the smallest masses with which concretes could be pumped."""
+    """Compare the mass of powder with the smallest masses of concretes that could be pumped."""
     name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
     mass = powder_mass(mix.parts)
     if mass == 0:

@@ -64,7 +64,7 @@ class Mix:
         return f"<table>{''.join(f'<tr>{each}</tr>' for each in cells)}</table>"
 
     def __getitem__(self, name: str) -> Figure:
-        """Return the property of this name, such as 'yield stress' or 'slip viscosity'."""
+        """Return the property called `name`, such as 'yield stress' or 'slip viscosity'."""
         known = {figure.name: figure for figure in self.figures}
         if name not in known:
             refuse("figure", name, f"must be one of {', '.join(known)}")

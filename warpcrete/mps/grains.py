@@ -21,7 +21,8 @@ class Grains:
     group: np.ndarray
     """Grain number of each particle in the order of the state, -1 for mortar, shape (n,)."""
     first: np.ndarray
-    """Index of the first particle of each grain, and the end of the last grain, shape (grains + 1,)."""
+    """Index of the first particle of each grain, followed by the number of particles of all grains, shape (grains +
+    1,)."""
     size: np.ndarray
     """Size of each grain [m]: diameter of the disc or ball of equal volume, shape (grains,)."""
 

@@ -34,7 +34,7 @@ class Aggregates:
     density: float
     """Density of the aggregates [kg/m3]."""
     velocity: np.ndarray | None = None
-    """Velocities of the centres [m/s], shape (n, 3); None for rest."""
+    """Velocities of the centres [m/s], shape (n, 3); None if all aggregates are at rest."""
 
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)

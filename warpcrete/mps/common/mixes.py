@@ -31,7 +31,7 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 
 
 def concrete_names() -> tuple[str, ...]:
-    """Return the names that the parameter `concrete` of a flow accepts, apart from files."""
+    """Return the names that the parameter `concrete` of a flow accepts in addition to paths of files."""
     return *flowing(), "own"
 
 

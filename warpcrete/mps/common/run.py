@@ -106,7 +106,7 @@ class FlowRun(Simulation):
         self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
 
     def release(self) -> None:
-        """Release the device memory; the results of the run stay."""
+        """Release the device memory; the results of the run stay available."""
         for name in ("flow", "stepper"):  # A run that failed before its particles were placed lacks these attributes.
             self.__dict__.pop(name, None)
 

@@ -30,8 +30,9 @@ LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
 GRAPHS_PER_CHECK = 4  # Maximum number of launch graphs, of the largest size, between two reads of the control flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 VELOCITY_ERROR = 1e-6
-"""Residual norm at which the viscosity solve stops, as a fraction of the norm of the residual that results if every
-velocity is wrong by the typical speed of the flow (in a pipe, its mean velocity)."""
+"""Tolerance of the viscosity solve, which stops when the norm of its residual is below this fraction of a typical norm.
+The typical norm is that of the residual if every velocity is wrong by the typical speed of the flow; in a pipe, this
+speed is the mean velocity."""
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
 """Second tolerance of the pressure solve, divided by the scene's `tolerance`.
 

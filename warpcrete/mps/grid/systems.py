@@ -23,7 +23,7 @@ CHUNKS = 32
 Each chunk yields one partial sum, so sums have the same bits for any number of threads. CHUNKS is also the maximum
 number of threads.
 """
-HISTORY = 256  # Number of iterations of a solve whose residual norms are stored.
+HISTORY = 256  # Maximum number of iterations for which a solve stores the norm of the residual.
 SMALLEST = {"cpu": 2000, "gpu": 150_000}
 """Minimum number of cells, including those around the grid, for a multigrid preconditioner with several levels. Smaller
 grids have a single level, so that the preconditioner is the diagonal of the matrix.

@@ -213,7 +213,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def radius(self) -> float:
-        """Inner radius of the round pipe at the start [m]."""
+        """Inner radius of the round pipe at the start of the part [m]."""
         return float(self.bores.at(0.0))
 
     @property
