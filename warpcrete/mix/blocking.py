@@ -20,22 +20,22 @@ from .ingredients import powder_mass, water_mass
 VERDICTS = ("fine", "unknown", "risky", "blocks")
 """Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
-"""Largest ratio of stone diameter to bore that can be pumped: first for crushed, then for rounded stones (ACI
+"""Maximum ratio of stone diameter to bore for which concrete can be pumped: for crushed and for rounded stones (ACI
 304.2R)."""
 SAFE = 0.25
-"""Ratio of largest stone to bore up to which, by experience, stones do not form an arch."""
+"""Ratio of the largest stone diameter to the bore up to which, by experience, stones do not form an arch."""
 SELF_COMPACTING = 0.55
 """Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
 POWDER_MIN, POWDER_SAFE = 250.0, 300.0
-"""Two masses of powder in a cubic metre of concrete [kg/m3]. Below the first, concrete blocked in tests (Tuutti 1976).
-From the second on, the rule calls the mix safe."""
+"""Two masses of powder in a cubic metre of concrete [kg/m3]. With less than the first, concrete blocked in tests
+(Tuutti 1976). With the second or more, the rule judges the mix to be safe."""
 VOIDS = (0.20, 0.27)
-"""Usual range of the voids between the grains of compacted sand and stones [m3/m3]. The range is an assumption, and
-replaces the voids of a mix that states none."""
+"""Usual range of the volume of voids in compacted sand and stones, per bulk volume [m3/m3]. The range is an assumption
+for mixes that state no voids."""
 VOIDS_ERROR = 0.02
-"""Uncertainty of a measured volume of voids between sand and stones, above and below the value [m3/m3]."""
+"""Uncertainty of a measured volume of voids in compacted sand and stones, per bulk volume [m3/m3], to both sides."""
 SAND_SHARES = (0.38, 0.45)
-"""Lowest and highest share of sand in the aggregate that the rule JGJ/T 10 requires."""
+"""Smallest and largest fraction of sand in the aggregate that the rule JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
 """Smallest and largest fraction of sand in the aggregate in 403 measured flows of concrete through coils of pipe (W.
 Shen). All of these concretes could be pumped."""
@@ -53,7 +53,7 @@ expected without a plasticizer."""
 LARGEST_SPREAD = 0.795
 """Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
 TAPER_RUN = 5.0
-"""Least length of straight pipe that must follow a reducer [m], so that stones and mortar mix again (JGJ/T 10)."""
+"""Minimum length of straight pipe behind a reducer [m], in which stones and mortar mix again (JGJ/T 10)."""
 
 ACI = "ACI 304.2R"
 SOCIETY = "Concrete Society: 3.5 to 4 times the stone"
@@ -71,10 +71,10 @@ class RuleVerdict:
     verdict: str
     """Verdict on the mix or the line: 'fine', 'unknown', 'risky' or 'blocks'."""
     found: str
-    """Numbers on which the verdict is based, in a sentence."""
+    """Sentence with the numbers on which the verdict is based."""
     change: str
-    """Advice on how to change the mix or the line. If the verdict is 'unknown', the advice names the missing entry of
-    the mix; it is empty if the verdict is 'fine'."""
+    """Advice on how to change the mix or the line. If the verdict is 'unknown', the advice names the entry that the mix
+    lacks; if it is 'fine', it is empty."""
     source: str
 
     @property
@@ -95,7 +95,7 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
 
 
 def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules of practice on blocking, for a mix in a pipe of the given `bore` [m].
+    """Return the verdicts of all rules of practice on blocking, for a mix in a pipe with an inner diameter `bore` [m].
 
     `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
     the result contains only the rule that compares the stone with the bore.
@@ -107,7 +107,7 @@ def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: flo
 
 
 def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix in a line: at its narrowest bore, and behind its reducers."""
+    """Return the verdicts of all rules on a mix in a pump line: at its narrowest bore, and behind its reducers."""
     found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone)
     return [*found, *behind_reducers(line)]
 
@@ -148,7 +148,7 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
 
 
 def powder(mix: MixEntries) -> RuleVerdict:
-    """Compare the mass of powder with the smallest masses with which concretes could be pumped."""
+    """Compare the mass of powder with the smallest masses of concretes that could be pumped."""
     name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
     mass = powder_mass(mix.parts)
     if mass == 0:
@@ -184,7 +184,7 @@ def paste(mix: MixEntries) -> RuleVerdict:
 def sand_share(mix: MixEntries) -> RuleVerdict:
     """Compare the share of sand in the aggregate with the required range and with the range in pumped concretes.
 
-    In the tests of Tuutti (1976), pumping failed suddenly above a certain share of stones.
+    Too little sand is a risk: in the tests of Tuutti (1976), pumping failed suddenly above a certain share of stones.
     """
     name, source = "sand", f"{JGJ}; {SHEN}; Tuutti 1976"
     share = mix.sand_share
@@ -202,7 +202,7 @@ def sand_share(mix: MixEntries) -> RuleVerdict:
 
 
 def fine_sand(mix: MixEntries) -> RuleVerdict:
-    """Compare the share of fine sand with the range in which concrete neither unmixes nor becomes sticky."""
+    """Compare the share of fine sand with the range in which concrete neither segregates nor becomes sticky."""
     name, source = "fine sand", "GB 50119; a Japanese check list"
     if mix.fine_sand is None:
         return RuleVerdict(name, "unknown", "the share of the sand below 0.3 mm is not known",
@@ -217,7 +217,7 @@ def fine_sand(mix: MixEntries) -> RuleVerdict:
 
 
 def bleeding(mix: MixEntries) -> RuleVerdict:
-    """Judge whether pressure can press the water out of the concrete and leave a plug of stones behind."""
+    """Judge whether pressure can squeeze water out of the concrete, which would leave a plug of stones behind."""
     name, source = "bleeding", f"{BLEEDING}; limits: {JGJ}, and Indian practice"
     ratio, water = mix.water_binder, water_mass(mix.parts)
     if ratio is None:

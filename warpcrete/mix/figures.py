@@ -8,14 +8,14 @@ from ..core.errors import refuse
 from ..theory.fits import student_t
 
 INSTRUMENTS = 2.0
-"""Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
-factor is an assumption. Comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP
-2023), but the factor was not taken from them."""
+"""Maximum gap between the uncertainty bands of a value from a rheometer and of one from a slump cone, as a ratio of
+their nearest ends. With a larger gap, the values contradict each other. The factor is an assumption; even rheometers
+differ from one another (Ferraris & Martys 2003; RILEM TC 266-MRP 2023)."""
 
 CONES = 3.0
-"""Largest factor by which the yield stresses from spread and slump of one cone may lie apart. The factor is the ratio
-of the nearest ends of their uncertainty bands. If it is larger, the two measurements count as contradictory. In 80
-pairs of measurements by Yeh (2007), it reaches 1.6."""
+"""Maximum gap between the uncertainty bands of two yield stresses, from spread and from slump of one cone, as a ratio
+of their nearest ends. With a larger gap, the two measurements contradict each other. In 80 pairs of measurements by Yeh
+(2007), the gap reaches 1.6."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Figure:
     """Upper end of the band from `low` to `high` in which the true value is expected, in `unit`."""
     unit: str
     way: str
-    """Entry of the mix from which the value is calculated."""
+    """Entry of the mix from which the value follows, such as 'slump of 200 mm'."""
     source: str
     """Publication of the relation from which the value follows, and a remark on how reliable the value is."""
     instrument: str = "rheometer"
@@ -51,20 +51,20 @@ def short(value: float) -> str:
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property whose band reaches from value * (1 - `off`) to value * (1 + `off`)."""
+    """Return a property whose band reaches from (1 - `off`) to (1 + `off`) times its value; `way` is its origin."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The values come from different entries of the mix, and each has an uncertainty band. The gap between the first band
-    and another band has a limit:
+    The values come from different entries of the mix, and each has an uncertainty band. If the band of another value
+    does not overlap the first one, the gap between them, as the ratio of their nearest ends, has a limit:
 
-    - Two bands of rheometers must overlap or touch.
-    - Between a rheometer and a cone, the gap may be a factor of :data:`INSTRUMENTS`.
-    - Between spread and slump of a cone, the gap may be a factor of :data:`CONES`. In this case, the band of the result
-      is widened up to the other band.
+    - Two values from rheometers must not have a gap.
+    - Between a rheometer and a cone, the limit is :data:`INSTRUMENTS`.
+    - Between spread and slump of a cone, the limit is :data:`CONES`. In this case, the band of the result is widened up
+      to the other band.
 
     Raises :class:`SceneError` if a gap is too large.
     """
@@ -85,10 +85,10 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
 
 
 def line_uncertainty(error: float, count: int, value: float, default: float) -> float:
-    """Return the absolute uncertainty of a slope or intercept of a straight line through `count` measured points.
+    """Return the uncertainty of a slope or intercept of a straight line through `count` points, in the unit of `value`.
 
     With three or more points, the result is the half width of the 95 % confidence interval, which follows from the
-    standard `error`. Two points give no standard error, so that the result is the fraction `default` of the `value`.
+    standard `error`. Two points give no standard error; the result is then the fraction `default` of the `value`.
     """
     if count < 3:
         return default * abs(value)
@@ -99,7 +99,7 @@ def of_line(name: str, value: float, off: float, unit: str, way: str, count: int
     """Return a property of concrete that was measured as the slope or the intercept of a straight line.
 
     The line goes through `count` points. `off` is the uncertainty of the value, in `unit`. Raises :class:`SceneError`
-    if the value is impossible.
+    if the value is negative, or a viscosity that is zero.
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):

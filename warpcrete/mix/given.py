@@ -77,7 +77,7 @@ OTHERS = {
     "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
-"""Names of those entries of a mix that are not single numbers, each with the entry's meaning."""
+"""Names of the entries of a mix that are not single numbers, each with its meaning."""
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
@@ -85,22 +85,22 @@ PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
 GRAVEL = 2650.0
-"""Density of aggregate that is assumed if the mix states none [kg/m3]."""
+"""Density of coarse aggregate if the mix states none [kg/m3]."""
 BINDER = 3000.0
 """Density of the powder [kg/m3] assumed if the mix states only the ratio of water to binder: cement has 3100, slag 2900
 and fly ash 2250 kg/m3."""
 USUAL_AIR = 0.02
-"""Air content assumed if the mix states none, as a share of the concrete's volume."""
+"""Air content if the mix states none, as a fraction of the concrete's volume."""
 DENSEST_PASTE = 0.75
-"""Largest possible share of powder in the volume of the paste. The paste with the lowest water-binder ratio in use,
-0.12, has a share of 0.74."""
+"""Maximum volume fraction of powder in the paste. At the lowest water-binder ratio in use, 0.12, the fraction is
+0.74."""
 PASTE_TOLERANCE = 0.08
-"""Limit for the difference between two values of the volume fraction of powder in the paste. One value follows from the
-ratio of water to binder, the other one from the masses of the ingredients. A larger difference is a contradiction. The
-ratio does not state the density of the powder, which accounts for up to 0.07 of the difference."""
+"""Maximum difference between two values of the volume fraction of powder in the paste: one from the ratio of water to
+binder, and one from the masses of the ingredients. A larger difference is a contradiction. Up to 0.07 may be due to the
+density of the powder, which the ratio does not state."""
 DENSITY_TOLERANCE = 0.03
-"""Largest relative difference between two values of the same density, such as a stated one and a sum of ingredients. If
-they differ by more, the mix is refused."""
+"""Maximum relative difference between two values of the same density, such as a stated density and the sum of all
+ingredients. With a larger difference, the mix is refused."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
@@ -112,15 +112,15 @@ class MixEntries:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """True if the entry `density` is missing, so that the density is the sum of the masses of the ingredients."""
+    """True if the mix states no density, so that the density is the sum of the masses of the ingredients."""
     share: float | None
-    """Volume of coarse aggregate per volume of concrete; None if the mix does not state it."""
+    """Volume fraction of coarse aggregate in the concrete; None if the mix does not state it."""
     aggregate_density: float
     sieve: tuple[tuple[float, float], ...] | None
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """Setting for the shape of the stones in scenes of discrete elements, such as 'spheres'; None if the mix states
+    """Shape of the stones by the name that scenes of discrete elements use, such as 'spheres'; None if the mix states
     none."""
     concrete: Measured
     mortar: Measured
@@ -131,22 +131,22 @@ class MixEntries:
     t500: float | None
     layer: Layer
     paste_solids: float | None = None
-    """Share of powder in the volume of the paste, which is powder, water and admixtures without air."""
+    """Volume fraction of powder in the paste, which consists of powder, water and admixtures, without air."""
     sand_and_stone: float | None = None
-    """Share of sand and stones together in the concrete's volume."""
+    """Volume fraction of sand and stones together in the concrete."""
     thickener: bool = False
     """True if the concrete contains a viscosity-modifying admixture."""
     parts: Mapping[str, float] = field(default_factory=dict)
     """Mass of each ingredient in a cubic metre of concrete [kg/m3], by the ingredient's name."""
     paste_share: float | None = None
-    """Share of powder, water and admixtures in the volume of the concrete."""
+    """Volume fraction of powder, water and admixtures together in the concrete."""
     water_binder: float | None = None
     """Mass of water divided by the mass of all powder, stated or calculated from the ingredients; None if it is
     unknown."""
     voids: float | None = None
-    """Voids of sand and stones together when compacted, as a share of their bulk volume."""
+    """Volume fraction of voids in compacted sand and stones."""
     fine_sand: float | None = None
-    """Share of the sand's mass that consists of grains below 0.3 mm."""
+    """Fraction of the sand's mass in grains smaller than 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -251,7 +251,10 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
 
 
 def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
-    """Return the converted value of an entry, or None if it is missing; error messages name the entry's line."""
+    """Return an entry as converted by the function `read`, or None if the entry is missing.
+
+    An error in the entry states its line in the file.
+    """
     if name not in given:
         return None
     with errors_located_at(given, name):
@@ -259,7 +262,7 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
 
 
 def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of powder in the paste's volume, from the ingredients or from the ratio of water to binder."""
+    """Return the volume fraction of powder in the paste, from the ingredients or from the ratio of water to binder."""
     ratio = _number(given, "water_binder")
     powder, liquid = paste_volumes(masses)
     found = powder / (powder + liquid) if powder > 0 and liquid > 0 else None
@@ -278,7 +281,7 @@ def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 
 
 def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of sand and stones in the concrete's volume; None if the ingredients do not determine it."""
+    """Return the volume fraction of sand and stones in the concrete; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     air = _number(given, "air")
     rest = 1 - powder - liquid - (USUAL_AIR if air is None else air)
@@ -286,13 +289,13 @@ def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> fl
 
 
 def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the volume of powder and liquid per volume of concrete; None if the ingredients do not determine it."""
+    """Return the volume fraction of powder and liquid in the concrete; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     return powder + liquid if powder > 0 and liquid > 0 else None
 
 
 def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the mass of water over that of powder, as stated or from the ingredients."""
+    """Return the mass of water divided by that of powder, as stated or from the ingredients; None if unknown."""
     powder, water = powder_mass(masses), water_mass(masses)
     return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
 
@@ -300,8 +303,8 @@ def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 def _thickener(given: Mapping[str, Any]) -> bool:
     """Return whether the mix contains a viscosity-modifying admixture.
 
-    The entry `thickener` states this, or the name of an ingredient shows it. Raises :class:`SceneError` if both
-    contradict each other.
+    Either the entry `thickener` states this, or the name of an ingredient. Raises :class:`SceneError` if the entry
+    denies an admixture that an ingredient names.
     """
     parts = given.get("parts")
     named = parts is not None and any(is_thickener(str(name)) for name in parts)
@@ -329,10 +332,10 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients [kg/m3].
+    """Return the concrete's density [kg/m3], whether it is the sum of the ingredients, and the ingredients.
 
-    The ingredients are a mapping from names to masses in a cubic metre; it is empty if the mix lists none. `heavy` is
-    the density of the coarse aggregate [kg/m3].
+    The ingredients are a mapping from names to masses in a cubic metre of concrete [kg/m3]; it is empty if the mix
+    lists none. `heavy` is the density of the coarse aggregate [kg/m3].
     """
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
@@ -391,7 +394,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
 
 
 def _share(given: Any, heavy: float) -> float:
-    """Return the volume of coarse aggregate per volume of concrete, from the entry `aggregate` of a mix.
+    """Return the volume fraction of coarse aggregate in the concrete, from the entry `aggregate` of a mix.
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. Raises :class:`SceneError` if the stones
     cannot fit into the volume.
@@ -412,7 +415,11 @@ def _share(given: Any, heavy: float) -> float:
 
 
 def _check_parts(density: float, share: float, heavy: float, own: float | None) -> None:
-    """Check that the densities of concrete, coarse aggregate and mortar are consistent."""
+    """Raise :class:`SceneError` if the densities of concrete, coarse aggregate and mortar contradict each other.
+
+    `share` is the volume fraction of coarse aggregate, `heavy` its density, and `own` the stated density of the mortar,
+    or None [kg/m3].
+    """
     rest = (density - share * heavy) / (1 - share)
     words = (
         f"leaves {rest:.4g} kg/m3 for the density of the mortar, if aggregate of {heavy:g} kg/m3 fills {share:.3g} "

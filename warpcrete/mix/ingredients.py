@@ -1,4 +1,4 @@
-"""Ingredients of a cubic metre of concrete: their names and densities, and a check that they fill the volume."""
+"""Ingredients of a cubic metre of concrete: their names, their densities, and a check that they fill the volume."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ DENSITIES = {
     **dict.fromkeys(("barite", "baryte"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
 }  # fmt: skip
-"""Usual densities of ingredients [kg/m3]. A key is a word that may occur in the name of an ingredient."""
+"""Usual densities of ingredients [kg/m3]. The keys are words by which the name of an ingredient is recognised."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
-"""Words for coarse aggregate. Ingredients with such names have the density of coarse aggregate that the mix states, if
-it states one."""
+"""Words that mean coarse aggregate. If the mix states a density of coarse aggregate, it applies to ingredients with
+such a word in their names."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
@@ -38,30 +38,30 @@ that a smaller amount is probably a mistake."""
 POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone",
            "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip
-"""Words in the names of ingredients that are powder: their grains are finer than sand and belong to the paste."""
+"""Words in the names of ingredients that are powder, whose grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent")  # fmt: skip
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
 ROCKS = ("limestone", "marble", "quartz")
-"""Words for rocks. An ingredient with such a name is powder, unless its name says that the rock is crushed or states a
-grain size; then it is aggregate."""
+"""Words for rocks. An ingredient with such a word in its name is powder. However, it is aggregate if the name also says
+that the rock is crushed, or states a grain size."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
-"""Words in the names of admixtures that make concrete flow more easily."""
+"""Words in the names of ingredients that are plasticizers, which make concrete flow more easily."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words in the names of ingredients that are viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
-"""Mass in a cubic metre [kg/m3] above which an ingredient with an unknown name may be powder, so that the volume of the
-paste cannot be calculated. Lighter unknown ingredients are taken for admixtures and ignored."""
+"""Mass in a cubic metre [kg/m3] up to which an ingredient with an unknown name is taken for an admixture and ignored. A
+heavier one may be powder, so that the volume of the paste cannot be calculated."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients together, without air, in a cubic metre of concrete [m3/m3].
-The upper limit exceeds 1, because the true densities of the ingredients differ from the assumed ones."""
+The upper limit exceeds 1, because the assumed densities of ingredients differ from the true ones."""
 USUAL_AIR = (-0.02, 0.06)
-"""Lowest and highest air content of the concrete, calculated from the ingredients [m3/m3], that causes no warning.
-Usual contents are 1 to 3 %; the calculated content may be negative because densities are uncertain."""
+"""Smallest and largest air content, calculated from the ingredients [m3/m3], that cause no warning. True contents are
+usually 1 to 3 %. The calculated content may be negative, because the densities of the ingredients are uncertain."""
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
-"""Largest deviations [m3/m3] of the volume of all ingredients and the stated air from one cubic metre. A deviation
-above the first value causes a warning, and the mix is refused above the second."""
+"""Two deviations of the volume of all ingredients and the stated air from one cubic metre [m3/m3]. A deviation above
+the first causes a warning, and a mix with a deviation above the second is refused."""
 
 
 def _words(name: str) -> list[str]:
@@ -72,8 +72,8 @@ def _words(name: str) -> list[str]:
 def is_thickener(name: str) -> bool:
     """Return whether the name of an ingredient means a viscosity-modifying admixture.
 
-    A "stabilizer" is such an admixture, but a "hydration stabilizer" is not, because it is a retarder. A viscosity
-    reducer is not one either.
+    A "stabilizer" is such an admixture, but a "hydration stabilizer" is a retarder. A viscosity reducer does not count
+    either.
     """
     words = _words(name)
     if "hydration" in words or any(word.startswith("reduc") for word in words):
@@ -99,7 +99,7 @@ def water_mass(parts: Mapping[str, float]) -> float:
 def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
     """Return the masses of sand and of coarse aggregate among the ingredients [kg/m3].
 
-    Both are 0 if an ingredient is aggregate of unknown size.
+    Both are 0 if the name of an ingredient tells that it is aggregate, but not whether it is sand or coarse.
     """
     sand, stone = 0.0, 0.0
     for name, mass in parts.items():
@@ -116,10 +116,10 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _noun(name: str) -> str:
-    """Return the word of an ingredient's name that says what it is, usually the last known one; empty if none is known.
+    """Return the word of an ingredient's name that tells what it is, usually the last known one; empty without one.
 
     Limestone sand is sand, silica fume is powder, and limestone that is crushed or has a grain size ("limestone 8/16")
-    is aggregate. "Type" stands for cement only if there is no other word, as in "Type I/II".
+    is aggregate. "Type" stands for cement only if there is no other known word, as in "Type I/II".
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
@@ -173,9 +173,9 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
 
 
 def density_of(name: str) -> float | None:
-    """Return the usual density of an ingredient [kg/m3], or None if it varies or is unknown.
+    """Return the usual density of an ingredient [kg/m3], or None if it is unknown or varies too much.
 
-    An unknown ingredient causes a warning. Raises :class:`SceneError` for a name that is probably misspelt.
+    An unknown name causes a warning. Raises :class:`SceneError` for a name that is probably misspelt.
     """
     if any(word in VARIABLE for word in _words(name)):
         return None
@@ -194,8 +194,8 @@ def density_of(name: str) -> float | None:
 def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -> None:
     """Check that ingredients [kg/m3] and `air` [m3/m3] fill one cubic metre.
 
-    An impossible mix is refused, and an unlikely one causes a warning. `coarse` is the density of the coarse aggregate
-    [kg/m3].
+    A mix whose volume is impossible is refused, and one whose volume is unlikely causes a warning. `coarse` is the
+    density of the coarse aggregate [kg/m3].
     """
     filled, complete = 0.0, True
     for name, mass in parts.items():

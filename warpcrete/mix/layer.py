@@ -17,29 +17,26 @@ from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Range of the ratio between two values of the slip layer's constants. The first value follows from pipe pressures, and
-is divided by the second value, which was measured with a tribometer. The range covers 404 pipe flows of 22 concretes
-(Tavangar 2022)."""
+"""Smallest and largest ratio of a slip layer's constants from pipe pressures to those measured with a tribometer, in
+404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
-"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
-et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.
-(2024) found -38 to +31 %."""
+"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe.
+Deliveries differ by 15 % on a single site (Mai et al. 2014), and by -38 to +31 % in general (Deng et al. 2024)."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of the relation in :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the densest
 packing of the powder. Both were fitted to the pressures of eight families of concretes in level lines of 325 to 1,044
 m, with water-binder ratios of 0.17 to 0.44. Four other families were not used for the fit, so that they can test it."""
 PASTE_ERROR_FACTOR = 1.7
-"""Factor by which the layer of a mix may be weaker or stronger than :func:`paste_layer` predicts. For 90 % of the
-concretes in the fitted families, the difference is smaller."""
+"""Factor by which the true viscosity of a slip layer may be smaller or larger than that of :func:`paste_layer`. For 90
+% of the concretes to which that function was fitted, the difference is smaller."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
-"""Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
-of its band [Pa]."""
+"""Yield stress of a slip layer that is estimated from the paste, and the lower and upper limit of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
-"""Factors for a viscosity-modifying admixture: on the resistance of the slip layer, and on the ends of its band.
+"""Factors for concrete with a viscosity-modifying admixture. THICKENER_FACTOR multiplies the viscosity of the slip
+layer. THICKENER_ERROR widens its uncertainty band to both sides.
 
-The uncertainty band becomes wider in both directions by the second factor. The first factor comes from the three
-concretes of Xu, Li & Jiang (2021), which contain such an admixture. Their wall stress at 0.5 m/s is 2.9 to 3.1 times
-that of :func:`paste_layer`.
+The first factor comes from the three concretes of Xu, Li & Jiang (2021), which contain such an admixture. Their wall
+stress at 0.5 m/s is 2.9 to 3.1 times that of :func:`paste_layer`.
 """
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
@@ -48,17 +45,15 @@ to 6 mm."""
 FILM_ERROR_FACTOR = 3.0
 """Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
-"""Factor by which the viscosity of the true slip layer may be higher or lower than the one that :func:`slump_layer`
-returns."""
+"""Factor by which the true viscosity of a slip layer may be larger or smaller than that of :func:`slump_layer`."""
 ASSUMED = (850.0, 10.0)
-"""Layer assumed if the mix determines none: viscosity [Pa s/m] and yield stress [Pa] of a self-compacting concrete with
-500 kg of powder in a cubic metre, by :func:`paste_layer`."""
+"""Slip layer assumed if the mix contains no information on it: viscosity [Pa s/m] and yield stress [Pa]. The values are
+those of :func:`paste_layer` for a self-compacting concrete with 500 kg of powder in a cubic metre."""
 ASSUMED_ERROR_FACTOR = 3.0
-"""Factor by which the viscosity of the true slip layer may be higher or lower than that of :data:`ASSUMED`."""
+"""Factor by which the true viscosity of a slip layer may be larger or smaller than that of :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
-"""First words of the text that states the origin of a property without a measurement. The first text is for a property
-that is assumed, because the mix contains no information on it. The second text is for a property that was estimated
-from the paste alone."""
+"""First words of the text that states the origin of a property that was not measured. ASSUMPTION means that the mix
+contains no information on it. ESTIMATE means that it was estimated from the paste alone."""
 Pair = tuple[Figure, Figure]
 
 
@@ -72,16 +67,20 @@ def paste_layer(solids: float) -> float:
 
 
 def film_layer(viscosity: float, aggregate: float) -> float:
-    """Return the layer's viscosity [Pa s/m], as if the layer were the paste between the aggregates.
+    """Return the viscosity [Pa s/m] of a slip layer that consists of the concrete's paste, as between its aggregates.
 
-    `viscosity` is the concrete's [Pa s], and `aggregate` the share of sand and stones in its volume. Aggregate thickens
-    the paste by f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger & Dougherty 1959); the layer is 3 mm thick.
+    `viscosity` is that of the concrete [Pa s], and `aggregate` the volume fraction of sand and stones. Aggregate
+    thickens the paste by the factor f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger & Dougherty 1959). The result is
+    viscosity / (f 3 mm), for a layer 3 mm thick.
     """
     return viscosity / (aggregate_factor(aggregate) * FILM)
 
 
 def aggregate_factor(aggregate: float) -> float:
-    """Return the factor by which a share of sand and stones thickens paste (Krieger & Dougherty 1959)."""
+    """Return the factor by which a volume fraction `aggregate` of sand and stones raises the viscosity of paste.
+
+    The relation is that of Krieger & Dougherty (1959).
+    """
     return (1 - aggregate / AGGREGATE_DENSEST) ** (-2.5 * AGGREGATE_DENSEST)
 
 
@@ -96,11 +95,12 @@ def slump_layer(slump: float) -> tuple[float, float]:
 
 
 def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator[Pair]:
-    """Generate pairs of viscosity and yield stress of the slip layer, the most reliable pair first.
+    """Generate estimates of the slip layer, each a pair of viscosity and yield stress, the most reliable one first.
 
-    The pairs come from measurements of the layer, the paste, the film between aggregates, the slump, and finally from
-    an assumption. Sources about which the mix contains nothing are skipped. `concrete` supplies density, yield stress
-    and viscosity of the bulk, and `viscosity` is the bulk's viscosity with its band and origin.
+    Sources are, in this order: measurements of the layer, the composition of the paste, the viscosity of the concrete
+    and its aggregate, the slump, and finally an assumption. Sources about which the mix contains nothing are skipped.
+    `concrete` supplies density, yield stress and viscosity of the bulk, and `viscosity` is the bulk's viscosity with
+    its band and origin.
     """
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
@@ -135,9 +135,9 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
 
 
 def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
-    """Generate the slip layers that the mix states as measured.
+    """Generate the slip layers for which the mix states measurements.
 
-    They come from constants of the layer, from pressures of a pipe, and from points of a tribometer.
+    The measurements are constants of the layer, pressures of a pipe, or points of a tribometer.
     """
     own = given.layer
     if own.constants is not None:
@@ -155,12 +155,16 @@ def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
 
 
 _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
-"""Explanations of the uncertainty band of a measured slip layer, used if the measurement states no uncertainty. The
-first text is for a layer fitted to pipe pressures, and the second for one measured with a tribometer."""
+"""Explanations of the uncertainty band of a measured slip layer whose measurement states no uncertainty, for a layer
+fitted to pipe pressures (key True) and one measured with a tribometer (key False)."""
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
-    """Return the factors by which a measured constant is multiplied to get the lower and the upper end of its band."""
+    """Return the factors from a measured constant of the slip layer to the lower and the upper end of its band.
+
+    They follow from the stated relative `uncertainty`, or without it from the kind of the measurement: in a `pipe`, or
+    with a tribometer.
+    """
     if uncertainty is not None:
         return 1 - uncertainty, 1 + uncertainty
     return (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY) if pipe else TRIBOMETER_RATIO
@@ -179,10 +183,11 @@ def _pair(
     way: str,
     source: str,
 ) -> Pair:
-    """Return an estimated slip layer, whose yield stress is limited to that of the concrete.
+    """Return an estimated slip layer, a pair of viscosity and yield stress.
 
-    The limit holds because the layer is concrete without its stones. `value` is the viscosity and `ends` its band [Pa
-    s/m]. `stress` holds the yield stress with the lower and the upper end of its band [Pa].
+    `value` is the viscosity and `ends` its band [Pa s/m]. `stress` holds the yield stress and the lower and upper end
+    of its band [Pa]. They are limited to the yield stress of the concrete, because the layer is concrete without
+    stones.
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
     return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),
@@ -190,7 +195,7 @@ def _pair(
 
 
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
-    """Return a layer fitted to measured points; its band covers the error of the fit and that of the instrument."""
+    """Return a slip layer fitted to points; its band covers the errors of the fit and of the kind of measurement."""
     found = []
     for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
                                      ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip

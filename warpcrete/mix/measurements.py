@@ -15,8 +15,8 @@ from .points import PUMPED, read_points
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
 LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
-"""Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to other laws
-than Bingham's."""
+"""Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to flow laws
+other than Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
@@ -28,7 +28,7 @@ SHEARED = {"rate": "1/s", "stress": "Pa"}
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured constants by name, with a common relative uncertainty, which is None if not stated."""
+    """Measured constants by name, with one relative uncertainty for all of them; None if it is not stated."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: float | None = None
@@ -40,7 +40,7 @@ class Layer:
 
     constants: Measured | None = None
     pipe_points: tuple[list[float], list[float]] | None = None
-    """Flows [m3/s] and pressures [Pa] measured on a pipe of the given dimensions."""
+    """Flows [m3/s] and pressures [Pa] measured in a pipe with the dimensions `diameter`, `length` and `rise`."""
     diameter: float = 0.0
     length: float = 0.0
     rise: float = 0.0
@@ -53,7 +53,7 @@ class Layer:
 
 
 def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
-    """Return the measured constants of a section of the mix."""
+    """Return the measured constants in the entry `name` of a mix, which are converted to `units`, and checked."""
     if not isinstance(given, Mapping):
         refuse(
             f"mix {name}",
@@ -85,7 +85,11 @@ def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
 
 
 def read_layer(given: Any, folder: Path) -> Layer:
-    """Return the slip layer from constants, from points of a pipe or from points of a tribometer."""
+    """Return the measurements of the slip layer that the entry `layer` of a mix contains.
+
+    The entry contains constants of the layer, points from a pipe, or points from a tribometer. Paths of files are
+    relative to `folder`.
+    """
     if not isinstance(given, Mapping):
         refuse(
             "mix layer",
@@ -141,9 +145,8 @@ def read_layer(given: Any, folder: Path) -> Layer:
 def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
     """Return the two columns of measured points, each as a list of numbers in SI units.
 
-    `given` is the path of a CSV file relative to `folder`, or a list of pairs. The numbers of a pair are in SI units or
-    have a unit. Raises :class:`SceneError` for an impossible value, or if the first column has fewer than two different
-    values.
+    `given` is the path of a CSV file relative to `folder`, or a list of pairs of numbers, which may have units. Raises
+    :class:`SceneError` for an impossible value, or if the first column has fewer than two different values.
     """
     if isinstance(given, str):
         one, other = read_points(folder / given, columns, f"mix {name}")

@@ -20,18 +20,19 @@ from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
         "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
-"""Names of constants in the section `flow` of a concrete's file, each mapped to the name of this property of a mix."""
+"""Names of the constants in the section `flow` of a concrete's file, each mapped to the name of the same property of a
+mix."""
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
 """Names of the constants that only flow laws other than Bingham's have; each is mapped to the name of the same property
 of a mix. A mix has such a constant only if its description states the value."""
 FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
-"""Factors on yield stresses and viscosities, with their defaults. The section `flow` of a concrete's file states them
-to describe the concrete at another age or temperature."""
+"""Names and default values of two factors on yield stresses and viscosities. The section `flow` of a concrete's file
+may state them, to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
-"""Causes of uncertainty and the constants that belong to each cause. If a cause is at an end of its band, its constants
-are all at the same end of their bands."""
+"""Causes of uncertainty, and the constants of the concrete that depend on each cause. The constants of one cause are
+assumed to be at the lower ends of their bands together, or at the upper ends."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -40,7 +41,7 @@ COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 @dataclass(frozen=True, repr=False)
 class Mix:
-    """Concrete described by its mix, with all properties calculated from it."""
+    """Mix of a concrete, with all properties calculated from it."""
 
     name: str
     source: str
@@ -63,7 +64,7 @@ class Mix:
         return f"<table>{''.join(f'<tr>{each}</tr>' for each in cells)}</table>"
 
     def __getitem__(self, name: str) -> Figure:
-        """Return the property of this name, such as 'yield stress' or 'slip viscosity'."""
+        """Return the property called `name`, such as 'yield stress' or 'slip viscosity'."""
         known = {figure.name: figure for figure in self.figures}
         if name not in known:
             refuse("figure", name, f"must be one of {', '.join(known)}")
@@ -79,7 +80,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """Concrete as the mix describes it, before the `factors` for another age or temperature are applied."""
+        """Concrete before its constants are multiplied by `factors`."""
         return Concrete(name=self.name, **self.flow)
 
     @property
@@ -93,11 +94,11 @@ class Mix:
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """Pairs of concretes for each cause of uncertainty, by the name of the cause.
+        """For each cause of uncertainty, two concretes at the ends of its band, by the name of the cause.
 
-        A cause, such as the slip layer, comprises several properties of the concrete. The first concrete of a pair has
-        these properties at the lower ends of their bands, and the second concrete has them at the upper ends. All other
-        properties have their best values. A cause without a band is left out.
+        A cause, such as the slip layer, comprises several properties of the concrete. The first concrete has these
+        properties at the lower ends of their bands, and the second at the upper ends. All other properties have their
+        best values. A cause whose bands have no width is left out.
         """
         found = {}
         for cause, keys in CAUSES.items():
@@ -109,14 +110,14 @@ class Mix:
 
     @property
     def flow(self) -> dict[str, float]:
-        """Entries for the section `flow` of a concrete's file, such as yield stress; the key `factors` is left out."""
+        """Constants for the section `flow` of a concrete's file, such as the yield stress, without the factors."""
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property
     def elements(self) -> dict[str, Any]:
-        """Sizes and shapes for the section `elements` of a concrete's file.
+        """Sizes and shapes of aggregates for the section `elements` of a concrete's file.
 
-        The density and the slip layer are not repeated there, because they follow from the section `flow`.
+        This section needs neither density nor slip layer, because they follow from the section `flow`.
         """
         given, found = self.given, {}
         if given.sieve is not None:
@@ -167,7 +168,7 @@ class Mix:
 
 
 def read_mix(name: Path | str) -> Mix:
-    """Read the mix from a file, or from a shipped concrete by its name.
+    """Read the mix from a file, or that of a shipped concrete from its name.
 
     Raises :class:`SceneError` if the mix contradicts itself or does not determine the concrete.
     """
@@ -209,7 +210,7 @@ def mix_of(
 ) -> Mix:  # fmt: skip
     """Build a mix from the entries of a section `mix`.
 
-    Files with measured points are searched for in `folder`. `stated` are constants of the flow, which replace
+    Paths of files with measured points are relative to `folder`. `stated` are constants of the flow, which replace
     calculated ones. Raises :class:`SceneError` if the entries contradict each other or do not determine the yield
     stress.
     """
@@ -226,9 +227,8 @@ def mix_of(
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
-            # Slump flow and the straight line through a viscometer's points only give the viscosity of a Bingham fluid.
-            # They do not apply to a law whose flow curve is not straight. The mix must therefore state the viscosity
-            # for such a law.
+            # Slump flow and the straight line through a viscometer's points determine the viscosity of a Bingham fluid
+            # only. For a law whose flow curve is not straight, the mix must state the viscosity itself.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
                 refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",
@@ -255,7 +255,7 @@ def mix_of(
 
 
 def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
-    """Return the stated constants of other laws than Bingham's, in the order of :data:`LAWS`."""
+    """Return the stated constants of flow laws other than Bingham's, by the name of the property."""
     found = {}
     slip = told.layer.constants.values if told.layer.constants is not None else {}
     for key, name in LAWS.items():
@@ -269,7 +269,7 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
 
 
 def _named(key: str, value: Any) -> Figure:
-    """Return the property that a section `flow` of a concrete's file states; its uncertainty band has zero width."""
+    """Return the property for a constant of the section `flow` of a concrete's file; its band has no width."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])
@@ -292,10 +292,10 @@ def flow_amounts(found: NamedConcrete) -> dict[str, float]:
 
 
 def completed(name: str) -> NamedConcrete:
-    """Return the concrete of a name or path with the sections that follow from its mix.
+    """Return the concrete of a name or path, with the sections that follow from its mix added.
 
-    Entries in the concrete's own sections take precedence over the mix, and the mix over the concrete on which it is
-    based.
+    Entries that the concrete's own file states take precedence over those from its mix. Entries from the mix take
+    precedence over those of the concrete on which the file is based.
     """
     found = concrete(name)
     mix = mix_in(found)

@@ -11,7 +11,7 @@ from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import read_columns
 
 PUMPED = {"flow": "m3/s", "pressure": "Pa"}
-"""Columns of points measured on a pipe, with their SI units."""
+"""Columns of points measured in a pipe, with their SI units."""
 
 
 def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "fit") -> list[list[float]]:

@@ -1,7 +1,7 @@
 """Yield stress and viscosity of a mix's concrete and mortar: measured, or from published relations.
 
 Rheometers of different models give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
-2023). A relation that was derived with one rheometer is therefore at best as accurate as the agreement between
+2023). A relation that was derived with one rheometer is therefore no more accurate than the agreement between
 rheometers.
 """
 
@@ -26,31 +26,31 @@ from .given import PACKING, Measured, MixEntries
 from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
 
 RHEOMETER = 0.2
-"""Relative uncertainty of measured constants of a concrete or mortar, for a mix that states no uncertainty."""
+"""Relative uncertainty of measured constants of concrete or mortar, if the mix states none."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
-"""Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
-mm."""
+"""Possible reading errors of slump [m], spread [m] and T500 [s]. For comparison, EN 12350-2 and -8 state a
+repeatability of slump and spread of 16 to 42 mm."""
 HEAP_CENTRE, HEAP_CENTRE_MEDIAN, FLATTEST = 0.10, 0.03, 0.295
-"""Three heights of slump cones [m].
+"""Three heights in tests with a slump cone [m].
 
-Aggregate piles up in the centre of a real heap. Its top is therefore higher than that of a homogeneous heap with the
-same spread. The first value is an upper limit of this excess height, and the second value is its median. They come from
-82 cones of Yeh (2007) with measured slump and spread: the excess height is 0 to 100 mm (5th to 95th percentile), and 30
-mm in the median. The third value is the largest slump of a cone.
+Aggregate piles up in the centre of a real heap, so the heap is higher there than a homogeneous heap of the same spread.
+HEAP_CENTRE is an upper limit of this excess height, and HEAP_CENTRE_MEDIAN its median. They come from 82 tests of Yeh
+(2007) with measured slump and spread, in which the excess height is 0 to 100 mm (5th to 95th percentile). FLATTEST is
+the largest slump of a cone.
 """
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
-"""Pairs of two properties of aggregate: intrinsic viscosity, and volume fraction of the densest packing.
+"""Pairs of intrinsic viscosity and densest packing (as a volume fraction) of aggregate.
 
-The two pairs give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair
-stands for rough grains. Its packing is that of equal spheres in random loose packing (Mahaut et al. 2008). Its
-intrinsic viscosity, 30 % above that of spheres, is a choice. This value is ascribed to Barnes, Hutton & Walters (1989),
-who are said to give it for ground gypsum; the book was not checked. The second pair stands for spheres of mixed sizes.
+They give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair is for
+rough grains. Its packing is that of equal spheres in random loose packing (Mahaut et al. 2008). Its intrinsic viscosity
+is assumed to be 30 % above that of spheres; Barnes, Hutton & Walters (1989) are said to give this value for ground
+gypsum, but their book was not checked. The second pair is for spheres of mixed sizes.
 """
 T500_ERROR_FACTOR = 1.3
-"""Factor by which the relation for T500 may be wrong. Simulations show the error, which is due to inertia and to the
-time of 1 to 3 s that lifting the cone takes."""
+"""Factor by which the true viscosity may be smaller or larger than that from the relation for T500. Simulations show
+this error, which is due to inertia and to the lifting of the cone in 1 to 3 s."""
 USUAL_AGGREGATE = 0.66
-"""Share of sand and stones in the concrete's volume, assumed if the mix states no ingredients. Usual shares are 0.57 to
+"""Volume fraction of sand and stones in the concrete if the mix states no ingredients. Usual fractions are 0.57 to
 0.70."""
 ASSUMED_VISCOSITY = (70.0, 20.0, 400.0)
 """Plastic viscosity assumed if the mix contains no information about it, with its lower and upper limit [Pa s]. The
@@ -60,7 +60,8 @@ band covers the three concretes of Xu, Li & Jiang (2021) and thinner ones."""
 def yield_stresses(given: MixEntries) -> Iterator[Figure]:
     """Generate estimates of the concrete's yield stress, the most accurate first.
 
-    Each entry of the mix that determines the yield stress gives one estimate.
+    Each kind of entry from which a yield stress follows gives one estimate: a measured constant, points of a
+    viscometer, the mortar, the spread and the slump.
     """
     yield from _stated(given.concrete, "yield_stress", "Pa", "concrete")
     if given.viscometer_points is not None:
@@ -84,7 +85,8 @@ def yield_stresses(given: MixEntries) -> Iterator[Figure]:
 def viscosities(given: MixEntries) -> Iterator[Figure]:
     """Generate estimates of the concrete's plastic viscosity, the most accurate first.
 
-    Each entry of the mix that determines the viscosity gives one estimate.
+    Each kind of entry from which a viscosity follows gives one estimate: a measured constant, points of a viscometer,
+    the mortar, and T500 together with the spread.
     """
     yield from _stated(given.concrete, "viscosity", "Pa s", "concrete")
     if given.viscometer_points is not None:
@@ -103,9 +105,9 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
 def unknown_viscosity(given: MixEntries) -> Figure:
     """Return an estimate of the plastic viscosity of a mix for which no viscosity was measured.
 
-    If the composition of the paste is known, its viscosity is that of the slip layer (:func:`.layer.paste_layer`) times
-    the thickness of the layer, and sand and stones raise it (:func:`.layer.aggregate_factor`). Otherwise, the result is
-    an assumption.
+    If the composition of the paste is known, the viscosity of the paste is that of a slip layer of paste
+    (:func:`.layer.paste_layer`) times the thickness of the layer. Sand and stones raise it by
+    :func:`.layer.aggregate_factor`. Otherwise, the result is an assumption.
     """
     if given.paste_solids is None or given.paste_solids >= PASTE_DENSEST:
         return Figure("viscosity", *ASSUMED_VISCOSITY, "Pa s", "assumption",
@@ -119,7 +121,7 @@ def unknown_viscosity(given: MixEntries) -> Figure:
 
 
 def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
-    """Return density, viscosity and yield stress of the mortar.
+    """Return density, viscosity and yield stress of the mortar, as stated or calculated from those of the concrete.
 
     The result is empty if the volume fraction of the coarse aggregate is unknown.
     """
@@ -155,7 +157,11 @@ def _mortar(given: MixEntries, key: str, unit: str) -> Figure | None:
 
 
 def _factors(share: float) -> tuple[tuple[float, float], ...]:
-    """Return pairs of factors by which aggregate raises viscosity and yield stress: most likely, lowest and highest."""
+    """Return three estimates of the factors by which aggregate raises viscosity and yield stress.
+
+    The estimates are the most likely one, the lowest and the highest; each is a pair of factors. `share` is the volume
+    fraction of aggregate.
+    """
     return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], THICKENING_LOWER, THICKENING_UPPER))
 
 

@@ -10,15 +10,18 @@ from ..core.inputs.amounts import amount, bare_number
 
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
-"""Words that a mix uses for the shape of stones, each mapped to the shape of the discrete elements. Instead of a word,
-a mix may state the ratio of longest to shortest width, which becomes an elongated clump of spheres."""
+"""Words that a mix may use for the shape of stones, each mapped to the name of a shape in scenes of discrete elements.
+Instead of a word, a mix may state the ratio of longest to shortest width. The stones are then elongated clumps of
+spheres."""
 FINEST, COARSEST = 1e-3, 0.3
-"""Smallest and largest diameter of stones that a mix may state as coarse aggregate [m]. Finer grains belong to the
-mortar."""
+"""Smallest and largest diameter of coarse aggregate that a mix may state [m]. Finer grains belong to the mortar."""
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
-    """Return sieve openings [m] with passing fractions, from openings in millimetres and fractions or percentages."""
+    """Return pairs of sieve opening [m] and mass fraction that passes, from openings in millimetres.
+
+    The fractions may be stated in per cent. Raises :class:`warpcrete.SceneError` if they are no sieve curve.
+    """
     example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
     if not isinstance(given, Mapping) or len(given) < 2:
         refuse("mix sieve", given, "must have two or more openings, each with the share that passes", example)
@@ -49,7 +52,10 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
 
 
 def read_sizes(given: Any) -> tuple[float, float]:
-    """Return the smallest and the largest size of a mix's stones [m]; raises :class:`warpcrete.SceneError`."""
+    """Return the smallest and the largest size of a mix's stones [m].
+
+    Raises :class:`warpcrete.SceneError` if the entry is not a pair of possible sizes.
+    """
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
@@ -66,7 +72,10 @@ def read_sizes(given: Any) -> tuple[float, float]:
 
 
 def read_shape(given: Any) -> str:
-    """Return the shape of a mix's stones by the name that scenes use; raises :class:`warpcrete.SceneError`."""
+    """Return the shape of a mix's stones by the name that scenes use.
+
+    Raises :class:`warpcrete.SceneError` if the entry is neither a known word nor a possible ratio of widths.
+    """
     if isinstance(given, int | float) and not isinstance(given, bool):
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"

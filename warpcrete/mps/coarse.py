@@ -16,13 +16,14 @@ import warp as wp
 from ..core.device.device import parallel
 
 WIDTH = 4.0
-"""Width of a cube of the coarse grid, in particle spacings. The coarse grid lets the linear solves converge in fewer
-iterations. A width of 3 would save a tenth of the iterations, but need twice as many cubes. A width of 6 would cost a
-quarter more iterations."""
+"""Width of a cube of the coarse grid, in particle spacings. A width of 6 would need a quarter more iterations of the
+linear solves. A width of 3 would save only a tenth of the iterations, with twice as many cubes."""
 LEAST = 12.0
-"""Minimum height of a column, in cubes, for a coarse grid; lower columns are solved as fast without one."""
+"""Minimum height of a column of concrete, in cubes of the coarse grid, for which the coarse grid is used. Solves for a
+lower column take no longer without it."""
 ABOVE = 1.1
-"""Height of the coarse grid, relative to the column's height; particles above the grid belong to its topmost cubes."""
+"""Height of the coarse grid, divided by the height of the column. Particles that rise above the grid are assigned to
+its topmost cubes."""
 
 
 class CoarseGrid:
@@ -48,9 +49,9 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Return the indices of the 3^axes cubes centred on each cube, -1 if missing, shape (3^axes, cubes).
+        """Return the indices of each cube and its neighbours, -1 if missing, shape (3^axes, cubes).
 
-        The first dimension numbers the positions relative to the central cube, with the first axis fastest.
+        The first dimension numbers the offsets from the cube, -1 to 1 along each axis, with the first axis fastest.
         """
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)

@@ -38,16 +38,18 @@ SHEARED: dict[str, Any] = {
 In the pipe and at the flow rate of Xu, Li & Jiang 2021, slip carries only 70 % of this concrete's flow.
 """
 MIN_SLIP_RATIO = 0.9
-"""Minimum ratio of slip to mean velocity at which a column on a piston keeps its volume and force balance."""
+"""Minimum slip velocity, divided by the mean velocity, for simulating a flow as a column on a piston. With less slip,
+the column loses volume and its forces do not balance."""
 MIN_PARTICLES_ACROSS = 4
-"""Minimum number of particles across a pipe when a trade-off between accuracy and run time coarsens the spacing."""
+"""Minimum number of particles across a pipe for which a coarser spacing is tried when accuracy is traded for run
+time."""
 FLOW = 1500e-6
-"""Volume flow of the paper's reference case [m3/s]."""
+"""Volume flow of the reference case of Xu, Li & Jiang 2021 [m3/s]."""
 NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")
 
 
 def diameter_of_radius(radius: Any) -> Any:
-    """Return the diameter for a radius; a value that is not a number is returned unchanged."""
+    """Return twice a radius, so that an option `radius` can set the diameter; return anything but a number as it is."""
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
 
 
@@ -108,7 +110,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the constants of a concrete file and the coarse aggregate of its mix."""
+        """Return the flow constants and, for two phases, the parameters of the aggregate from the concrete's file."""
         return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
@@ -116,7 +118,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:
-        """Return the coarse aggregate with its mortar, or None for a flow with one phase."""
+        """Return the coarse aggregate and its mortar for a flow with two phases, or None for a flow with one phase."""
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
             return None
@@ -137,10 +139,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
-        """Return the given flow [m3/s], or the flow that the given pressure drives by theory.
+        """Return the volume flow [m3/s]: the parameter `flow`, or the flow that `pressure` drives by theory.
 
         `bulk` is the pipe's radius minus the thickness of the slip layer [m]. Raises :class:`SceneError` if flow and
-        pressure are both given, or if nothing flows.
+        pressure are both stated, or if nothing flows.
         """
         flow = self.flow
         if self.pressure is not None:
@@ -154,10 +156,11 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
-        """Return the kind of the pipe's ends, "piston" or "periodic": the given kind, or the one that suits the flow.
+        """Return the kind of the pipe's ends, "piston" or "periodic"; if `ends` is "auto", choose the one for the flow.
 
         `flow` [m3/s] is the volume flow and `bulk` [m] the pipe's radius minus the slip layer. A column that a piston
-        drives along a wall to which the concrete sticks loses volume and force balance, so "piston" requires slip.
+        drives along a wall to which the concrete sticks loses volume and force balance, so "piston" is chosen only for
+        flows with much slip, or with aggregates.
         """
         if self.ends != "auto":
             return self.ends
@@ -175,9 +178,9 @@ def column_scene(
 ) -> FluidScene:
     """Return the scene of a column of concrete in a pipe.
 
-    `paper` maps the name of a concrete to the results that the paper prints for it; they are used only if the scene is
-    the paper's own case. Raises :class:`SceneError` if the pressure is too low to move the concrete, or if the slip
-    layer fills the pipe.
+    `given` holds the parameters of the flow. `paper` maps names of concretes to the results that Xu, Li & Jiang 2021
+    print for them; these results are attached to the scene only if it is one of the paper's cases. Raises
+    :class:`SceneError` if the pressure is too low to move the concrete, or if the slip layer fills the pipe.
     """
     Within(
         0, np.nextafter(given.diameter / 2, 0), "use 0 for no slip layer, or less than the radius of the pipe"
@@ -204,7 +207,7 @@ def column_scene(
 
 
 def _is_reference_case(given: FlowParameters) -> bool:
-    """Return whether the scene is a case of Xu, Li & Jiang 2021: one phase, and a slip layer of zero thickness."""
+    """Return whether the scene is a case of Xu, Li & Jiang 2021: one phase, and a slip layer without thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {
         "gravity",
         "rest",
@@ -217,7 +220,8 @@ def _is_reference_case(given: FlowParameters) -> bool:
 ACCURACY = {2: 0.01, 3: 0.02}
 """Accepted relative error of pressure and slip velocity in flows with one phase, by number of dimensions."""
 TWO_PHASE_ACCURACY = 0.03
-"""Accepted relative error of the pressure in flows with two phases, which deviate more from the theory of one fluid."""
+"""Accepted relative error of the pressure in flows with two phases. It is larger, because theory treats the two phases
+as one fluid."""
 WALL_ACCURACY = {True: 0.05, False: 0.03}
 """Accepted relative error of the wall stress in flows with two phases (key True) or one phase (key False).
 
@@ -259,17 +263,17 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    # Do not compare pressure and wall stress with the closed forms, which do not cover thixotropic structure in a part
-    # of the bulk.
+    # The closed forms assume the same yield stress everywhere, but that of thixotropic concrete varies with its
+    # structure. Pressure and wall stress are therefore not compared with the closed forms.
     if scene.is_structured:
         found = {name: found[name] for name in ("volume", "balance of forces")}
-    # Skip this check if structure rebuilds while the concrete flows, because the yield stress may then exceed its value
-    # after the rest.
+    # The limits of this check assume that the yield stress is largest directly after the rest. This does not hold if
+    # structure also rebuilds while the concrete flows, so the check is skipped then.
     if scene.gained and not scene.rebuild_rate:
         peak, least = number(result["restart_pressure"]), scene.theory().pressure
         most = plug_restart_state(scene).pressure
-        # During the rest, the slip layer gained yield stress, which slip wears off. If all concrete slips along the
-        # wall as a plug, most of the gain still exists when the first sample is taken.
+        # The rest increased the yield stress of the slip layer, and slip removes this increase again. If all concrete
+        # slips as a plug, much of the increase must still exist at the first sample.
         plug = (
             plug_restart_state(scene).wall_stress
             <= after_rest(scene.concrete, scene.rest, scene.thixotropy).yield_stress
@@ -280,7 +284,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
             f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without structure, {most / 1e3:.4g} kPa with all of "
             "the structure, as a plug",
         )
-    # A run of given duration need not become steady; the report says if the flow is not steady.
+    # A run whose scene states a duration may end before the flow is steady, which is no failure. Only other runs must
+    # become steady.
     if scene.duration is None:
         found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
     if not two and not scene.is_structured:
@@ -293,7 +298,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def plug_restart_state(scene: FluidScene) -> Steady:
-    """Return the state just after a rest, when the whole cross section slips as a plug on an intact slip layer."""
+    """Return the state just after a rest, if the whole cross-section slips as a plug and no structure is broken yet."""
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = float(concrete.layer_law.stress(scene.velocity))
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
@@ -316,7 +321,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any
 
     The variants have other concretes, flow rates and pipes. With more or less flow, slip carries a larger or smaller
     part of the flow; the self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends
-    (piston or periodic) as the given flow, because the settings found for the given flow are applied to the variants.
+    (piston or periodic) as the flow itself, because the settings found for the flow are applied to its variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

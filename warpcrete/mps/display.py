@@ -16,11 +16,12 @@ from .probes import MIDDLE, Snapshot, over_radius
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
-"""Golden angle [rad] between successive particles, as they are drawn about the axis of a tube."""
+"""Golden angle [rad]. Each particle of an axisymmetric flow is drawn turned about the axis by this angle from the one
+before it in the array."""
 
 
 class FlowDisplay(Display):
-    """Display of a pipe flow: particles coloured by speed, by pressure, or by `phase` (grains and mortar)."""
+    """Display of a pipe flow, with the particles coloured by speed, by pressure, or by phase (grains or mortar)."""
 
     colourings: ClassVar = ("speed", "pressure", "phase")
     noun: ClassVar = "concrete"
@@ -37,7 +38,7 @@ class FlowDisplay(Display):
 
     @property
     def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
-        """Direction from the flow to the viewer: from the front for a channel, slightly from the side for a tube."""
+        """Direction from the flow to the viewer: -y for a channel; slightly to the side and upwards for a tube."""
         aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
         return aside, -1.0, 0.1 * aside
 
@@ -51,9 +52,9 @@ class FlowDisplay(Display):
         x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
-        if (
-            x.shape[1] == 2
-        ):  # An axisymmetric flow has two coordinates; each particle is drawn at its own angle about the axis.
+        if x.shape[1] == 2:
+            # An axisymmetric flow has only radius and height as coordinates. Draw each particle at its own angle about
+            # the axis.
             angle = GOLDEN_ANGLE * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
@@ -80,7 +81,7 @@ class FlowDisplay(Display):
         return {"velocity": self._snapshot().velocity, "pressure": self._snapshot().pressure}
 
     def colours(self) -> np.ndarray:
-        """Return RGB bytes of all particles, shape (n, 3)."""
+        """Return the colours of all particles as RGB bytes, shape (n, 3)."""
         snap = self._snapshot()
         scale = self.scale()
         if scale is not None:
@@ -91,12 +92,12 @@ class FlowDisplay(Display):
         grains = self.simulation.state.grains
         coarse = np.zeros(len(snap.height), bool) if grains is None else grains.group >= 0
         shade = np.ones(len(coarse))
-        if grains is not None:  # Different shades distinguish neighbouring grains.
+        if grains is not None:  # Give neighbouring grains different shades, so that they can be told apart.
             shade[coarse] = 0.75 + 0.25 * ((grains.group[coarse] * 7919) % 13) / 12
         return (np.where(coarse[:, None], GRAIN, MORTAR) * shade[:, None]).astype(np.uint8)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves of the driving pressure and the slip velocity over time, with their values by theory."""
+        """Return curves of driving pressure and slip velocity over time, each with the constant value of theory."""
         theory = self.simulation.scene.theory()
         return (
             Plot("pressure", self.pressure_label.capitalize(), (
@@ -150,7 +151,7 @@ class FlowDisplay(Display):
         return [DrawnWall("pipe", vertices, faces, False, GLASS)]
 
     def _travel(self) -> float:
-        """Return how far the piston is expected to move during the run [m].
+        """Return the distance by which the piston is expected to move during the run [m].
 
         If the scene states no duration, 0.05 s are assumed, in which a flow usually becomes steady.
         """
@@ -160,7 +161,7 @@ class FlowDisplay(Display):
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
-        # A long column fills the height of the picture. For a short column the box is enlarged in height, so that the
-        # column's width determines the scale.
+        # The picture always shows the whole box of these bounds. For a short column, the box is made higher than the
+        # column, so that the picture has room for the width of the pipe.
         across = max(0.0, 4 * self.simulation.scene.radius - size)
         return np.array([[0.0, 0.0, -0.5 * across], [0.0, 0.0, size + 0.5 * across]])

@@ -19,8 +19,8 @@ COARSE_PARTICLES = 2500
 def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Return the expected time and memory of a run on a Warp `device`.
 
-    `probe` is a function that measures how long the recordings of one frame take. Raises the errors that the run would
-    raise before its first step.
+    `probe` is a function that measures the wall time of recording one frame. The errors that the run would raise before
+    its first step are raised here.
     """
     return flow_forecast(
         lambda: FluidSimulation(scene, device=str(device), precision=precision, threads=threads),

@@ -21,7 +21,8 @@ class Grains:
     group: np.ndarray
     """Grain number of each particle in the order of the state, -1 for mortar, shape (n,)."""
     first: np.ndarray
-    """Index of the first particle of each grain, and the end of the last grain, shape (grains + 1,)."""
+    """Index of the first particle of each grain, followed by the number of particles of all grains, shape (grains +
+    1,)."""
     size: np.ndarray
     """Size of each grain [m]: diameter of the disc or ball of equal volume, shape (grains,)."""
 
@@ -59,8 +60,8 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            # The layout stores particles layer by layer from the piston, so the particles near a grain form a
-            # contiguous range.
+            # The layout's particles are sorted by their distance from the piston. Those at the heights of a grain are
+            # therefore a contiguous range.
             widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
             near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
             offset = places[near] - centre
@@ -104,8 +105,8 @@ def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
 
     def radius(direction: np.ndarray) -> np.ndarray:
         c = direction @ axis.T
-        # The first term deforms the circle or ball into an oval, the second into an egg, and the third into a shape
-        # with three corners.
+        # The first term deforms the circle or ball into an oval, the second shifts its bulk to one side as in an egg,
+        # and the third gives it three corners.
         return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
             4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
 

@@ -14,15 +14,15 @@ from .probes import Snapshot, section, window
 from .scene import FluidScene
 
 POINTS_PER_CELL = 40
-"""Number of points per cell over which the theoretical velocity is averaged."""
+"""Number of points per cell at which the theoretical velocity is evaluated for its mean over the cell."""
 
 
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
     """Measure a flow and return a row of the time series.
 
     `before` is the previous row, from which the rate of change of momentum is computed. The momentum of a channel is
-    per metre of depth. The pressure of a periodic pipe is the driving force per volume times the pipe's length; the
-    driving force balances friction and weight.
+    per metre of depth. The pressure of a periodic pipe is the driving force per volume, which balances friction and
+    weight, times the pipe's length.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     drive = state.mesh.drive.numpy()
@@ -34,8 +34,8 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     kind = state.faces("kind")[1] == int(LIQUID)
     mass = scene.concrete.density * area * layout.height
     momentum = mass * scene.velocity
-    # Before the first step, the grid holds no velocities, and the momentum is the mass times the mean velocity, as
-    # above.
+    # Before the first step, the faces hold no velocities. The momentum is then the mass times the mean velocity, which
+    # has been computed above.
     if flow.steps:
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
     # The faces along the wall belong to the first and last cells across a channel, or to the last cell of a tube.
@@ -45,7 +45,8 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     change = 0.0
     if before is not None and flow.time > before["time"]:
         change = (momentum - before["momentum"]) / (flow.time - before["time"])
-    # The driving force must equal weight, wall drag and the rate of change of momentum.
+    # The driving force must equal the sum of weight, wall drag and rate of change of momentum; the residual is the
+    # difference.
     residual = force - mass * scene.gravity - stress * wet - change
     radius, mean = profile(flow)
     weight = radius if layout.axial else np.ones_like(radius)
@@ -72,7 +73,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return how much yield stress gained at rest is left in the slip layer and in the concrete at the wall [Pa].
+    """Return what is left of the yield stress gained at rest [Pa]: in the slip layer, and in the concrete at the wall.
 
     Each value is a mean along the wall. The result is empty for concrete without thixotropy.
     """
@@ -85,7 +86,8 @@ def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
 def _mass_in_window(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
     """Return the mass of concrete, weighted with a factor that falls smoothly from the pipe's middle to its wall.
 
-    The result keeps its initial value as long as the particles remain evenly distributed across the pipe.
+    The mass of each particle is relative to the mean mass. As long as the particles remain evenly distributed across
+    the pipe, the result keeps its initial value.
     """
     part = (np.abs(places[:, 0]) / scene.radius) ** (2 if layout.axial else 1)
     return window(part, layout.mass)
@@ -106,7 +108,10 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity of each cell [m/s], averaged over its width, by distance from the axis."""
+    """Return the theoretical velocity of each cell [m/s], averaged over its width; cells are sorted by their distance.
+
+    The distance is that from the axis of a tube, or from the middle of a channel.
+    """
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL

@@ -22,7 +22,7 @@ class Layout:
     spacing: float
     """Distance between neighbouring particles at the start [m]."""
     volume: float
-    """Volume of a particle [m3], or its area in two dimensions [m2]."""
+    """Volume of a particle [m3]; in two dimensions its area [m2]."""
     fluid: np.ndarray
     """Positions of fluid particles [m], shape (n, dimensions), layer by layer from the piston."""
     wall: np.ndarray
@@ -34,7 +34,7 @@ class Layout:
 def layout(scene: FluidScene) -> Layout:
     """Return the initial positions of a column's particles, in rows along a channel or in rings in a tube.
 
-    The outermost row or ring is half a spacing from the wall, the innermost ring half a spacing from the axis.
+    Particles are half a spacing away from the wall, and in a tube half a spacing away from the axis.
     """
     if scene.dimensions == 2:
         across = max(2, round(2 * scene.radius / scene.spacing))
@@ -54,7 +54,7 @@ def layout(scene: FluidScene) -> Layout:
     step = scene.length / layers
     height = (np.arange(layers) + 0.5) * step
     beneath = (np.arange(-LAYERS, 0) + 0.5) * step
-    # The front bulges while the concrete flows, so the walls reach beyond the column.
+    # The front bulges while the concrete flows, so the wall particles continue above the column.
     above = (np.arange(-LAYERS, layers + math.ceil(0.3 * layers) + 2 * LAYERS) + 0.5) * step
     wall = np.concatenate([_stacked(inside, beneath), _stacked(outside, above)])
     fluid = _stacked(inside, height)
@@ -63,7 +63,7 @@ def layout(scene: FluidScene) -> Layout:
 
 def _ring(number: int, spacing: float) -> np.ndarray:
     count = round(2 * math.pi * (number + 0.5))
-    # Each ring is turned by the golden angle, so that neighbouring rings are not aligned.
+    # Turn each ring by the golden angle relative to the next inner one, so that their particles are not aligned.
     angle = 2 * math.pi * np.arange(count) / count + 2.39996 * number
     return (number + 0.5) * spacing * np.stack([np.cos(angle), np.sin(angle)], 1)
 

@@ -1,4 +1,4 @@
-"""Registration of the moving particle method with the rest of the program."""
+"""Record through which the program finds, runs, draws and reports flows in pipes."""
 
 from ..core.run.method import Method
 from .common.stepping import run_abreast

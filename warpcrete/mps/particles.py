@@ -1,6 +1,6 @@
 """Solver of the implicit moving particle method, with its neighbour lists and working arrays.
 
-The module `stages.py` describes the stages of a step.
+The module `stages.py` contains the stages of a time step.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from .common.stepping import Stepping
 from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 
-# Skin of the neighbour lists, in particle spacings: the distance beyond the range of the forces up to which pairs are
-# listed. The column moves as a whole, so with this skin the lists last some eighty steps.
+# Skin of the neighbour lists, in particle spacings: the lists contain pairs whose distance exceeds the range of the
+# operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last about eighty
+# steps.
 SKIN = 0.1
 CORRECTION = 0.2  # Fraction of the density error that one step removes.
-HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
+HISTORY = 256  # Maximum number of iterations whose residuals a solve stores.
 
 
 class MovingParticles(Stepping):
-    """Stepper that advances the particles of a flow in time; on a CPU each of its `threads` owns a range of particles.
+    """Object that advances the particles of a flow in time; on a CPU, each thread works on its own range of particles.
 
     The structs in `kernels/mps/structs.py` give meaning, unit and shape of the arrays.
     """
@@ -53,7 +54,7 @@ class MovingParticles(Stepping):
     projection: Any
     """Linear system of the pressure increment, a struct `NumberSolve`."""
     shifting: Any
-    """Linear system that shifts particles out of crowded regions, a struct `NumberSolve`.
+    """Linear system whose solution moves particles out of crowded regions, a struct `NumberSolve`.
 
     The residual of the system is the density error.
     """
@@ -97,7 +98,7 @@ class MovingParticles(Stepping):
         return allocate(struct, self.device, **sizes)
 
     def _matrix(self) -> Any:
-        """Allocate the coefficients of the linear systems, but not the arrays whose sizes depend on neighbour lists."""
+        """Allocate the coefficients of the linear systems, except for arrays as long as the neighbour lists."""
         struct = self.structs.Matrix
         sizes = dict.fromkeys(("diagonal", "drag", "free"), self.count)
         matrix = allocate(struct, self.device, **sizes)
@@ -110,10 +111,10 @@ class MovingParticles(Stepping):
         return matrix
 
     def _coarse(self) -> CoarseGrid | None:
-        """Return the coarse grid that preconditions the solves, or None if a coarse grid is of no use.
+        """Return the coarse grid that preconditions the solves, or None if it would be of no use.
 
-        The coarse grid cannot serve rigid grains, which are larger than its cubes. Short columns are
-        solved as fast with the diagonal preconditioner alone.
+        There is none for flows with rigid grains, which are larger than its cubes, and for short columns, whose solves
+        are as fast with the diagonal preconditioner alone.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
@@ -139,7 +140,7 @@ class MovingParticles(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's device arrays, by the name under which their memory is reported."""
+        """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
         solves = self.viscous, self.projection, self.shifting
         return {"particles": self.particles, "neighbours": self.lists, "matrix": self.matrix, "solves": solves}
 
@@ -153,14 +154,13 @@ class MovingParticles(Stepping):
 
     @property
     def _list_reach(self) -> tuple[float, float]:
-        """Distances within which the lists contain neighbours for the operators and the density [m], with skin."""
+        """Distances of neighbours in the lists, including the skin [m]: for the operators, and for the density."""
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
         """Allocate neighbour lists with room for 1.6 times as many neighbours as in the initial lattice.
 
-        The additional room is for crowded regions. If a list overflows nevertheless, the lists are allocated again with
-        a larger factor.
+        The additional room is for crowded regions. If a list still overflows, `build` allocates longer lists.
         """
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi
@@ -180,9 +180,9 @@ class MovingParticles(Stepping):
         self._step = None
 
     def _check_memory(self, near: int, far: int, wall: int) -> None:
-        """Raise :class:`CapacityError` if the neighbour lists do not fit in memory.
+        """Raise :class:`CapacityError` if the neighbour lists do not fit in the free memory of the device.
 
-        The other arrays of a particle take about a tenth of the memory of its lists.
+        The estimate adds a tenth for all other arrays of the particles.
         """
         size = wp.types.type_size_in_bytes(self.scalar)
         needed = 1.1 * self.count * ((4 + 2 * size) * near + 4 * (far + wall))
@@ -196,8 +196,8 @@ class MovingParticles(Stepping):
     def build(self) -> None:
         """Rebuild the neighbour lists at the current positions, and allocate longer lists if one overflows.
 
-        The lists contain all neighbours within reach plus a skin, so they stay valid until a particle has moved by
-        about half the skin.
+        The lists contain all pairs within a range plus a skin, so they stay valid until a particle has moved by about
+        half the skin relative to the piston.
         """
         place, search = list_kernels(self.scalar, self.scene.dimensions, not self.parallel)
         near_reach, whole_reach = self._list_reach
@@ -249,7 +249,7 @@ class MovingParticles(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one step on the current arrays, one list for each thread."""
+        """Stages of one time step (kernel launches and barriers) with the current arrays, one list for each thread."""
         if self._step is None:
             self._step = step_stages(self)
         return self._step
@@ -262,10 +262,10 @@ class MovingParticles(Stepping):
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays that the next step depends on.
+        """Return the arrays on which the next step depends.
 
-        Among the arrays are the positions at which the neighbour lists were built. Neighbour lists that are rebuilt
-        from these positions have the same order, so that all sums have the same bits.
+        They include the positions at which the neighbour lists were last built. A restored flow rebuilds the lists from
+        these positions, so their order and the bits of all sums are the same.
         """
         lists = {"built": self.fields.position_at_build.numpy(), "late": self.fields.event_flags.numpy()}
         return self.state.state_dict() | lists

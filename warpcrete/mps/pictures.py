@@ -19,8 +19,8 @@ def plot_flow(
 ) -> Any:
     """Return a figure of the pressure over time and of velocity profiles, each compared with theory.
 
-    `particles` (positions, RGB bytes, spacing) are drawn next to the curves with a colour bar for `scale` (label,
-    lowest and highest value).
+    `particles` are drawn next to the curves: their positions [m], their colours as RGB bytes, and their spacing [m].
+    `scale` is the label, lowest and highest value of their colour bar.
     """
     from matplotlib.figure import Figure
 
@@ -50,7 +50,7 @@ def _pressure(axes: Any, run: Run) -> None:
         )
     piston = run.scene.ends == "piston"
     axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
-    # The first two pressures of the time series are far below all later ones and would stretch the axis.
+    # Exclude the first two pressures, which are far below all later ones, from the limits of the axis.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     if np.isfinite(lowest + highest):
@@ -62,7 +62,7 @@ def _pressure(axes: Any, run: Run) -> None:
 def _profiles(axes: Any, run: Run) -> None:
     scene = run.scene
     piston = scene.ends == "piston"
-    # In a periodic pipe all profiles are equal, so only the first one is drawn.
+    # In a periodic pipe the profiles at all heights are equal, so only the first one is drawn.
     for part, colour in zip(run.result["profiles"][: None if piston else 1], SERIES):
         axes.plot(
             100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]), ".", markersize=5,
@@ -79,7 +79,7 @@ def _profiles(axes: Any, run: Run) -> None:
 def _particles(
     axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None
 ) -> None:
-    """Draw the particles behind a vertical plane through the middle, so that the inside of the flow is visible."""
+    """Draw the particles behind a vertical plane through the axis, so that the inside of the flow is visible."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import EllipseCollection
     from matplotlib.colors import Normalize
@@ -110,7 +110,7 @@ def _particles(
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure of a run folder, or None if the run has only its initial row."""
+    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
     if "profiles" not in run.result:
         return None
     display = simulation.display(colouring)

@@ -1,4 +1,4 @@
-"""Layout of a periodic pipe on a grid at the start."""
+"""Layout of a periodic pipe on a grid at the start: cells, walls and particles."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ PARTICLES_PER_AXIS = 2
 
 
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
-    """Return the number of cells across a pipe and the number of cells along the pipe.
+    """Return the number of cells across a pipe and the number of cells along it.
 
-    A whole number of cells must fit into the width of a channel or the radius of a tube. Among the widths for which
-    they fit, the cells have the one nearest to the wanted spacing.
+    A whole number of cells fits across a channel, or into the radius of a tube. It is the number for which the width of
+    a cell is nearest to the scene's `spacing`.
     """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))

@@ -11,11 +11,12 @@ from ..theory.pipe import velocity
 from .particles import MovingParticles
 
 MIDDLE = (0.4, 0.6)
-"""Range of heights, relative to the column's height, in which slip velocity and profile are measured."""
+"""Range of heights in which slip velocity and velocity profile are measured, as fractions of the column's height."""
 STRAIGHT = (0.2, 0.8)
-"""Range of heights, relative to the column's height, in which the pressure gradient is measured."""
+"""Range of heights in which the pressure gradient is measured, as fractions of the column's height."""
 LOWEST = 0.1
-"""Height of the zone above the piston whose pressures are extrapolated to it, relative to the column's height."""
+"""Height of the zone above the piston from whose pressures the pressure on the piston is extrapolated, as a fraction of
+the column's height."""
 WINDOW = (0.65, 0.85)
 """Two heights above the piston, divided by the height of the column. Between them, a particle's weight in the
 measurement of the volume falls from one to zero."""
@@ -46,7 +47,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Arrays of all particles at one point in time, on the host and in double precision."""
+    """Quantities of all particles at one time, on the host and in double precision; each array has the shape (n,)."""
 
     height: np.ndarray
     """Height of each particle above the piston [m]."""
@@ -108,7 +109,8 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     force = pressure * area
     drag = float(np.sum(weight * stress)) * layout.volume
     outcomes = flow.outcomes()
-    # The piston's force must equal weight, wall drag and the rate of change of momentum.
+    # The piston's force must equal the sum of weight, wall drag and rate of change of momentum; the residual is the
+    # difference.
     residual = force - state.mass * scene.gravity - drag - change
     surface = np.array([layout.height - 0.5 * layout.spacing])
     if flow.steps:
@@ -136,17 +138,18 @@ def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
     """Return the sum of `weight` over all particles, each times a factor between 0 and 1.
 
     `part` is the relative position of each particle, such as its height divided by the column's height. The factor is 1
-    for small values of `part`, and falls smoothly to 0 within the range WINDOW. The sum keeps its initial value if the
-    concrete neither loses nor gains volume.
+    below the range WINDOW, and falls smoothly to 0 within it. The sum keeps its initial value if the concrete neither
+    loses nor gains volume.
     """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))
 
 
 def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:
-    """Return the volume fractions of coarse aggregate in four parts of a column.
+    """Return the volume fractions of coarse aggregate in four parts of a column, by name.
 
-    These are the inner half and the outer half of the radius, and the front half and the rear half of the length.
+    The parts are the inner and the outer half of the radius, and the front and the rear half of the length. The result
+    is empty for a flow with one phase.
     """
     if flow.state.grains is None:
         return {}
@@ -163,7 +166,8 @@ def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, floa
 def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return distances from the axis [m] and mean velocities [m/s] of particles within 1.5 spacings of `height` [m].
 
-    The results are means over at most `bins` rings around the axis, by default one ring per particle spacing.
+    Each entry is the mean over the particles in a ring around the axis. There are up to `bins` rings, by default one
+    per particle spacing.
     """
     snap, layout = Snapshot.of(flow), flow.state.layout
     chosen = np.abs(snap.height - height) < 1.5 * layout.spacing

@@ -15,12 +15,13 @@ from .common.run import largest
 from .scene import FluidScene
 
 AVERAGED_FRACTION = 0.2
-"""Last fraction of a run over which quantities are averaged if the run has a given duration.
+"""Last fraction of the simulated time over which quantities are averaged, if the scene states a duration.
 
-Other runs end when they are steady; for them the last row of the time series is used.
+A run without a stated duration ends when the flow is steady, and its quantities are those of the last row of the time
+series.
 """
 THEORY_COLUMNS = ("pressure", "slip_velocity", "wall_stress")
-"""Columns of the series that theory predicts."""
+"""Columns of the time series for which theory gives a value."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
 
 
@@ -50,10 +51,10 @@ class RunData:
         return float(getattr(self.theory, name))
 
     def error(self, name: str) -> float:
-        """Return the error of a column of the time series, relative to the value of theory.
+        """Return the error of the mean of a column of the time series, divided by the value of theory.
 
-        The error of the slip velocity is relative to the mean velocity instead, because a slip velocity near zero is no
-        useful scale.
+        The error of the slip velocity is divided by the mean velocity of the flow instead, because the slip velocity
+        may be near zero.
         """
         size = self.scene.velocity if name == "slip_velocity" else self.by_theory(name)
         return (self.mean(name) - self.by_theory(name)) / size
@@ -122,7 +123,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: values printed in the paper, and a note if the flow is not steady."""
+    """Yield further lines of the report: the values of Xu, Li & Jiang 2021, and a note if the flow is not steady."""
     if run.scene.published and "pressure" in run.result:
         for name, value in run.scene.published.items():
             factor, unit = shown(UNITS[name])

@@ -25,25 +25,27 @@ ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 STRUCTURED = Needs("rest", lambda value: value > 0, "is above 0", ("rebuild_rate",))
 MAX_PARTICLES = 2**26
-"""Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
-# Minimum length of a column in spacings. In a shorter column, piston and surface disturb the flow everywhere.
+"""Maximum number of particles of a column. With more, neighbour lists would exceed the memory of current GPUs."""
+# Minimum length of a column in particle spacings. In a shorter column, the piston and the free surface disturb the flow
+# everywhere.
 MIN_SPACINGS_HIGH = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aggregates:
-    """Coarse aggregate of the two-phase model: rigid groups of elementary particles in mortar."""
+    """Coarse aggregate of the two-phase model: grains in mortar, each a group of particles that form a rigid body."""
 
     fraction: float
     """Volume fraction of the coarse aggregate."""
     mortar: Concrete
-    """Density and flow law of the mortar between aggregates; its slip layer equals the concrete's."""
+    """Density and flow law of the mortar between the grains; its slip layer is that of the concrete."""
     density: float = 2630.0
     """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
     """Smallest size [m], largest size [m] and volume share of each size class."""
     roundness: float = 0.6
-    """Roundness of the aggregates: 1 gives circles or spheres, less gives radii that vary by up to 1 - roundness."""
+    """Roundness of the grains. With 1, they are circles or spheres. Otherwise their radius varies with the direction by
+    up to 1 - roundness, relative to its mean."""
 
     def __post_init__(self) -> None:
         positive("aggregate fraction", self.fraction, "", "leave out 'aggregates' for a concrete without them")
@@ -171,15 +173,17 @@ class FluidScene(Parametrised, FlowSettings):
     velocity: float
     """Velocity of the piston [m/s]."""
     spacing: float
-    """Wanted particle distance [m]; the nearest value that divides the channel's width or the tube's radius is used."""
+    """Wanted particle spacing [m]; the nearest spacing is used that fits a whole number of times into the width of the
+    channel or the radius of the tube."""
     aggregates: Aggregates | None = None
     watch: FlowWatch = field(default_factory=FlowWatch)
     published: Mapping[str, float] = field(default_factory=dict)
-    """Quantities of the result that the paper prints for this scene, in SI units."""
+    """Values of result quantities that Xu, Li & Jiang 2021 print for this scene, in SI units."""
     remarks: tuple[str, ...] = ()
     """Remarks on what the scene simplifies, shown before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
+    """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
+    such function."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -269,17 +273,17 @@ class FluidScene(Parametrised, FlowSettings):
 
     @property
     def line(self) -> Line:
-        """Pipe of the scene as a :class:`Line` of the closed-form theory."""
+        """Pipe of the scene as a :class:`Line`, the argument of the closed forms."""
         return Line(radius=self.radius, length=self.length, gravity=self.gravity)
 
     @property
     def gained(self) -> float:
-        """Increase of the yield stresses during the rest before the start [Pa]."""
+        """Increase of the yield stresses of bulk and slip layer during the rest before the start [Pa]."""
         return self.thixotropy * self.rest
 
     @property
     def is_structured(self) -> bool:
-        """True if the yield stresses change during the flow, so that closed forms do not hold."""
+        """True if the yield stresses change in time, so that closed forms for constant yield stresses do not hold."""
         return self.gained > 0 or self.rebuild_rate > 0
 
     def theory(self) -> Steady:
@@ -287,6 +291,6 @@ class FluidScene(Parametrised, FlowSettings):
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
 
     def restart(self) -> Steady:
-        """Return the steady state by theory for full flow after the rest, before the flow breaks any structure."""
+        """Return the state by theory at full flow directly after the rest, before any structure is broken."""
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

@@ -26,19 +26,22 @@ from .scene import FluidScene
 from .state import FluidState
 from .watch import WatchedFlow
 
-MAX_DURATION = 2.0  # simulated time [s] after which a flow that does not become steady ends
+MAX_DURATION = 2.0  # Maximum simulated time of a flow that does not become steady [s].
 TYPICAL_DURATION = 0.03
 """Typical simulated time until a flow is steady [s]."""
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
-"""Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
+"""Heights of the result's velocity profiles, as fractions of the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Simulated time allowed for slip to break the slip layer's structure, in units of the time of its decay to 1/e."""
+"""Simulated time in which slip must break the structure of the slip layer, divided by the time in which the structure
+decays to 1/e."""
 MIN_SLIP_RATIO = 0.1
-"""Minimum ratio of slip to mean velocity at which a run waits until the slip layer's structure is broken."""
+"""Minimum ratio of slip velocity to mean velocity. With more slip, a run continues until the slip layer's structure is
+broken."""
 MAX_STRUCTURE_LEFT = 0.01
-"""Maximum fraction of the yield stress gained at rest that the slip layer may retain in a flow that is steady."""
+"""Maximum fraction of the yield stress gained at rest that the slip layer may still have in a flow that counts as
+steady."""
 COMPARISON_INTERVAL = 5e-3
-"""Simulated time between the samples whose agreement shows that the flow is steady [s]."""
+"""Simulated time between two rows of the time series that must agree in a steady flow [s]."""
 
 
 class FluidSimulation(FlowRun):
@@ -51,7 +54,7 @@ class FluidSimulation(FlowRun):
     scene: FluidScene
 
     def set_up(self) -> None:
-        """Create the monitor of the flow and choose the functions that measure the flow."""
+        """Start with an empty time series, create the monitor of the flow, and choose the module that measures it."""
         super().set_up()
         self._watch = WatchedFlow(self.scene)
         self._periodic = self.scene.ends == "periodic"
@@ -76,7 +79,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def _structure_breaks(self) -> bool:
-        """True if slip breaks, within a reasonable time, the structure that the slip layer gained at rest."""
+        """True if slip will break the structure that the slip layer gained at rest, so that a run waits for it."""
         scene = self.scene
         return (
             bool(scene.gained)
@@ -91,7 +94,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def frame_step(self) -> float:
-        """Length of the time steps [s] if all are equal (flows of particles alone); infinity for flows on a grid."""
+        """Length of the time steps [s] if all are equal (column on a piston); infinite for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
@@ -123,19 +126,20 @@ class FluidSimulation(FlowRun):
         """Return True if the flow is steady; always False if the scene states a duration."""
         now, part = self._rows[-1], self.scene.steadiness
         if self._structure_breaks and now["layer_gained"] > MAX_STRUCTURE_LEFT * self.scene.gained:
-            # The flow is not steady: slip still breaks the structure, perhaps so slowly that all other quantities look
-            # steady.
+            # Slip still breaks the structure of the slip layer, so the flow is not steady, even if this is so slow that
+            # all other quantities look steady.
             return False
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
-            # The first row of the time series is left out, because the slip layer is not computed yet at the start. Two
-            # earlier rows must agree with the last one, because a single row may agree by chance.
+            # The first row of the time series is not compared, because the slip layer is not computed before the first
+            # step. Two earlier rows must agree with the last one, because one row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False
             earlier.append(found[-1])
         scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
-        if self._periodic:  # the plug may still grow while the wall stress is steady, so check the highest speed too
+        # The plug may still grow while the wall stress is steady, so compare the highest speed as well.
+        if self._periodic:
             scale["fastest"] = self.scene.velocity
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
         return self.steady and self.scene.duration is None

@@ -6,8 +6,8 @@ A step is a pressure-correction scheme whose predictor uses the pressure of the 
 2. Velocities: an implicit solve with viscosity, slip layer, predicted pressure and weight, in which grains are rigid
    bodies.
 3. Pressure: the increment of the pressure that removes the divergence of these velocities.
-4. Positions: particles move with their velocities; a second, loose solve then shifts them out of crowded regions
-   without changing any velocity.
+4. Positions: particles move with their velocities. A further solve, with a loose tolerance, then moves them out of
+   crowded regions without changing any velocity.
 
 The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails,
 notebooks/theory/particles.md says what is done instead and why.
@@ -33,7 +33,8 @@ from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 
 DENSITY_TOLERANCES = 0.1, 1e-7
-"""Relative tolerance of the density solve, and the rms residual below which the solve stops in any case."""
+"""Two tolerances of the density solve, which moves particles out of crowded regions: relative to the initial residual,
+and the rms residual at which the solve stops in any case."""
 
 
 def step_stages(particles: Any) -> Step:
@@ -42,21 +43,22 @@ def step_stages(particles: Any) -> Step:
 
 
 def step_by_one_thread(particles: Any) -> Step:
-    """Return the stages of one step for a single thread that processes the chunks of all threads."""
+    """Return the stages of one step for a single thread that does the work of all threads."""
     return [StepPart(particles, range(particles.threads), []).step()]
 
 
 def step_parts(particles: Any) -> list[StepPart]:
-    """Return the parts into which a time step is divided, one for each thread."""
+    """Return the parts of a time step, one for each thread."""
     barrier_stages = particles.barrier()
     return [StepPart(particles, range(part, part + 1), barrier_stages) for part in range(particles.threads)]
 
 
 class StepPart:
-    """Share of a time step that one thread does.
+    """Stages of a time step for one thread.
 
-    The thread processes the ranges of particles with the numbers `parts`. The first thread also does the work that is
-    not divided among threads.
+    The particles are divided into one range for each thread. `parts` are the numbers of the ranges that this thread
+    works on: one range, or all of them if it does the whole step alone. The part with range 0 also does the work that
+    is not divided.
     """
 
     def __init__(self, particles: Any, parts: range, barrier_stages: list[Stage]) -> None:
@@ -100,19 +102,19 @@ class StepPart:
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
         """Return a stage that runs a kernel in whole GPU blocks.
 
-        It runs as many blocks as `number` states; if this is None, it runs enough blocks for one thread per particle.
+        `number` is the number of blocks; by default there is one thread for each particle.
         """
         return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 
     # The following methods return the stages of a step, in the order of the step.
 
     def geometry(self) -> list[Any]:
-        """Return the stages that compute the moments of each particle's neighbours and its apparent viscosity."""
+        """Return the stages that compute the particles' apparent viscosities and the moments of neighbour positions."""
         kernel = geometry_kernel(*self.kind, self.two_phase, self.scene.concrete.bulk_law.name)
         return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 
     def wall_scale(self) -> list[Any]:
-        """Return stages that scale the particles' wall areas so that their sum is the area of the wetted wall."""
+        """Return the stages that scale the wall areas of particles so that their sum is the wetted wall area."""
         p = self.p
         weights = {"weight": p.fields.wall_weight}
         result = {"wanted": p.wet_area / p.state.layout.volume, "factor": p.fields.wall_scale}
@@ -159,7 +161,7 @@ class StepPart:
         ]
 
     def motion(self) -> list[Any]:
-        """Return stages that update the grains' velocities, then all particles, then the grains' positions."""
+        """Return the stages that update grain velocities, then particle positions, then grain positions."""
         advance = self.over_rows(advance_kernel(*self.kind))
         if not self.two_phase:
             return advance
@@ -197,14 +199,14 @@ class StepPart:
 
     @property
     def rate(self) -> float:
-        """Density divided by the time step [kg/m3/s]: force per volume that changes a velocity by 1 m/s in a step."""
+        """Density divided by the time step [kg/m3/s]: force per volume that changes a velocity by 1 m/s in one step."""
         return self.scene.concrete.density / self.scene.time_step
 
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
         """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
 
-        The solve stops when the residual is below `tolerance` times the initial one, or below the norm `absolute`. The
-        preconditioner is the matrix's diagonal, plus the coarse grid if there is one.
+        The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below `absolute`.
+        The preconditioner is the diagonal of the matrix, combined with the coarse grid if there is one.
         """
         p, maximum = self.p, self.scene.maximum_iterations
         vector = what == VISCOSITY

@@ -17,13 +17,14 @@ from .layout import Layout, layout
 from .scene import FluidScene
 
 OPERATOR_REACH = 2.1
-"""Reach of gradient, divergence and Laplacian in particle spacings (Xu et al. 2021 use 2.1 and 4.1)."""
+"""Range within which neighbours enter gradient, divergence and Laplacian, in particle spacings. Xu et al. 2021 use 2.1
+for gradients and 4.1 for the Laplacian."""
 DENSITY_REACH = 3.1
-"""Reach of the density sum in particle spacings."""
+"""Range within which neighbours enter the density sum, in particle spacings."""
 
 
 class FluidState:
-    """State of a flow: all arrays that change in a run, and what follows from the initial positions.
+    """State of a flow of particles alone: all arrays that change in a run, and what follows from the initial layout.
 
     The arrays of particles have one entry per fluid particle, in an order that never changes. The structs `Particles`
     and `Grains` in `kernels/mps/structs.py` give meaning, unit and shape of the arrays.
@@ -68,8 +69,8 @@ class FluidState:
     def _place_grains(self, fluid: np.ndarray) -> Any:
         grains = self.grains
         assert grains is not None
-        # Read the positions back from the device, because the offsets must fit positions that are rounded to the
-        # precision of the device arrays.
+        # The device arrays may have lower precision than the layout. Read the rounded positions back, so that the
+        # particles' offsets from their grain's centre fit them.
         place = self.particles.position.numpy().astype(float)
         middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
         offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
@@ -91,7 +92,7 @@ class FluidState:
 
     @property
     def particle_spacing(self) -> float:
-        """Distance of particles at the start [m]."""
+        """Distance between neighbouring particles at the start [m]."""
         return self.layout.spacing
 
     @property
@@ -120,14 +121,15 @@ class FluidState:
 
 PARTICLE_ARRAYS = ("position", "rounding", "velocity", "pressure")
 GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
-"""Names of the arrays of particles (PARTICLE_ARRAYS) and of grains that the next step depends on."""
+"""Names of the arrays on which the next step depends: those of particles (PARTICLE_ARRAYS) and of grains
+(GRAIN_ARRAYS)."""
 
 
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     """Return the struct of constants of a flow for the kernels.
 
-    `skin` is the distance beyond the range of the forces up to which neighbours are listed, divided by the particle
-    spacing. `correction` is the fraction of the density error that a step removes.
+    `skin` is the distance by which the neighbour lists reach beyond the range of the operators, in particle spacings.
+    `correction` is the fraction of the density error that one step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()
@@ -173,10 +175,10 @@ def _density_weight(q: np.ndarray) -> np.ndarray:
 
 
 def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Return the sum of the weights of a particle's neighbours within `reach` spacings, at the start.
+    """Return the initial sum of the weights of a particle's neighbours within `reach` particle spacings.
 
-    The result is the mean of this sum over the fluid particles of one layer at mid-height. The function `weight` takes
-    the distances of neighbours, divided by the reach.
+    It is the mean over the fluid particles of a layer at mid-height. The function `weight` takes the distances of
+    neighbours, divided by the reach.
     """
     everything = np.concatenate([layout.fluid, layout.wall])
     middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]

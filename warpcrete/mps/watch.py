@@ -9,13 +9,13 @@ from ..theory.pipe import velocity
 from .scene import FluidScene
 
 FINITE_COLUMNS = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
-"""Columns of the time series that must be finite in every row."""
+"""Columns of the time series in which a value that is not finite stops the run."""
 CURES = "a smaller time step, a finer spacing, precision float64"
 COLUMN_CURES = "; for concrete that shears, ends = periodic"
 
 
 class WatchedFlow:
-    """Monitor that compares each row of the time series with the limits in the scene's `watch`."""
+    """Monitor that stops a run if a row of its time series exceeds the limits in the scene's `watch`."""
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch
@@ -49,7 +49,7 @@ class WatchedFlow:
                      f"{limits.volume:g})"
             )  # fmt: skip
         balance = row["force_balance_error"]
-        # The balance of forces is not checked at the start, where the wall bears no stress yet.
+        # Do not check the balance of forces before the first step, when the wall stress is still zero.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
             raise self._unstable(
                 row, f"forces do not balance: {balance:.3g} of the piston's force is left over (watch.force_balance = "

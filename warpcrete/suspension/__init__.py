@@ -1,5 +1,5 @@
-"""Aggregates suspended in mortar: rigid spheres whose motion is solved together with the grid flow of the mortar.
+"""Aggregates suspended in mortar: rigid spheres whose motion is solved together with the flow of the mortar on a grid.
 
 Modules in this package import `core`, `geometry`, `theory`, `kernels`, `mps` and `dem`. `mps` and `dem` do not import
-this package. `flow` contains one time step, and `solve` the solution of its equations.
+this package. Start with `flow`, which contains one time step, and go on with `solve`, which solves its equations.
 """

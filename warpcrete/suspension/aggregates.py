@@ -18,9 +18,9 @@ from ..mps.grid.layout import GridLayout
 MIN_CELLS = 3.0
 """Minimum number of cells across the smallest aggregate. With fewer cells, the drag is more than 10 % too small."""
 MAX_GRID = 64
-"""Maximum number of cells of the hash grid along an axis."""
+"""Maximum number of cells along an axis of the hash grid that finds neighbouring aggregates."""
 STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
-"""Names of the arrays in `Bodies` that a checkpoint contains, because the next step depends on them."""
+"""Names of the arrays in `Bodies` on which the next step depends, so that a checkpoint contains them."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Aggregates:
     """Spherical aggregates in a mortar at the start of a run."""
 
     centre: np.ndarray
-    """Centres in the coordinates of the grid [m], shape (n, 3)."""
+    """Positions of the centres in the coordinates of the grid [m], shape (n, 3)."""
     radius: np.ndarray
     """Radii [m], shape (n,)."""
     density: float
     """Density of the aggregates [kg/m3]."""
     velocity: np.ndarray | None = None
-    """Velocities of the centres [m/s], shape (n, 3); None for rest."""
+    """Velocities of the centres [m/s], shape (n, 3); None if all aggregates are at rest."""
 
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)
@@ -54,12 +54,12 @@ class Aggregates:
 
 
 def is_inside(centres: np.ndarray) -> np.ndarray:
-    """Return a mask of the aggregates that have not left the simulated box entirely; `centres` has the shape (n, 3)."""
+    """Return a mask of the aggregates that are at least partly in the simulated box; `centres` has the shape (n, 3)."""
     return np.abs(centres).max(1) < float(PARKED)
 
 
 class BodyState:
-    """State of the aggregates on a device: motion, neighbours, and the parts of the grid that they cover."""
+    """State of the aggregates on a device: motion, neighbours, and the faces and cells of the grid that they cover."""
 
     def __init__(
         self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any, device: Any
@@ -85,8 +85,8 @@ class BodyState:
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
         )  # fmt: skip
-        # Upper bound of the number of faces that a sphere touches: for each axis, the number of cells in a sphere whose
-        # radius is two cells larger.
+        # Upper bound of the number of faces that a sphere covers: three faces for each cell, and as many cells as a
+        # sphere contains whose radius is larger by two cells.
         room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
@@ -101,8 +101,8 @@ class BodyState:
             still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=count, full=1, changed=1,
         )  # fmt: skip
 
-        # The hash grid finds neighbours. Its points are rounded to single precision, so the largest distance of the
-        # centres of two neighbours is enlarged slightly.
+        # The hash grid finds neighbours from points in single precision, so the largest distance of two neighbours is
+        # enlarged slightly to allow for rounding.
         room = layout.room
         self.span = 1.0001 * (2 * float(radius.max()) + float(LOOKED_AT) * max(room.width))
         lengths = np.array(room.cells) * np.array(room.width)
@@ -110,7 +110,7 @@ class BodyState:
         self.points = wp.zeros(count, dtype=wp.vec3f, device=device)
 
     def sort(self) -> None:
-        """Sort the points of the hash grid into its cells."""
+        """Sort the points of the hash grid, the centres of the aggregates, into its cells."""
         self.grid.build(self.points, self.span)
 
     def state_dict(self) -> dict[str, np.ndarray]:
@@ -124,13 +124,14 @@ class BodyState:
 
     @property
     def inside(self) -> np.ndarray:
-        """Mask of the aggregates that have not left the simulated box entirely, shape (n,)."""
+        """Mask of the aggregates that are at least partly in the simulated box, shape (n,)."""
         return is_inside(self.bodies.centre.numpy())
 
     def volume_inside(self, opens: int) -> float:
-        """Return the part of the aggregates' volume that has not left through an open side.
+        """Return the fraction of the aggregates' volume that has not left the box through an open side.
 
-        `opens` names the open sides as in :func:`warpcrete.kernels.suspension.leaving.leaving_kernels`.
+        The bits of `opens` are 1 for open sides: bit 2 k for the lower side along axis k, and bit 2 k + 1 for the upper
+        one.
         """
         centre, volume = self.bodies.centre.numpy().astype(float), self.radius**3
         left = np.zeros(self.count)
@@ -143,8 +144,8 @@ class BodyState:
         return float(np.sum(np.maximum(volume - left, 0.0)) / np.sum(volume))
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap to a neighbour or wall at the start of the last step, relative to the radius.
+        """Return the smallest gap of an aggregate to a neighbour or wall, divided by the aggregate's radius.
 
-        The gap is negative for an overlap.
+        The gaps are those at the start of the last step. A gap is negative for an overlap.
         """
         return float(self.pairs.smallest_gap.numpy().min())

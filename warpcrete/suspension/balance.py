@@ -12,15 +12,18 @@ from ..kernels.suspension.pairs import CAPACITY, WALL
 from .flow import SuspensionFlow
 
 PAIRS = (0, 1), (0, 2), (1, 2)
-"""Axes of the planes of shear, in the order in which the grid stores edges."""
+"""Pairs of axes, each of which spans a plane of shear, in the order in which the grid stores edges."""
 
 
 @dataclass(frozen=True)
 class Balance:
-    """Power of all forces in a time step [W], at the velocities of its end, and momentum along the last axis [N]."""
+    """Balance of one time step: powers of all forces at the velocities of its end [W], and the change of momentum.
+
+    The terms of the momentum are those along the last axis, as forces [N] unless another unit is stated.
+    """
 
     walls: float
-    """Power that moving walls supply, by friction and by pushing aggregates."""
+    """Power of moving walls, which act on the mortar by friction and push aggregates."""
     weight: float
     """Power of weight and other external forces."""
     viscous: float
@@ -30,30 +33,31 @@ class Balance:
     film: float
     """Power that is dissipated between mortar and walls, in slip layers or in the film that makes mortar stick."""
     lubrication: float
-    """Power that the added lubrication forces dissipate."""
+    """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
     contacts: float
-    """Power that contacts dissipate, minus the power by which they remove overlaps."""
+    """Power that contacts dissipate, less the power that they supply to remove overlaps."""
     kinetic: float
-    """Increase of the kinetic energy of mortar and aggregates per time."""
+    """Increase of the kinetic energy of mortar and aggregates in the step, divided by its length."""
     damping: float
-    """Power that the implicit Euler method dissipates in a step of finite length."""
+    """Power that is lost because the implicit Euler method damps motion in a step of finite length."""
     momentum: float
-    """Increase of the momentum of mortar and aggregates per time."""
+    """Increase of the momentum of mortar and aggregates in the step, divided by its length."""
     held: float
     """Momentum of mortar and aggregates at the end of the step [kg m/s]."""
     impulse: float
-    """Force of walls, weight and other external forces; equals `momentum` unless a wall is normal to the axis."""
+    """Sum of the forces of walls, weight and other external forces. It equals `momentum`, unless a wall normal to the
+    axis adds a pressure force that is not included."""
     impulse_scale: float
-    """Sum of the magnitudes of these forces."""
+    """Sum of the magnitudes of the forces in `impulse`."""
 
     @property
     def supplied(self) -> float:
-        """Supplied power [W]."""
+        """Power that moving walls, weight and other external forces supply [W]."""
         return self.walls + self.weight
 
     @property
     def spent(self) -> float:
-        """Dissipated and stored power [W]."""
+        """Dissipated power, including that of numerical damping, plus the increase of kinetic energy per time [W]."""
         dissipated = self.viscous + self.yielding + self.film + self.lubrication + self.contacts
         return dissipated + self.kinetic + self.damping
 
@@ -99,7 +103,7 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 class _Grid:
-    """Access to the arrays of a grid, without the frame of cells at the ends of a periodic axis."""
+    """Host copies of the arrays of a grid, without the outer cells at the ends of a periodic axis."""
 
     def __init__(self, flow: SuspensionFlow) -> None:
         self.shape = flow.state.shape
@@ -107,26 +111,26 @@ class _Grid:
         self.mesh = flow.mesh
 
     def array(self, values: Any, count: int) -> np.ndarray:
-        """Return an array of the device with `count` values per cell, in double precision."""
+        """Return an array of the device with `count` values per cell, in double precision, shape (count, cells...)."""
         return values.numpy().astype(float).reshape(count, *self.shape)[:, self.inner]
 
     def faces(self, name: str) -> np.ndarray:
-        """Return an array of the mesh with one value per face."""
+        """Return an array of the mesh with one value per face, shape (3, cells...)."""
         return self.array(getattr(self.mesh, name), 3)
 
     @staticmethod
     def next(values: np.ndarray, axis: int) -> np.ndarray:
-        """Return the value of the next cell along an axis, for each cell."""
+        """Return, for each cell, the value of its upper neighbour along an axis."""
         return np.roll(values, -1, 2 - axis)
 
     @staticmethod
     def last(values: np.ndarray, axis: int) -> np.ndarray:
-        """Return the value of the previous cell along an axis, for each cell."""
+        """Return, for each cell, the value of its lower neighbour along an axis."""
         return np.roll(values, 1, 2 - axis)
 
 
 class _Step:
-    """Velocities at both ends of a step, and the terms of its balance."""
+    """Velocities at the start and at the end of a time step, from which the terms of its balance are computed."""
 
     def __init__(self, flow: SuspensionFlow, velocity: np.ndarray, spin: np.ndarray) -> None:
         self.flow, self.grid, self.before = flow, _Grid(flow), (velocity, spin)
@@ -160,9 +164,9 @@ class _Step:
         )  # fmt: skip
 
     def _inertia(self) -> tuple[float, float, float, float]:
-        """Return the increase of kinetic energy, the loss by the implicit method, and increase and value of momentum.
+        """Return gained and damped kinetic energy and gained momentum, each per time, and the momentum at the end.
 
-        The increases are those per time.
+        The implicit Euler method damps kinetic energy in a step of finite length.
         """
         bodies = self.flow.aggregates.bodies
         heavy, round = (a.numpy().astype(float)[:, None] for a in (bodies.extra_mass, bodies.extra_inertia))
@@ -216,7 +220,10 @@ class _Step:
         return viscous, sum_all - viscous
 
     def _pairs(self) -> tuple[float, float, float, float]:
-        """Return the power of lubrication, of contacts and of walls that push, and the force of such walls."""
+        """Return the powers of lubrication, contacts and walls that push aggregates [W], and the walls' force [N].
+
+        The force is its component along the last axis.
+        """
         flow, pairs = self.flow, self.flow.aggregates.pairs
         number, rows = pairs.count.numpy(), np.arange(flow.aggregates.count)
         own = np.repeat(rows, number)
@@ -230,9 +237,9 @@ class _Step:
         velocity = self.after[0]
         relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
         approach = np.sum(relative * normal, 1) - still
-        # Contacts that the last solve has found do not act in it.
+        # Contacts that were found only after the last solve exert no force in this step.
         hold = hold * (touching == 1)
-        # A pair of aggregates has two entries, and each of them counts half of its power.
+        # Both aggregates of a pair have an entry for it, so each entry counts half of the pair's power.
         share = np.where(wall, 1.0, 0.5)
         apart = hold / flow.scene.time_step * (rough - gap)
         force = -((slow + hold) * approach + apart)

@@ -1,4 +1,7 @@
-"""Search directions of the coupled solve, with effects that the method makes orthogonal to one another."""
+"""Search directions of the coupled solve, and the products of its matrix with them.
+
+The method of generalised conjugate residuals makes these products orthogonal to one another.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,14 @@ from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
 CHUNK = 8
-"""Number of search directions whose arrays are allocated together."""
+"""Number of search directions whose arrays are allocated at once."""
 
 
 class Directions:
-    """Search directions, and their effects: the products of the matrix of the coupled equations and the directions.
+    """Search directions of the coupled solve, and their effects.
 
-    `sizes` are the sizes of the arrays of a vector. Arrays are allocated when they are needed.
+    The effect of a direction is the product of the matrix of the coupled equations with it. `sizes` are the lengths of
+    the arrays of one vector, by name. Arrays are allocated when they are needed.
     """
 
     def __init__(self, scalar: Any, device: Any, sizes: dict[str, int]) -> None:
@@ -27,16 +31,16 @@ class Directions:
         self.known = 0
         """Number of directions that are stored with their effects."""
         self.orthogonal = 0
-        """Number of directions whose effects are orthogonal to one another."""
+        """Number of directions whose effects have been made orthogonal to one another."""
         self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
-        """Return one vector whose arrays have room for those of `count` vectors, one after the other."""
+        """Return a struct of arrays for `count` vectors, whose arrays hold the parts of one vector after another."""
         sizes = {name: count * size for name, size in self._sizes.items()}
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        """Return a direction and its effect; if the direction does not exist, allocate its arrays."""
+        """Return the direction with a number, and its effect; allocate their arrays if they do not exist yet."""
         while number >= len(self._each):
             pair = self.vector(CHUNK), self.vector(CHUNK)
             self._chunks.append(pair)
@@ -50,18 +54,23 @@ class Directions:
         return part
 
     def before(self, number: int) -> Iterator[tuple[int, int, Any, Any]]:
-        """Yield all directions before a given one, chunk by chunk.
+        """Yield the arrays of all directions with lower numbers, chunk by chunk.
 
-        Each item has the number of the first direction, the number of directions, and their arrays.
+        Each item consists of the number of the chunk's first direction, the number of directions, the directions, and
+        their effects.
         """
         for first, (change, effect) in zip(range(0, number, CHUNK), self._chunks, strict=False):
             yield first, min(CHUNK, number - first), change, effect
 
     def factors(self, first: int, products: np.ndarray) -> np.ndarray:
-        """Return the factors by which directions must be subtracted, from the inner products with their effects."""
+        """Return the factors by which earlier directions are subtracted from a new one, to make its effect orthogonal.
+
+        `products` are the inner products of the new direction's effect with the earlier effects, of which the first has
+        the number `first`.
+        """
         return products / self._norms[first : first + len(products)]
 
     def add_norm(self, square: float) -> None:
-        """Store the squared norm of the effect of the next direction, which is now orthogonal to those before it."""
+        """Store the squared norm of the next direction's effect, which is now orthogonal to all earlier effects."""
         self._norms = np.append(self._norms[: self.orthogonal], square)
         self.orthogonal += 1

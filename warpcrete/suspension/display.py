@@ -14,14 +14,14 @@ from .aggregates import is_inside
 STONE = (168, 120, 82)
 """Colour of aggregates."""
 DIVISIONS = 2
-"""Number of subdivisions of the triangles of an icosahedron, which then approximates a sphere."""
+"""Number of times that the triangles of an icosahedron are subdivided, so that it approximates a sphere."""
 
 
 class SuspensionDisplay(FreeDisplay):
     """Display of a mortar with aggregates.
 
-    Most aggregates are hidden inside the surface of the concrete, and only those that bulge out of it are visible. A
-    cut shows the aggregates that lie in or behind the cutting plane.
+    The surface of the concrete hides most aggregates; only those that bulge out of it are visible. In a cut view, the
+    aggregates in or behind the cutting plane are visible.
     """
 
     @property

@@ -1,4 +1,4 @@
-"""Grid flow of a mortar with rigid aggregates: one time step, whose kernels the host launches in groups (stages)."""
+"""Grid flow of a mortar with rigid aggregates: the stages of one time step, which the host launches one by one."""
 
 from __future__ import annotations
 
@@ -30,25 +30,27 @@ from .aggregates import Aggregates, BodyState
 from .solve import CoupledSolve, Tolerances
 
 CUTOFF_CELLS = 0.7
-"""Smallest gap between two aggregates that the grid resolves, in cells.
+"""Smallest gap between two aggregates that the grid resolves, in cell widths.
 
-In narrower gaps, the part of the lubrication force that the grid lacks is added. The value was fitted to the approach
-of two spheres (Brenner 1961) with four cells across a sphere."""
+In narrower gaps, the grid gives only a part of the lubrication force, and the rest is added as a force between the two
+aggregates. The value was fitted to the approach of two spheres (Brenner 1961) with four cells across a sphere.
+"""
 
 PORE_DRAG = 0.2
-"""Fraction of a face's viscous resistance that opposes flow past aggregates, times (radius of the aggregates in
-cells)^2.
+"""Constant of the resistance to flow through the pores between aggregates, which the preconditioner of the coupled
+solve assumes. At a face, the resistance is a fraction of the viscous resistance; the constant is this fraction times
+(radius of the aggregates in cells)^2.
 
-The fraction affects only the number of iterations of the coupled solve. It was chosen to make this number small in
+The constant affects only the number of iterations of the coupled solve. It was chosen to make this number small in
 eight flows.
 """
 
 
 class SuspensionStep(GridStep):
-    """Stages of one time step of a mortar with aggregates, before and after the coupled solve."""
+    """Stages of one time step of a mortar with aggregates, apart from the coupled solve in its middle."""
 
     def before(self) -> list[Any]:
-        """Return the stages that set up the equations of the step."""
+        """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
         cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
@@ -94,7 +96,7 @@ class SuspensionStep(GridStep):
         ]  # fmt: skip
 
     def _divergence(self) -> list[Any]:
-        """Return the stage that computes the net inflow into each cell and the matrix of the projection."""
+        """Return the stage that computes the net inflow into each cell, and the matrix of the pressure projection."""
         kernel, system = (
             pressure_kernels(self.scalar, not self.flow.parallel, self.kind).divergence,
             self.flow.projection,
@@ -102,17 +104,17 @@ class SuspensionStep(GridStep):
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
     def blocks(self) -> list[Any]:
-        """Return the stage that inverts the diagonal blocks of the aggregates in the viscous matrix."""
+        """Return the stage that inverts the diagonal block of each aggregate in the matrix of the viscous solve."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
         return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
 
     def after(self) -> list[Any]:
-        """Return the stages that move the mortar and the aggregates."""
+        """Return the stages after the coupled solve, which move the mortar and the aggregates."""
         flow, kind, scalar = self.flow, self.kind, self.scalar
         return [
             *(self._speeds() if flow.adaptive else []),
-            # The dispersion of particles needs the projection's own matrix, which `resist` has overwritten for the
-            # coupled solve.
+            # The solve that disperses crowded particles needs the matrix of the projection. The kernel `resist` has
+            # changed this matrix for the coupled solve, so compute it again.
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
@@ -137,8 +139,8 @@ class SuspensionFlow(GridFlow):
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
         )
         state.aggregates = self.aggregates.bodies
-        # `cut` shares the arrays of the mesh except the viscosities, which are divided by the mortar fractions of cells
-        # and edges.
+        # The struct `cut` shares all arrays with the mesh, except for the viscosities, which it holds divided by the
+        # mortar fractions of cells and edges.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
@@ -148,7 +150,8 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The top of the box is an open side as well, but it is above the concrete, so no aggregate leaves there.
+        # The last side, the top of the box, is open as well. It is left out, because it is above the concrete, so that
+        # no aggregate leaves there.
         self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
@@ -164,13 +167,13 @@ class SuspensionFlow(GridFlow):
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     def share(self, abreast: int) -> None:
-        """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
+        """Set the number of flows that share the GPU; each flow's solves may occupy only their share of its blocks."""
         super().share(abreast)
         self._build_stages()
 
     @property
     def kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow, by the names of the kernel parameters for which they are passed."""
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
         return self._kernel_arrays
 
     @property
@@ -200,7 +203,7 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return iterations of the viscous and coupled solves of the last step, and the error of the coupled solve."""
+        """Return the iterations of the viscous and coupled solves of the last step, and the coupled solve's error."""
         coupled = self.coupled
         return {
             "viscosity": {"iterations": float(coupled.inner)},

@@ -1,4 +1,4 @@
-"""Method record of mortars with aggregates, through which the program runs, draws and reports such scenes."""
+"""Record through which the program finds, runs, draws and reports flows of mortar with aggregates."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +13,7 @@ from .simulation import SuspensionSimulation
 
 
 def _report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the lines of a free-surface flow, and which parts of mortar and aggregates have flowed out of a vessel."""
+    """Yield the report of a free-surface flow, and the fractions of aggregates and mortar still in the vessel."""
     yield from report(run)
     if "aggregates_inside" in run.series:
         aggregates, fraction = float(run.series["aggregates_inside"][-1]), run.result["aggregates"]["fraction"]

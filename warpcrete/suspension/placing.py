@@ -15,18 +15,18 @@ from .aggregates import Aggregates
 from .scene import SuspensionScene
 
 CLEARANCE = 0.02
-"""Minimum gap at the start between two spheres, divided by the mean of their radii, and between a sphere and a wall,
-divided by its radius."""
+"""Minimum gap at the start. Between two spheres it is relative to the mean of their radii, and between a sphere and a
+wall relative to the sphere's radius."""
 MARGIN = 0.005
-"""Additional gap beyond CLEARANCE to which overlapping spheres are pushed apart. Without it, overlaps would shrink
-forever but never reach zero."""
+"""Gap in excess of CLEARANCE to which overlapping spheres are pushed apart, divided by the sum of their radii; for a
+wall, divided by the sphere's radius. Without it, overlaps would become ever smaller, but never vanish."""
 ITERATIONS = 1000
-"""Maximum number of iterations in which overlaps are removed."""
+"""Maximum number of attempts to place spheres clear of walls, and of iterations that push overlapping spheres apart."""
 SWEEPS = 100
-"""Number of random moves of each sphere after overlaps have been removed."""
+"""Number of times that each sphere is moved at random after overlaps have been removed."""
 SHRINK = 0.95
-"""If the spheres do not fit, their number is multiplied by this factor until they do, so that the error message can
-name a volume fraction that fits."""
+"""Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
+volume fraction that fits."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
 """Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
@@ -134,8 +134,8 @@ def _leave_walls(centres: np.ndarray, radii: np.ndarray, distance: Distance) -> 
 def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: float, rng: np.random.Generator) -> None:
     """Move each sphere several times at random, without overlaps (Metropolis et al. 1953).
 
-    All spheres move at once. A move counts only if the sphere overlaps neither the old nor the new place of any other
-    sphere, so whichever moves count, no overlap results.
+    Moves are proposed for all spheres at once. The move of a sphere is rejected if its new place overlaps the old or
+    the new place of another sphere. All other moves can then be made together without any overlap.
     """
     count, needed = len(radii), 1 + 0.5 * CLEARANCE
     size = 0.2 * float(radii.mean())
@@ -146,8 +146,8 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
         i, j, d = close_pairs(both, 2 * needed * float(radii.max()), period)
         a, b = i % count, j % count
         overlap = (np.linalg.norm(d, axis=1) < needed * (radii[a] + radii[b])) & (a != b)
-        # At their old places the spheres do not overlap. Every overlap therefore involves one or two new places; reject
-        # the moves to these places.
+        # The old places do not overlap one another, so each overlap involves one or two new places. Reject the moves to
+        # these places.
         for place in (i, j):
             moved = overlap & (place >= count)
             blocked[place[moved] - count] = True
@@ -165,7 +165,8 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
     count = len(x)
     origin = np.arange(count)
     if period > 0:
-        # Copy the points near both ends of the period to the opposite ends.
+        # Copy the points near each end of the period to the space beyond the opposite end, so that pairs across an end
+        # are found.
         x = x - np.where(np.arange(3) == 2, period * np.floor((x - x.min(0)) / period), 0.0)
         up, down = (np.flatnonzero(x[:, 2] < x[:, 2].min() + reach), np.flatnonzero(x[:, 2] > x[:, 2].max() - reach))
         shift = np.array([0.0, 0.0, period])
@@ -176,7 +177,8 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
     order = np.argsort(key, kind="stable")
     ranked, first, second = key[order], [], []
     own, own_place = key[:count], np.arange(count)
-    # Cells with consecutive keys are neighbours along the last axis, so nine ranges of keys hold all neighbours.
+    # Points are sorted by the key of their cell. Cells that adjoin along the last axis have consecutive keys, so nine
+    # ranges of keys cover the 27 cells at and around a point.
     for step in product((-1, 0, 1), repeat=2):
         middle = own + (step[0] * shape[1] + step[1]) * shape[2]
         start, end = np.searchsorted(ranked, middle - 1), np.searchsorted(ranked, middle + 1, "right")

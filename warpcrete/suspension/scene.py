@@ -11,21 +11,22 @@ from ..mps.free.scene import FreeScene
 from .aggregates import MIN_CELLS
 
 MAX_FRACTION = 0.5
-"""Largest volume fraction of aggregates that random placement without overlaps achieves in boxes of six diameters."""
+"""Largest volume fraction of spheres without overlaps for which random placement succeeds, in boxes six diameters
+wide."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuspensionScene(FreeScene):
-    """Mortar with rigid spheres in a vessel; `concrete` holds the constants of the mortar between them."""
+    """Mortar with rigid spherical aggregates in a vessel; `concrete` holds the constants of the mortar alone."""
 
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
-    """Smallest and largest diameter of the aggregates [m]; the distribution by number is uniform between them."""
+    """Smallest and largest diameter of the aggregates [m]. Between them, all diameters are equally likely."""
     aggregate_density: float
     """Density of the aggregates [kg/m3]."""
     roughness: float
-    """Gap below which two aggregates touch, divided by 1 / (1 / R1 + 1 / R2), where R1 and R2 are their radii."""
+    """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -18,12 +18,14 @@ from .scene import SuspensionScene
 UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1", "aggregates_inside": "1"}
 """Units of the columns of the time series that describe the aggregates."""
 SOLVE_BYTES = 4 * 8 * 64
-"""Memory of a cell for the search directions of the coupled solve and their effects [bytes], in single precision.
+"""Memory per cell for the search directions of the coupled solve and their effects [bytes], in single precision.
 
-A direction and its effect have eight numbers for each cell. A solve of at most 60 iterations stores up to 64 of them.
+A direction and its effect have eight numbers for each cell. A solve of at most 60 iterations stores up to 64
+directions.
 """
 DEEPEST = 0.3
-"""Overlap of two aggregates, divided by a radius, above which the run stops with an error."""
+"""Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error, divided by a
+radius."""
 
 
 class SuspensionSimulation(FreeSimulation):
@@ -38,7 +40,7 @@ class SuspensionSimulation(FreeSimulation):
         return UNITS.get(column) or super().unit(column)
 
     def display(self, colouring: str | None = None) -> SuspensionDisplay:
-        """Return the display, from which recorders draw concrete, aggregates, walls and curves."""
+        """Return the display, which tells recorders what to draw: concrete, aggregates, walls and curves."""
         return SuspensionDisplay(self, colouring)
 
     def place_flow(self) -> SuspensionFlow:
@@ -68,7 +70,7 @@ class SuspensionSimulation(FreeSimulation):
         return super().measured() | row
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if aggregates overlap so much that the results are no longer meaningful."""
+        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap by more than DEEPEST."""
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(

@@ -2,9 +2,11 @@
 
 Flows without aggregates solve for velocity and pressure one after the other. With aggregates, this would cause errors
 of about a third in the velocities of the aggregates. The method of generalised conjugate residuals (Eisenstat, Elman &
-Schultz 1983) therefore solves for velocities and pressure together, up to a tolerance. The preconditioner is that of
-Cahouet & Chabard (1988). Its pressure is the solution of a pressure solve for the net inflow of the residual, plus a
-multiple of the net inflow that depends on the cell. A viscous solve then gives its velocities.
+Schultz 1983) therefore solves for velocities and pressure together, up to a tolerance.
+
+The preconditioner is that of Cahouet & Chabard (1988). It turns a residual into approximate changes of pressure and
+velocities. The pressure is the solution of a pressure solve for the net inflow in the residual, plus a multiple of the
+net inflow that depends on the cell. A viscous solve with the forces of this pressure then gives the velocities.
 """
 
 from __future__ import annotations
@@ -29,16 +31,18 @@ CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 """Smallest residual that rounding errors allow, divided by the largest residual of the step, by precision."""
 NEGLIGIBLE = 0.1
-"""Fraction of the tolerance of the coupled solve below which a pressure solve need not reduce its residual."""
+"""Residual at which a pressure solve of the preconditioner may stop, as a fraction of the residual that the coupled
+solve accepts. A smaller residual would hardly improve the coupled solve."""
 CONTACT_PASSES = 3
-"""Maximum number of coupled solves in a step. If a solve finds new contacts, it is repeated with these contacts."""
+"""Maximum number of coupled solves in a step. A solve that finds new contacts is repeated with these contacts."""
 ROUGH_ERROR, CERTAIN = 3e-2, 0.9
 """Limits of an early search for contacts, which avoids most repeated solves. The search takes place as soon as the
-error of the solve falls below ROUGH_ERROR. The speeds are not yet accurate then. A pair therefore counts only if it
-would overlap even at the fraction CERTAIN of its speed of approach. In 50 steps
-of five flows, no pair was put in contact that would not have been in contact after the solve."""
+error of the solve falls below ROUGH_ERROR. The velocities are not yet accurate then, so a pair counts as a contact only
+if it would overlap even at the fraction CERTAIN of its speed of approach. In 50 steps of five flows, no pair was put in
+contact that would not have been in contact after the solve."""
 CHECKED = {"cpu": 1, "gpu": 5}
-"""Number of iterations of a viscous solve between two convergence checks, for which a GPU must wait."""
+"""Number of iterations of a viscous solve between two checks of its convergence. A check makes the host wait for the
+GPU."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +105,8 @@ class CoupledSolve:
         return self.directions.vector()
 
     def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
-        # Launches are recorded once for each set of arrays and then repeated; only `factor` changes between
-        # repetitions.
+        # A launch is recorded once for each set of arguments and then repeated; only the argument `factor` may change
+        # between repetitions.
         key = (id(kernel), tasks, *((name, _identity(value)) for name, value in named.items() if name != "factor"))
         if key not in self._stages:
             self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
@@ -120,14 +124,14 @@ class CoupledSolve:
         }  # fmt: skip
 
     def _sum(self, slot: int, sums: int = 1) -> None:
-        """Add up the partial sums of some inner products, and store the first of them at the index `slot`."""
+        """Add up the partial sums of `sums` inner products, and store the results from the index `slot` on."""
         block = 1 if not self.flow.parallel else BLOCK
         self._launch(self.add_up, sums * block, block=BLOCK, count=self.tasks + self.count, slot=slot)
 
     def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
-        """Return the inner products of `weighted` with other vectors.
+        """Return the inner products of the vector `weighted` with other vectors.
 
-        Each argument gives a number of vectors and the array that holds them.
+        Each of `vectors` is a number of vectors and the struct of arrays that holds them.
         """
         slot = 0
         for count, many in vectors:
@@ -171,10 +175,10 @@ class CoupledSolve:
             )
 
     def _begin(self, again: bool) -> None:
-        """Compute the residual of the current solution; the solution is zero unless the solve is repeated (`again`)."""
+        """Compute the residual of the current solution, which is zero unless the solve is repeated (`again`)."""
         flow, slots = self.flow, self.flow.state.slots
-        # The pressure forces and inflows computed so far treat partly covered faces as mortar only. Correct both for
-        # the parts of the faces that aggregates cover.
+        # Earlier stages computed pressure forces and inflows as if faces that aggregates cover in part were mortar
+        # only. Correct both for the covered parts.
         start = self.product
         bodies = flow.aggregates.bodies
         for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
@@ -197,7 +201,7 @@ class CoupledSolve:
     def _iterate(self, tolerance: float) -> None:
         """Reduce the residual to a tolerance; raise :class:`ConvergenceError` if this fails.
 
-        A solve that is repeated with new contacts first uses the directions that are already known.
+        A repeated solve, with new contacts, first uses the search directions that are stored from the solve before.
         """
         directions = self.directions
         first = directions.orthogonal
@@ -222,9 +226,9 @@ class CoupledSolve:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
 
     def _orthogonalise(self, number: int) -> float:
-        """Make the effect of a direction orthogonal to those before it, and return the step along the direction.
+        """Make the effect of a direction orthogonal to earlier effects, and return the best step along the direction.
 
-        The step is 0 if the direction has no effect.
+        The step minimises the residual. It is 0 if the direction has no effect.
         """
         change, effect = self.directions[number]
         self._weigh(effect)
@@ -242,10 +246,10 @@ class CoupledSolve:
         self._launch(self.products.weigh, self.tasks + self.count, one=one, weighted=self.weighted)
 
     def _new_contacts(self, certain: float = 1.0) -> bool:
-        """Mark pairs that would overlap at the end of the step as touching, and return whether there are such pairs.
+        """Mark pairs that would overlap at the end of the step as touching, and return whether there are new ones.
 
         A pair counts if it would overlap even at the fraction `certain` of its speed of approach. New contacts change
-        the matrix, so the effects of the known search directions are updated.
+        the matrix, so the effects of the stored search directions are updated.
         """
         changed, directions = self.flow.aggregates.pairs.changed, self.directions
         changed.zero_()
@@ -260,7 +264,7 @@ class CoupledSolve:
         return True
 
     def _advance(self, factor: float, change: Any, effect: Any) -> float:
-        """Move the solution along a direction, and return the norm of the residual relative to the momentum."""
+        """Move the solution by `factor` along a direction, and return the residual's norm relative to the momentum."""
         self._launch(
             self.moves.advance, self.tasks + self.count, factor=factor, change=change, effect=effect,
             solution=self.solution, residual=self.residual,
@@ -269,8 +273,8 @@ class CoupledSolve:
         left, whole = map(float, self.sums.numpy()[SUMS : SUMS + 2])
         self._largest, self._momentum = max(self._largest, left), whole
         if left <= (ROUNDING["float64" if self.scalar is wp.float64 else "float32"]) ** 2 * self._largest:
-            # Rounding errors prevent a smaller residual, so accept it. This happens in a short first step, in which
-            # the weight is much larger than the momentum of the flow.
+            # Rounding errors prevent a smaller residual, so accept this one. This case occurs in a short first step, in
+            # which the weight is much larger than the momentum of the flow.
             return min(float(np.sqrt(left / whole)), self.tolerances.coupled) if whole > 0 else 0.0
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 
@@ -295,7 +299,7 @@ class CoupledSolve:
         self._launch(self.forces.push, self.count, forces=self.force, factor=factor, result=into)
 
     def _precondition(self, residual: Any, change: Any) -> None:
-        """Apply the preconditioner: store in `change` an approximate solution for the right-hand side `residual`."""
+        """Apply the preconditioner: store an approximate solution for the right-hand side `residual` in `change`."""
         flow, slots = self.flow, self.flow.state.slots
         self._launch(self.pressures.request, slots, inflow=residual, projection=flow.projection.arrays)
         flow.pressure_threshold.fill_(self._pressure_floor())
@@ -331,7 +335,7 @@ class CoupledSolve:
             self.inner += 1
 
     def _multiply(self, change: Any, effect: Any) -> None:
-        """Multiply the matrix of the coupled equations with `change`, and store the product in `effect`."""
+        """Multiply the matrix of the coupled equations by the vector `change`, and store the product in `effect`."""
         slots = self.flow.state.slots
         self._launch(self.search.multiply, self.tasks, direction=change, result=effect)
         self._launch(self.search.gather, self.count, direction=change, result=effect)
@@ -343,5 +347,5 @@ class CoupledSolve:
 
 
 def _identity(value: Any) -> Any:
-    """Return a key that identifies an argument of a kernel: the number itself, or the identity of an array."""
+    """Return a key that identifies an argument of a kernel: a number itself, or the identity of an object."""
     return value if isinstance(value, (int, float)) else id(value)

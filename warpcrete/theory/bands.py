@@ -1,4 +1,4 @@
-"""Uncertainty bands: several independent causes combined into one band, with the contribution of each cause."""
+"""Uncertainty bands: combination of several independent causes into one band, with the contribution of each cause."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Band:
-    """Value with the band in which the true value is expected, and the causes of the band."""
+    """Value with an uncertainty band, in which the true value is expected, and the contribution of each cause to it."""
 
     value: float
     low: float
     high: float
     shares: Mapping[str, float] = field(default_factory=dict)
-    """Fraction that each cause contributes to the squared width of the band, by cause; the fractions add up to 1."""
+    """Fraction of the squared width of the band that each cause contributes, by name of the cause; the sum is 1."""
 
     @property
     def factor(self) -> float:
-        """Factor f that expresses the uncertainty of the value.
+        """Factor f such that the true value is expected between value / f and value * f.
 
-        The true value is expected between value / f and value * f. The factor is infinite if the band's lower end is 0
-        or less.
+        For a band that is not symmetrical in this sense, f is the square root of its upper end divided by its lower
+        end. It is infinite if the lower end is 0 or less.
         """
         return math.sqrt(self.high / self.low) if self.low > 0 else math.inf
 
@@ -34,10 +34,10 @@ class Band:
 def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
     """Combine independent causes of uncertainty into one band.
 
-    `ends` gives, for each cause, the two values that result if only this cause is at one end of its own band. If all
-    values are positive, their deviations are measured as logarithms of ratios, because an uncertainty by a factor of
-    three means division or multiplication by three. Deviations to one side are added in squares, as for independent
-    errors.
+    `ends` gives, for each cause, the results if this cause alone is at the lower or upper end of its own band. If all
+    values are positive, deviations are measured as logarithms of ratios, because an uncertainty by a factor of three
+    means division or multiplication by three. The total deviation to each side is the square root of the sum of the
+    squared deviations, as for independent errors.
     """
     logarithmic = value > 0 and all(end > 0 for pair in ends.values() for end in pair)
     below, above = 0.0, 0.0
@@ -56,10 +56,11 @@ def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
 
 
 def wilson_interval(hits: int, count: int, deviations: float = 1.959964) -> tuple[float, float]:
-    """Return the confidence interval of a probability from `hits` among `count` independent trials.
+    """Return the confidence interval of a probability that is estimated from `hits` among `count` independent trials.
 
-    The interval is that of Wilson (J. Am. Stat. Assoc. 22 (1927) 209), which stays inside 0 to 1 and is meaningful for
-    no hits at all. The confidence is 95 % for 1.96 `deviations` of a normal distribution.
+    The interval is that of Wilson (J. Am. Stat. Assoc. 22 (1927) 209). It stays between 0 and 1, and is meaningful even
+    for no hits at all. `deviations` is the number of standard deviations of a normal distribution; 1.96 gives a
+    confidence of 95 %.
     """
     share, squared = hits / count, deviations**2
     middle = (share + squared / (2 * count)) / (1 + squared / count)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 STUDENT_T = {1: 12.71, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 6: 2.447, 7: 2.365, 8: 2.306, 9: 2.262, 10: 2.228}
-"""Factor from the standard error to the 95 % confidence limit, Student's t, by the degrees of freedom."""
+"""Factor from the standard error to the 95 % confidence limit (Student's t), by the number of degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ def straight_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarr
 
 
 def student_t(freedom: int) -> float:
-    """Return the factor from a standard error to the 95 % confidence limit for some degrees of freedom.
+    """Return the factor from a standard error to the 95 % confidence limit, for a number of degrees of freedom.
 
-    Beyond ten degrees of freedom, the first terms of the expansion about the normal distribution are exact to 0.1 %
+    Beyond ten degrees of freedom, an expansion about the normal distribution is used, which is exact to 0.1 %
     (Abramowitz & Stegun 1964, 26.7.5).
     """
     if freedom < 1:

@@ -1,6 +1,7 @@
 """Yield stress and viscosity of fresh concrete, estimated from its slump, its spread and T500.
 
-Slump and spread invert the closed forms of :mod:`.vessels`. All formulas are for the cone of EN 12350-2.
+The yield stress follows from slump or spread, by inversion of the closed forms of :mod:`.vessels`. All formulas are for
+the cone of EN 12350-2.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ TOP, BASE, HEIGHT = 0.05, 0.10, 0.30
 """Top radius, base radius and height of the cone of EN 12350-2 [m]."""
 VOLUME = cone_volume(TOP, BASE, HEIGHT)
 STIFFEST = 1e4
-"""Upper bound of the yield stresses that are searched [Pa]; from 2.4 kPa on the cone does not slump at all."""
+"""Upper bound of the search for a yield stress [Pa]. A cone with a yield stress above 2.4 kPa does not slump at all."""
 GRAVITY = 9.81
 
 SPREADS = (0.500, 0.527, 0.562, 0.611, 0.694, 0.808, 1.132)
@@ -43,9 +44,10 @@ def yield_of_long_heap(spread: float, density: float) -> float:
 
 @functools.lru_cache(1024)
 def yield_of_heap(spread: float, density: float) -> float:
-    """Return the yield stress [Pa] of the heap of a slump test that comes to rest at a diameter of `spread` [m].
+    """Return the yield stress [Pa] of concrete whose heap in a slump test comes to rest at a diameter of `spread` [m].
 
-    The theory is that of :func:`warpcrete.theory.vessels.heap_at_rest`, in which the heap resists stretching as well.
+    The theory is :func:`warpcrete.theory.vessels.heap_at_rest`. It includes the resistance of the heap to stretching,
+    which :func:`yield_of_long_heap` neglects.
     """
     return root(lambda stress: heap_volume(spread / 2, stress, density) - VOLUME, 0.0, STIFFEST)
 
@@ -53,8 +55,8 @@ def yield_of_heap(spread: float, density: float) -> float:
 def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) -> float:
     """Return the yield stress [Pa] at which the cone slumps by `slump` [m].
 
-    The theory is that of :func:`warpcrete.theory.vessels.tall_cone_slump`. Each layer yields at a vertical pressure of
-    `bears` times the yield stress.
+    The theory is :func:`warpcrete.theory.vessels.tall_cone_slump`, in which a layer yields if the vertical pressure on
+    it exceeds `bears` times the yield stress.
     """
     return root(lambda stress: slump - tall_cone_slump(TOP, BASE, HEIGHT, stress, density, bears=bears), 0.0, STIFFEST)
 
@@ -62,9 +64,8 @@ def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) ->
 def yield_of_slump_measured(slump: float, density: float) -> float:
     """Return the yield stress [Pa] for a `slump` [m], by the empirical relation of Ferraris & de Larrard (1998).
 
-    With the density rho [kg/m3], the yield stress is rho (30 cm - slump) / 34.7 + 212. The relation describes
-    measurements with the rheometer BTRHEOM on some 80 mixes, with a mean deviation of 162 Pa. Hu's relation, from
-    finite elements, is rho (30 cm - slump) / 27.
+    With the density rho [kg/m3] and the slump in cm, the yield stress is rho (30 - slump) / 34.7 + 212. The relation
+    was fitted to measurements of some 80 mixes with the rheometer BTRHEOM; the mean deviation is 162 Pa.
     """
     return density * (30 - 100 * slump) / 34.7 + 212
 

@@ -25,7 +25,7 @@ BINGHAM, HERSCHEL_BULKLEY, MODIFIED_BINGHAM = "bingham", "herschel-bulkley", "mo
 
 
 def law_name(index: float, quadratic: float) -> str:
-    """Return the name of the law with this flow index n and this coefficient c of the square of the rate."""
+    """Return the name of the flow law with a flow index n and a coefficient c of the squared shear rate."""
     if index != 1.0:
         return HERSCHEL_BULKLEY
     return MODIFIED_BINGHAM if quadratic > 0 else BINGHAM
@@ -43,12 +43,13 @@ class FlowLaw:
     viscosity: float
     """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
 
-    For a slip layer, this attribute holds that value divided by the n-th power of the layer's thickness.
+    For a slip layer, it is this value divided by the n-th power of the layer's thickness.
     """
     index: float = 1.0
     """Flow index n."""
     quadratic: float = 0.0
-    """Coefficient c of the squared shear rate in the modified Bingham law [Pa s2]; 0 in the other laws."""
+    """Coefficient c of the squared rate in the modified Bingham law: [Pa s2] with shear rates, [Pa s2/m2] with slip
+    velocities; 0 in the other laws."""
 
     @property
     def name(self) -> str:
@@ -63,17 +64,17 @@ class FlowLaw:
         return self.yield_stress + self.viscosity * g + self.quadratic * g * g
 
     def rate(self, stress: Any) -> np.ndarray:
-        """Return the shear rate [1/s], or slip velocity [m/s], at stresses [Pa]; it is 0 up to the yield stress."""
+        """Return the shear rate [1/s], or slip velocity [m/s], at stresses [Pa]; up to the yield stress it is 0."""
         return self._rate_of_excess(np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0))
 
     def _rate_of_excess(self, excess: np.ndarray) -> np.ndarray:
-        """Return the rate at which the viscous stress h(g) equals `excess` [Pa]."""
+        """Return the rate g at which the viscous stress h(g), stress minus yield stress, equals `excess` [Pa]."""
         if self.name == HERSCHEL_BULKLEY:
             with np.errstate(over="ignore"):
                 return (excess / self.viscosity) ** (1 / self.index)
         if self.name == MODIFIED_BINGHAM:
-            # This form of the root of mu g + c g^2 = excess does not subtract nearly equal numbers, which would lose
-            # digits.
+            # The usual formula for the root of mu g + c g^2 = excess subtracts nearly equal numbers if c is small. This
+            # equivalent form loses no digits.
             root = np.sqrt(self.viscosity**2 + 4 * self.quadratic * excess)
             return 2 * excess / (self.viscosity + root)
         return excess / self.viscosity
@@ -91,8 +92,8 @@ class FlowLaw:
             n = self.index
             with np.errstate(over="ignore"):
                 return g * h * n / (n + 1), g * h**2 * n / (2 * n + 1), g * h**3 * n / (3 * n + 1)
-        # Let g be the shear rate, a the viscosity times g, and b the quadratic coefficient times g^2. The integrals
-        # below are then polynomials of g with positive terms only, so no digits cancel.
+        # With the shear rate g, let a be the viscosity times g, and b the quadratic coefficient times g^2. The
+        # integrals are then sums of positive terms only, so no digits are lost by subtraction.
         a, b = self.viscosity * g, self.quadratic * g * g
         return (
             g * (a / 2 + 2 * b / 3),

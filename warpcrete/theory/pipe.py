@@ -111,7 +111,8 @@ MIXES = {
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),
     "no3": dict(cement=360, sand=872, gravel=913, water=191, superplasticizer=0.900, viscosity_modifier=0.720),
 }
-"""Proportions of the three mixes [kg/m3]; Xu et al. 2021, Table 1, states superplasticizer and modifier in %."""
+"""Masses of the ingredients of the three concretes of Xu et al. 2021 [kg/m3]. Their Table 1 states superplasticizer and
+viscosity modifier in per cent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,11 +155,11 @@ class Steady:
 
 
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
-    """Return the part of the mean velocity over the pipe's cross-section that shear of the bulk causes [m/s].
+    """Return the part of the mean velocity over the pipe's cross-section that is due to shear of the bulk [m/s].
 
-    The slip velocity is the other part. `stress` is the shear stress tau at the wall [Pa], a number or an array. Let x
-    be the yield stress divided by tau, and mu the plastic viscosity. If the slip layer has no thickness, the result for
-    a Bingham fluid is
+    The rest of the mean velocity is the slip velocity. `stress` is the shear stress tau at the wall [Pa], a number or
+    an array. Let x be the yield stress divided by tau, and mu the plastic viscosity. If the slip layer has no
+    thickness, the result for a Bingham fluid is
 
     - R tau / (4 mu) (1 - 4 x / 3 + x^4 / 3) in a pipe of radius R,
     - R tau / (3 mu) (1 - 3 x / 2 + x^3 / 2) in a channel of half width R.
@@ -171,8 +172,8 @@ def _bulk(concrete: Concrete, line: Line, stress, form: str):
         return (inner / line.radius) ** (1 if form == "plane" else 2) * law.mean_velocity(own, inner, form)
     with np.errstate(divide="ignore"):
         x = np.where(own > concrete.yield_stress, concrete.yield_stress / np.where(own > 0, own, 1.0), 1.0)
-    # If the yield stress nearly equals the wall stress, x is nearly 1, and the expanded polynomials of x subtract
-    # nearly equal numbers. The factored forms avoid this cancellation.
+    # If the wall stress is just above the yield stress, x is nearly 1, and the polynomials of the docstring subtract
+    # nearly equal numbers. The factored forms below avoid this loss of digits.
     rest = (1 - x) ** 2
     if form == "plane":
         return inner / line.radius * inner * own / (3 * concrete.viscosity) * rest * (1 + 0.5 * x)
@@ -228,9 +229,9 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
     """Narrow an interval around the root of an increasing function to a few floating-point numbers.
 
-    The function is negative at `low` and not negative at `high`; the same holds for the ends that are returned. The
-    Illinois method approaches the root from one side and leaves the other end of the interval behind. Therefore the
-    function is also evaluated at short distances to both sides of the estimate, which brings the other end close.
+    The function is negative at `low` and not negative at `high`, and so it is at the ends that are returned. The
+    Illinois method approaches the root from one side only, so one end of the interval may stay far away. The function
+    is therefore also evaluated closely below and above the estimate of the root, and both ends are moved there.
     """
     at_low, at_high, last = excess(low), excess(high), math.nan
     if not at_low < 0 <= at_high:
@@ -260,10 +261,10 @@ def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tupl
 
 
 def scaled(concrete: Concrete, yield_factor: float, viscosity_factor: float) -> Concrete:
-    """Return the concrete at another age or temperature, which multiplies its constants by stated factors.
+    """Return the concrete at another age or temperature, by multiplying its constants by stated factors.
 
-    `yield_factor` scales the yield stresses of bulk and slip layer, `viscosity_factor` all their viscosities. Flow
-    indices are kept. There is no built-in relation for the factors, because they depend on cement and admixtures.
+    `yield_factor` multiplies the yield stresses of bulk and slip layer, and `viscosity_factor` all their viscosities.
+    Flow indices do not change. Users must know the factors, because they depend on cement and admixtures.
     """
     if yield_factor == viscosity_factor == 1.0:
         return concrete
@@ -278,8 +279,8 @@ def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
 
     Here A_thix is the `thixotropy` [Pa/s] and t the duration of the rest. The linear growth was proposed by Roussel
     (2006) and holds for some tens of minutes at most. In Roussel's classes, A_thix is below 0.1 for a concrete that
-    hardly stiffens and above 0.5 for one that stiffens strongly. The constant was measured on bulk concrete. The same
-    growth of the slip layer is an assumption.
+    hardly stiffens and above 0.5 for one that stiffens strongly. These values were measured on bulk concrete; that the
+    slip layer stiffens equally is an assumption.
     """
     between("rest", rest, 0, np.inf, "s")
     between("thixotropy", thixotropy, 0, np.inf, "Pa/s")
@@ -324,8 +325,9 @@ def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str 
 def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the velocity [m/s] at distances `radius` [m] from the axis or middle plane.
 
-    Pipe and channel share this profile, a parabola with Bingham's law, because in both the shear stress grows linearly
-    from the middle. Raises :class:`SceneError` for places outside the bulk.
+    The shear stress grows linearly from the middle to the wall in a pipe as in a channel, so both have the same
+    profile; with Bingham's law it is a parabola outside the plug. Raises :class:`SceneError` for places outside the
+    bulk.
     """
     r = np.abs(np.asarray(radius, float))
     inner = line.radius - line.slip_thickness
@@ -334,9 +336,9 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # The velocity relative to the edge of the bulk is the integral of the shear rate over the radius. The stress is
-        # proportional to the radius. The integral over the radius is therefore the integral over the stress, divided by
-        # the stress gradient.
+        # The velocity relative to that at the edge of the bulk is the integral of the shear rate over the radius. The
+        # stress is proportional to the radius, so this is the integral over the stress, divided by the gradient of the
+        # stress.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)
@@ -369,7 +371,8 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
         slip = (mean - drag * concrete.slip_yield + radius / (3 * concrete.viscosity) * concrete.yield_stress) / (
             1 + drag * concrete.slip_viscosity
         )
-        # Just above the yield stress the linearised law gives a negative shear flow. There the concrete only slips.
+        # Kaplan's law for the flow by shear gives negative values if the wall stress is just above the yield stress.
+        # The concrete then slips as a plug.
         if mean > slip:
             stress = concrete.slip_yield + concrete.slip_viscosity * slip
         else:
@@ -380,16 +383,16 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
 
 
 def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """Return the line of wall stress over slip velocity, fitted to flows [m3/s] and pressures [Pa] of a pipe.
+    """Return a straight line of wall stress over slip velocity, fitted to flows [m3/s] and pressures [Pa] of a pipe.
 
-    The line's slope is eta_L [Pa s/m], and its offset is tau_L0 [Pa]. First, the flow that shear of the bulk
-    contributes is subtracted from each flow. The rest is slip at a velocity V. Then a straight line of wall stress over
-    V is fitted to all points (Xu, Li & Jiang 2021, Eq. 12). If the layer has a flow index n, the line is that of the
-    stress over V^n; if it has a coefficient c, the line is that of the stress minus c V^2 over V. Both n and c are
-    taken from `concrete`, as are the viscosity, yield stress and density of the bulk. `line` supplies the layer's
-    thickness. Table 3 of the paper follows in this way from the constants of a layer of zero thickness. Raises
-    :class:`SceneError` for fewer than two different flows, or if the points imply an impossible layer: a viscosity that
-    is not positive or a negative yield stress.
+    The slope of the line is eta_L [Pa s/m], and its offset is tau_L0 [Pa]. The part of each flow that is due to shear
+    of the bulk is calculated and subtracted. The rest gives the slip velocity V (Xu, Li & Jiang 2021, Eq. 12), and the
+    pressure gives the wall stress. If the layer has a flow index n, the line is that of the stress over V^n. If it has
+    a coefficient c, the line is that of the stress minus c V^2 over V. `concrete` supplies n, c and the constants of
+    the bulk, and `line` the dimensions of the pipe and the thickness of the layer. Applied to the constants of a layer
+    of zero thickness, the function reproduces Table 3 of the paper. Raises :class:`SceneError` for fewer than two
+    different flows, or if the points imply an impossible layer: a viscosity that is not positive or a negative yield
+    stress.
     """
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:

@@ -12,7 +12,8 @@ from .pipe import FORMS, Concrete, Line, Steady, after_rest, flow_of_pressure, k
 def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
     """Return a text table of the restart pressures after `rest` [s], one row for each form of the theory.
 
-    Each row also relates the peak pressure at `flow` [m3/s] to the steady pressure at that flow.
+    Each row contains the smallest pressure at which concrete moves, the peak pressure at `flow` [m3/s], and the latter
+    divided by the steady pressure at that flow.
     """
     grown = after_rest(concrete, rest, thixotropy)
     lines = [
@@ -30,7 +31,7 @@ def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float
 
 
 def _law_text(law: FlowLaw) -> str:
-    """Return the constants that a law has besides those of Bingham's law, for a table."""
+    """Return flow index or quadratic coefficient of a law as text for a table; empty for Bingham's law."""
     if law.index != 1:
         return f", flow index {law.index:g}"
     return f", quadratic {law.quadratic:g}" if law.quadratic else ""
@@ -39,9 +40,9 @@ def _law_text(law: FlowLaw) -> str:
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
     """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
-    Each form of the theory has a row. At given flows Kaplan's model has a row too, if all laws are Bingham's. If the
-    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
-    flows in any form.
+    Each form of the theory has a row. For each flow, Kaplan's model has a row too, if all laws are Bingham's. If the
+    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing flows
+    in any form.
     """
     lines = [
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "

@@ -24,7 +24,7 @@ STEPS = 200
 
 @dataclass(frozen=True)
 class Segregated:
-    """Concrete in a pipe, with aggregate shared unevenly between the outer and the inner half of the pipe's radius."""
+    """Concrete in a pipe whose aggregate fraction differs between the inner and the outer half of the pipe's radius."""
 
     concrete: Concrete
     """Concrete with its aggregate evenly distributed."""
@@ -57,13 +57,13 @@ class Segregated:
     def shares(self) -> tuple[float, float]:
         """Volume fractions of aggregate in the inner and the outer half of the pipe's radius.
 
-        The inner half has a quarter of the pipe's cross-section.
+        The inner half of the radius covers a quarter of the pipe's cross-section.
         """
         return self.fraction * (1 - 0.75 * self.index), self.fraction * (1 + 0.25 * self.index)
 
     @property
     def zones(self) -> tuple[Concrete, Concrete]:
-        """Concretes of the inner and the outer half of the radius."""
+        """Concretes in the inner and the outer half of the radius, with the constants for their aggregate fractions."""
         even = thickening(self.fraction, *SUSPENSIONS["spheres"])
         found = []
         for share in self.shares:
@@ -87,7 +87,8 @@ class Segregated:
             begin = max(low, line.radius * zone.yield_stress / stress) if stress > 0 else high
             if begin < high:
                 # The flow by shear is the integral of pi r^2 times the shear rate over the radius r. The shear rate is
-                # (stress r / R - yield stress) / viscosity, with the stress at the wall and the radius R of the pipe.
+                # (stress r / R - yield stress) / viscosity. Here the stress is that at the wall, and R is the radius of
+                # the pipe.
                 if (law := zone.bulk_law).name == BINGHAM:
                     rise = stress / line.radius * (high**4 - begin**4) / 4
                     rise -= zone.yield_stress * (high**3 - begin**3) / 3

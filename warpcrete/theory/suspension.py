@@ -1,4 +1,4 @@
-"""Coarse aggregate in mortar: how aggregate thickens mortar, and which mortar a given concrete contains."""
+"""Coarse aggregate in mortar: how aggregate thickens mortar, and which mortar a concrete contains."""
 
 from __future__ import annotations
 

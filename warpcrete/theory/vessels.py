@@ -20,13 +20,14 @@ import numpy as np
 from .laws import BINGHAM, FlowLaw
 
 LAYERS = 4000
-"""Number of slices in sums over the height of a cone or the radius of a heap."""
+"""Number of slices into which a cone is divided along its height, or a heap along its radius, for numerical
+integration."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
-"""Numbers of slices and of tried speeds. SLICES is the number of slices of a box along its length, and SLICES_FUNNEL
-that of a funnel along its height. SPEEDS is the number of outlet speeds that are tried for each height of the concrete
-in the funnel."""
+"""Numbers that determine the accuracy of numerical solutions. SLICES is the number of slices of a box along its length,
+and SLICES_FUNNEL that of a funnel along its height. For each height of the concrete in the funnel, the outlet speed is
+interpolated between SPEEDS values."""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
@@ -111,10 +112,10 @@ def tall_cone_slump(
     top: float, base: float, height: float, yield_stress: float, density: float, gravity: float = 9.81,
     bears: float = math.sqrt(3),
 ) -> float:  # fmt: skip
-    """Return the slump of a truncated cone [m] whose layers widen until each layer bears the weight above it.
+    """Return the slump [m] of a truncated cone, in which each layer widens until it bears the weight above it.
 
-    `bears` is the pressure that a layer bears, divided by the yield stress: the square root of 3 by von Mises, or 2 by
-    Tresca as in Murata (1984).
+    `bears` is the vertical pressure that a layer bears, divided by the yield stress: the square root of 3 by von Mises,
+    or 2 by Tresca as in Murata (1984).
     """
     depth = (np.arange(LAYERS) + 0.5) * height / LAYERS
     radius = top + (base - top) * depth / height
@@ -137,14 +138,14 @@ def box_at_rest(
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume of the resting concrete [m3] and its depth at the near end [m].
+        """Return the volume [m3] and the depth at the near end [m] of resting concrete.
 
         `far` is the depth of the concrete at its far end [m], and `reach` is the distance between both ends [m].
         """
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
-            # Integrate the square of the depth instead of the depth. At the front, where the depth is zero, the slope
-            # of the square stays finite.
+            # Integrate the square of the depth, because the slope of the depth itself is infinite at a front, where the
+            # depth is zero.
             middle = math.sqrt(depth * depth + pull * step * (width + 2 * depth) / width)
             after = math.sqrt(depth * depth + 2 * pull * step * (width + 2 * middle) / width)
             sum += 0.5 * (depth + after) * step * width
@@ -163,9 +164,9 @@ def box_at_rest(
 def box_slope(near: float, width: float) -> tuple[float, float]:
     """Return two integrals over the depth of concrete at rest in a long box, from 0 at its front to `near` [m].
 
-    They follow from the equation of :func:`box_at_rest` (Roussel 2007). Let tau be the yield stress, rho the density, g
-    the gravity, b the box's `width` [m], and A = 2 tau / (rho g b). The first integral [m] is A times the length that
-    the concrete covers. The second integral [m2] is A / b times the volume of the concrete.
+    The integrals solve the equation of :func:`box_at_rest` (Roussel 2007). Let tau be the yield stress, rho the
+    density, g the gravity, b the box's `width` [m], and A = 2 tau / (rho g b). The first integral [m] is A times the
+    length that the concrete covers. The second integral [m2] is A / b times the volume of the concrete.
     """
     bent = 0.5 * width * math.log1p(2 * near / width)
     return near - bent, 0.5 * near * near - 0.5 * width * (near - bent)
@@ -183,8 +184,8 @@ def box_yield_stress(reach: float, volume: float, width: float, density: float, 
         reach_a, volume_a = box_slope(near, width)
         return volume_a / reach_a - mean
 
-    # The mean depth is between a half and two thirds of the depth at the near end. The depth at the near end is
-    # therefore searched between 1.5 and 2 times the mean depth.
+    # The mean depth is between a half and two thirds of the depth at the near end, so search the latter between 1.5 and
+    # 2 times the mean depth.
     near = root(too_deep, 1.5 * mean, 2 * mean)
     return 0.5 * density * gravity * width * box_slope(near, width)[0] / reach
 
@@ -198,10 +199,10 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 
 
 def duct_constants(aspect: float) -> tuple[float, float]:
-    """Return the shape constants a and b of a rectangular duct (Kozicki, Chou & Tiu 1966) for :func:`duct_stress`.
+    """Return the constants a and b of a rectangular duct in the formula of Kozicki, Chou & Tiu (1966).
 
-    `aspect` is the short side divided by the long side, 0 to 1. Values between the tabulated ratios are interpolated. A
-    slot has a = 1/2 and b = 1.
+    They depend on the shape only; :func:`duct_stress` states the formula. `aspect` is the short side divided by the
+    long side, 0 to 1. Values between the tabulated ratios are interpolated. A slot has a = 1/2 and b = 1.
     """
     ratio = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
     a, b = (0.5, 0.4132, 0.3212, 0.2440, 0.2178, 0.2121), (1.0, 0.9085, 0.8182, 0.7278, 0.6831, 0.6771)
@@ -214,9 +215,9 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. A slip `layer`
-    adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield stress [Pa].
-    For laws other than Bingham's, it is also given by its flow index and its quadratic coefficient.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. `layer`
+    describes a slip layer at the walls, whose slip velocity is added: its viscosity divided by its thickness [Pa s/m],
+    its yield stress [Pa], and, for laws other than Bingham's, its flow index and its quadratic coefficient.
 
     The formula of Kozicki, Chou & Tiu is exact in slots and pipes. Let v be the mean speed, R the hydraulic radius, tau
     the wall stress, g(s) the shear rate at a stress s, and a and b two constants of the cross-section. The formula
@@ -247,9 +248,8 @@ def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)
         return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity
-    # Replace the stress by the variable x, from 0 at the yield stress to 1 at the largest stress, so that stress =
-    # yield stress + (largest stress - yield stress) x^3. As a function of x, the integrand is smooth even at the yield
-    # stress, below which the shear rate is zero.
+    # Substitute stress = yield stress + (wall stress - yield stress) x^3, with x from 0 to 1. The integrand as a
+    # function of x is smooth even at the yield stress, where the shear rate may have an infinite slope.
     x = 0.5 * (NODES + 1)
     over = np.maximum(stress - law.yield_stress, 0.0)[:, None]
     at = law.yield_stress + over * x**3
@@ -265,11 +265,12 @@ def funnel_time(
 ) -> float:  # fmt: skip
     """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
-    The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
-    holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
-    the whole funnel [m]. `layer` is a slip layer on all walls, as in :func:`duct_stress`; without it, concrete sticks
-    to them. The extensional flow in the taper is left out. The time is counted until the level reaches the straight
-    outlet. The concrete left in the outlet is already falling, whereas the model of slices would hold it back.
+    The funnel is modelled as a stack of slices, each with the friction of a duct, and a jet with inertia at the outlet.
+    Stretching of the concrete in the taper is neglected. `half_widths` holds the half widths at the outlet and at the
+    brim [m]. `heights` holds the heights of the straight outlet and of the whole funnel [m]. `layer` is a slip layer on
+    all walls, as in :func:`duct_stress`; without it, concrete sticks to them. The result is the time until the surface
+    of the concrete reaches the straight outlet. The concrete left in the outlet is then already falling, although the
+    friction of its slices would hold it back in the model.
     """
     narrow, brim = half_widths
     throat, whole = heights
@@ -278,8 +279,9 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # Compute the pressure of the weight above the outlet minus the losses by friction and inertia [Pa], for each outlet
-    # speed and each height of the concrete's surface in the funnel.
+    # For each outlet speed and each height of the concrete's surface in the funnel, compute the pressure of the weight
+    # above the outlet, minus the losses by friction and inertia [Pa]. The outlet speed is the one for which the
+    # difference is zero.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,

@@ -9,10 +9,10 @@ import warp as wp
 
 
 def allocate(struct: Any, device: Any, into: Any = None, **values: Any) -> Any:
-    """Set members of a kernel struct to new device arrays, and return the struct.
+    """Fill members of a kernel struct with new device arrays, and return the struct.
 
-    `into` is the instance to change; without it a new instance is created. For each member, the value is either host
-    data, which is copied to the device, or the size of an array of zeros.
+    The struct is `into`, or a new instance of `struct` if `into` is None. Each keyword argument names a member. Its
+    value is either host data to copy to the device, or a number of elements, for an array of zeros.
     """
     made = struct() if into is None else into
     for name, value in values.items():

@@ -59,9 +59,10 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    # Measure the wall time of several steps together, but of no more steps than lie between two samples.
+    # Time several steps together. Their number is limited, so that they do not span more than one interval between
+    # samples.
     count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
-    loading.flow.take(count)  # This call loads the kernels, so that later timings exclude the loading.
+    loading.flow.take(count)  # The first steps load the kernels. They are taken here, so that the loading is not timed.
     course = course_of(loading)
     loading.release()
     simulation, placing = timed(begun, loading.device)
@@ -101,10 +102,10 @@ def flow_forecast(
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow; return its run, its simulated time [s], and a list of remarks.
 
-    The copy's scene equals that of the flow except for the attributes in `changes`. If the copy has not become steady,
-    the only remark is the text `unmet`, followed by the simulated time. If the copy stops with an error, the returned
-    run is None and the only remark states the error. The returned time is then the longest time that the flow may
-    simulate.
+    The copy's scene equals that of the flow except for the attributes in `changes`. The list of remarks is empty if the
+    copy has become steady. Otherwise it holds one remark, which is the text `unmet` with the simulated time. If the
+    copy stops with an error, the returned run is None, the time is the longest one that the flow may simulate, and the
+    remark states the error.
     """
     copy = None
     try:
@@ -124,14 +125,15 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
 
 
 def step_time(simulation: Any) -> float:
-    """Return the wall time of a step [s]."""
+    """Measure the wall time of a step and return it [s]."""
     flow = simulation.flow
-    flow.take(TIMED_STEPS)  # This call captures the launch graph, so that the capture is not timed.
+    # The first steps capture the launch graph. They are taken here, so that the capture is not timed.
+    flow.take(TIMED_STEPS)
     times: list[float] = []
     while sum(times) < TIMING_TIME:
         times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
-    # Other programs can only make steps slower, and they disturb only a small part of a long run. The lower quartile of
-    # the measured times is therefore a good estimate of the typical time.
+    # Other programs that run at the same time can only make the measured steps slower, and would slow down only a small
+    # part of a long run. Therefore use the lower quartile of the measured times instead of their mean.
     return float(np.quantile(times, 0.25)) / TIMED_STEPS
 
 

@@ -19,17 +19,19 @@ BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "
 LAW_DEFAULTS = {
     "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
 }  # fmt: skip
-"""Default values of the constants that other laws than Bingham's have; with these values a law is Bingham's."""
+"""Names and default values of the constants that only other laws than Bingham's need. With the default values these
+laws are equal to Bingham's law."""
 CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
-"""Names of all constants and factors of a named concrete; parameters of the same names replace its values."""
+"""Names of all constants and factors of a concrete. A scene's parameter of such a name replaces the value of the named
+concrete."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
 
 def concrete_names() -> tuple[str, ...]:
-    """Return the names that the parameter `concrete` of a flow accepts, apart from files."""
+    """Return the names that the parameter `concrete` of a flow accepts in addition to paths of files."""
     return *flowing(), "own"
 
 
@@ -113,12 +115,12 @@ class ConcreteParameters:
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """Return a concrete by name or from a file, or `own` with all :data:`BINGHAM_CONSTANTS`.
+    """Return a concrete by its name, from a file, or, for the name `own`, from the argument `constants` alone.
 
-    Given constants replace those of the named concrete, and factors scale the result (:func:`scaled`). For a concrete
-    in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has a thickness [m]
-    and no slip viscosity is given. Raises :class:`SceneError` if constants are missing, or if the table does not list
-    the thickness.
+    The values in `constants` take the place of the concrete's own, and factors among them multiply the result
+    (:func:`scaled`). For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if
+    the slip layer has a thickness [m] and `constants` has no slip viscosity. Raises :class:`SceneError` if one of
+    :data:`BINGHAM_CONSTANTS` is missing, or if the table does not list the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if _is_complete(name, given) else _flow_of(name)
@@ -148,10 +150,11 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
 
 
 def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
-    """Return True if `given` has enough constants, so that the concrete called `name` need not be looked up.
+    """Return whether `given` contains enough constants that the concrete called `name` need not be looked up.
 
-    Usually all constants in `CONSTANTS` are needed. If `name` is the path of a file that no longer exists, Bingham's
-    constants are enough, because the records of runs of earlier versions contain only these.
+    `given` maps names of constants to values. Usually all constants in `CONSTANTS` are needed. If `name` is the path of
+    a file that no longer exists, Bingham's constants are enough, because the records of runs of earlier versions
+    contain only these.
     """
     known = [each for each in CONSTANTS if given.get(each) is not None]
     return len(known) == len(CONSTANTS) or (
@@ -180,8 +183,9 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
     """Return the aggregate's parameters from the concrete file that a scene's parameters name.
 
-    They are volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is empty
-    unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of these values.
+    These are the volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is
+    empty unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of these
+    values.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

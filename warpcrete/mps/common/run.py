@@ -18,29 +18,29 @@ from ...core.units import quantity
 
 
 class FlowRun(Simulation):
-    """Simulation of one flow.
+    """Base class of the simulation of one flow.
 
-    The attribute `flow` holds the flow once the particles are placed. The flow must have the members `state`,
-    `state_dict`, `load_state_dict`, `count` and `steps`.
+    When the particles have been placed, the attribute `flow` is the object that advances the flow in time. It must have
+    the members `state`, `state_dict`, `load_state_dict`, `count` and `steps`.
     """
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Key of the run's result under which the value of `steady` is stored."""
+    """Key under which the run's result stores the attribute `steady`."""
     method: ClassVar[str] = "mps"
     """Name of the simulation method in the run's result."""
     cure: ClassVar[str] = "use a smaller 'time_step'"
     """Advice for the user if a value of the time series is not finite."""
 
     def set_up(self) -> None:
-        """Start with an empty time series; the particles take much memory and are therefore placed later."""
+        """Start with an empty time series; `prepare` places the particles later, because they take much memory."""
         self._rows: list[dict[str, float]] = []
         self.steady = False
         """True once the flow has become steady or, with a free surface, come to rest."""
 
     @abstractmethod
     def place_flow(self) -> Any:
-        """Return the flow at its start, with its particles placed."""
+        """Place the particles and return the flow in its initial state."""
 
     @abstractmethod
     def measured(self) -> dict[str, float]:
@@ -56,12 +56,12 @@ class FlowRun(Simulation):
 
     @property
     def prepared(self) -> bool:
-        """True if the particles have been placed."""
+        """True after the particles have been placed."""
         return hasattr(self, "flow")
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far."""
+        """Rows of the time series recorded so far."""
         return self._rows
 
     @property
@@ -84,7 +84,7 @@ class FlowRun(Simulation):
                 raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; {self.cure}")
 
     def measure(self) -> dict[str, float]:
-        """Measure the flow and append the row to `rows`."""
+        """Measure the flow, append the values to the time series as a row, and return this row."""
         row = self.measured()
         self._rows.append(row)
         return row
@@ -106,8 +106,8 @@ class FlowRun(Simulation):
         self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
 
     def release(self) -> None:
-        """Release the device memory; the results of the run stay."""
-        for name in ("flow", "stepper"):  # A run that failed early may lack these attributes.
+        """Release the device memory; the results of the run stay available."""
+        for name in ("flow", "stepper"):  # A run that failed before its particles were placed lacks these attributes.
             self.__dict__.pop(name, None)
 
     def series(self) -> dict[str, np.ndarray]:

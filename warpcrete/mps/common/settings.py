@@ -15,7 +15,7 @@ STEP_ERROR = (
 
 
 def check_interval(scene: Any) -> None:
-    """Refuse a sample interval that no run can keep: one shorter than the time step, if all steps are equal."""
+    """Raise :class:`SceneError` if the sample interval is shorter than the time step, and all time steps are equal."""
     positive("sample_interval", scene.sample_interval, "s")
     if not scene.step_error:
         between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use the time step or more")

@@ -1,6 +1,6 @@
 """Time stepping of flows: launch recorded graphs of several steps, for one flow or for several flows on one GPU.
 
-After several graphs, the host reads the control flags on the device, which tell how many steps the flow has completed.
+After several graphs, the host reads the control flags from the device. They contain the number of completed steps.
 """
 
 from __future__ import annotations
@@ -25,22 +25,30 @@ from ...kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ...kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps in one launch graph.
-GRAPHS_PER_CHECK = 4  # Number of launch graphs of the largest size between two reads of the control flags.
+# Maximum number of steps in one launch graph, on one CPU thread, on several CPU threads, and on a GPU.
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
+GRAPHS_PER_CHECK = 4  # Maximum number of launch graphs, of the largest size, between two reads of the control flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 VELOCITY_ERROR = 1e-6
-"""Tolerance of the viscosity solve, relative to the residual of velocities whose error equals the piston's speed."""
+"""Tolerance of the viscosity solve, which stops when the norm of its residual is below this fraction of a typical norm.
+The typical norm is that of the residual if every velocity is wrong by the typical speed of the flow; in a pipe, this
+speed is the mean velocity."""
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
-"""Ratio of the absolute to the relative tolerance of the pressure solve.
+"""Second tolerance of the pressure solve, divided by the scene's `tolerance`.
 
-The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
+The solve stops when its residual is below `tolerance` times the initial residual. It also stops below the second
+tolerance times a fixed residual, namely that of a flow whose divergence is everywhere its typical speed divided by a
+typical length (in a pipe, its radius).
 """
 MAX_CONCURRENT_FLOWS = 64
 """Maximum number of independent flows that are simulated on one GPU at the same time."""
 
 
 class Stepping(ABC):
-    """Flow that advances in time by replaying launch graphs; steps have a constant size unless a subclass adapts it."""
+    """Base class of flows that advance in time by replaying launch graphs.
+
+    All time steps have the same length unless a subclass adapts it.
+    """
 
     scene: Any
     device: Any
@@ -55,19 +63,23 @@ class Stepping(ABC):
     _launcher: Launcher
     _step: Step | None
     _goal: int = 0
-    """Total number of time steps after which the simulation pauses, because it has reached its goal."""
+    """Number of time steps, counted from the start of the run, at which the flow stops until a new goal is set."""
 
     @property
     @abstractmethod
     def step(self) -> Step:
-        """Stages of one step, one list for each thread."""
+        """Stages of one time step (kernel launches and barriers), one list for each thread."""
 
     @abstractmethod
     def solves(self) -> dict[int, Any]:
         """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""
+        """Return a stage that launches `kernel`.
+
+        Its arguments are those in `named`; all other parameters of the kernel receive the flow's arrays of the same
+        names.
+        """
         return Stage(kernel, dim, completed(kernel, named, self._kernel_arrays), self.device, block=block)
 
     @property
@@ -79,11 +91,11 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Do what the last step requested before the next step can begin, such as a rebuild of the neighbour lists."""
+        """Do the work that the last step requested before the next one begins, such as a rebuild of neighbour lists."""
         raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
-        """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
+        """Set the number of flows that share the GPU; each flow's solves may occupy only their share of its blocks."""
         if abreast != self.abreast:
             self.abreast, self._step = abreast, None
             self._launcher.invalidate_graphs()
@@ -94,7 +106,7 @@ class Stepping(ABC):
         self._run_to_goal()
 
     def advance(self, until: float) -> None:
-        """Take whole steps, so that the last one ends as near to the time `until` [s] as possible.
+        """Take whole steps until the time is as close to `until` [s] as possible.
 
         The method raises the same errors as :meth:`take`.
         """
@@ -107,7 +119,7 @@ class Stepping(ABC):
             self.settle()
 
     def set_goal(self, until: float = math.inf, steps: int | None = None) -> None:
-        """Set the goal: the step that ends nearest to `until` [s], or a total number of steps."""
+        """Set the number of steps at which the flow stops: `steps`, or the step that ends nearest to `until` [s]."""
         self._goal = math.floor(until / self.scene.time_step + 0.5) if steps is None else steps
 
     @property
@@ -117,7 +129,7 @@ class Stepping(ABC):
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps still to take, possibly an estimate; at least one before the goal is reached."""
+        """Number of steps to the goal, which a subclass may estimate; at least 1 before the goal is reached."""
         return self._goal - self.steps
 
     def launch(self) -> None:
@@ -135,7 +147,10 @@ class Stepping(ABC):
         return LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
 
     def settle(self) -> None:
-        """Wait for the launched steps, and read how many are completed; if a step failed, raise its error."""
+        """Wait for the launched steps, read how many are completed, and do the rebuild that they may have requested.
+
+        If a step failed, its error is raised.
+        """
         flags = self.flags.numpy()
         self._read_progress(flags)
         if flags[int(FAILED)]:
@@ -144,7 +159,7 @@ class Stepping(ABC):
             self.build()
 
     def _read_progress(self, flags: np.ndarray) -> None:
-        """Take the number of completed steps from the control flags, and compute the simulated time from it."""
+        """Read the number of completed steps from the control flags, and compute the simulated time from it."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
 
@@ -173,7 +188,7 @@ class Stepping(ABC):
 
 
 class _Run:
-    """Simulation that runs next to others, on a GPU stream of its own."""
+    """Simulation that runs at the same time as others, on a CUDA stream of its own."""
 
     def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
         self.simulation, self.checkpoint = simulation, checkpoint
@@ -198,7 +213,7 @@ class _Run:
         self._resume(None)
 
     def launch_steps(self) -> None:
-        """Launch steps towards the goal; the device takes them while Python goes on."""
+        """Launch steps towards the goal without waiting for their completion."""
         try:
             with wp.ScopedStream(self._stream) if self._stream else nullcontext():
                 self._flow.launch()
@@ -232,7 +247,7 @@ class _Run:
         except StopIteration as end:
             self.outcome = end.value
         except (Exception, KeyboardInterrupt) as failure:
-            # Drop the traceback, because its frames keep device memory alive.
+            # Clear the frames of the traceback, because their local variables keep device memory allocated.
             traceback.clear_frames(failure.__traceback__)
             self.outcome = failure
 
@@ -253,10 +268,10 @@ def run_abreast(
 ) -> list[Run | BaseException]:
     """Run flows of one device and return the run or the error of each.
 
-    On a GPU, as many flows as fit run at the same time, each on its own stream. On a CPU the flows run in turn.
-    All flows launch together and are checked together, because reading an array waits for the whole device. Each flow
-    gives the same bits as when it runs alone, and a failure does not affect the others. After an interruption (Ctrl-C)
-    unfinished runs are returned unfinished; `KeyboardInterrupt` takes the place of runs that had not begun.
+    On a GPU, as many flows as fit run at the same time, each on its own stream. On a CPU the flows run in turn. Reading
+    an array waits for all streams of the device. All flows are therefore launched together and then checked together.
+    Each flow gives the same bits as when it runs alone, and a failure does not affect the others. After an interruption
+    (Ctrl-C) unfinished runs are returned unfinished; `KeyboardInterrupt` takes the place of runs that had not begun.
     """
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)
@@ -284,7 +299,7 @@ def _run_together(runs: list[_Run], device: Any, progress: Progress) -> None:
             except CapacityError as error:
                 run.simulation.release()
                 if under_way:
-                    full = True  # No further run fits into memory until one has ended.
+                    full = True  # Memory has no room for a further run until one has ended.
                     break
                 run.outcome = error
             except (Exception, KeyboardInterrupt) as failure:

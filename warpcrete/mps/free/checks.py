@@ -16,7 +16,7 @@ def check_flow(volume_error: float) -> Check:
 
     @with_cures(CURES)
     def check(run: Run) -> dict[str, tuple[bool, str]]:
-        """Return the checks of a run by name: whether each one passed, and what it found."""
+        """Return the checks of a run by name: whether each one passed, and the measured value as text."""
         if "volume_error" not in run.result:
             return {"finished": (False, "the run recorded no sample after its start")}
         volume = run.result["volume_error"]

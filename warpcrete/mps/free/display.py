@@ -18,11 +18,11 @@ MAX_PARTICLES = 12000
 """Maximum number of particles in files for ParaView, mirror images included."""
 PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1
-"""Depth with which a flow in a plane is drawn [m]."""
+"""Depth along y of the drawn body of concrete in a plane flow, which itself has no depth [m]."""
 SHOWN_SHEAR = 0.02
-"""Shear rate at the upper end of the colour scale, as a fraction of a typical shear rate. The typical rate is the
-initial pressure of the concrete on its base, less the yield stress, divided by the plastic viscosity. The upper end is
-then rounded up."""
+"""Upper end of the colour scale of the shear rate, as a fraction of a typical shear rate. The typical rate is (p -
+tau_0) / mu, with the initial pressure p of the concrete on its base, the yield stress tau_0 and the plastic viscosity
+mu. The upper end is then rounded up."""
 
 
 class FreeDisplay(GridDisplay):
@@ -44,7 +44,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def _mirrored(self) -> list[tuple[float, float]]:
-        """Signs of x and y for each mirror image of a three-dimensional flow, the original included."""
+        """Signs of x and y for each image of a three-dimensional flow: the original and its mirror images."""
         sides = self.simulation.scene.sides
         if not self._solid:
             return [(1.0, 1.0)]
@@ -54,7 +54,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def copies(self) -> int:
-        """Number of images of each displayed particle, itself included: 1 in two dimensions; 1, 2 or 4 in three."""
+        """Number of images of each particle: 1 in two dimensions; 1, 2 or 4 in three, due to planes of symmetry."""
         return len(self._mirrored)
 
     @property
@@ -64,7 +64,7 @@ class FreeDisplay(GridDisplay):
         return np.arange(0, count, max(1, -(-count * self.copies // MAX_PARTICLES)))
 
     def radii(self) -> np.ndarray:
-        """Return the radii of drawn particles [m], larger where fewer of the particles are drawn."""
+        """Return the radii of drawn particles [m]; they are larger if only some of the particles are drawn."""
         count, drawn = self.simulation.state.count, self.drawn_particles
         fewer = (count / max(len(drawn), 1)) ** (1 / self._layout.axes)
         return np.full(len(drawn) * self.copies, 0.5 * self._layout.particle_spacing * fewer, np.float32)
@@ -78,7 +78,8 @@ class FreeDisplay(GridDisplay):
         x = self.read("particles.position").astype(float)[particles]
         if not self._solid:
             return np.insert(x, 1, 0.0, axis=1)
-        # Particles that have left the simulated space are drawn at a place below it, where they are out of sight.
+        # Particles that have left the simulated space have mass 0. Draw them at a point below it, where they are out of
+        # sight.
         gone = self.read("particles.mass")[particles] == 0
         x[gone] = [0.0, 0.0, -0.5]
         return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
@@ -88,7 +89,7 @@ class FreeDisplay(GridDisplay):
         if self._solid:
             for axis, side in enumerate(("left", "front")):
                 level = level.mirrored(axis) if self.simulation.scene.sides.get(side) == MIRROR else level
-        elif not self._axial:  # Draw a flow in a plane with some depth.
+        elif not self._axial:  # A plane flow has no depth; draw it with the depth SHOWN_DEPTH.
 
             def deep(values: np.ndarray) -> np.ndarray:
                 return np.repeat(values[:, None], 2, axis=1)
@@ -131,7 +132,7 @@ class FreeDisplay(GridDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, the axis of axisymmetric flow; None for a flow in a plane."""
+        """Coordinate y [m] of the cutting plane, which contains the axis of axisymmetric flow; None for plane flow."""
         return super().cut if self._solid else 0.0 if self._axial else None
 
     def walls(self) -> list[DrawnWall]:
@@ -173,7 +174,7 @@ class FreeDisplay(GridDisplay):
         return np.clip(corners, [0.0, 0.0], [scene.width, scene.height])
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the current position [m], shape (3,), and orientation of a drawn wall, a quaternion (x, y, z, w)."""
+        """Return the current position [m], shape (3,), and orientation quaternion (x, y, z, w) of a drawn wall."""
         lift = 0.0
         if self.walls()[number].moves:
             lift = self.simulation.scene.lift_speed * self.time

@@ -18,7 +18,8 @@ from .scene import FreeScene
 from .simulation import FreeSimulation
 
 DURATION_FACTOR = 1.2
-"""Ratio of the time in which a funnel empties to its closed-form estimate, which neglects stretching in the taper.
+"""Assumed ratio of the simulated time in which a funnel empties to its closed-form estimate. The closed form neglects
+the stretching of concrete in the taper.
 
 Simulations gave ratios from 1.0 to 1.3.
 """
@@ -29,9 +30,9 @@ COARSE_CELLS_HIGH = 12
 def forecast(
     scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation
 ) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
+    """Return the forecast of a run on a Warp `device`; `probe` measures the wall time of recording one frame.
 
-    `make` is the class of the simulation.
+    `make` is the class whose instance simulates the scene.
     """
     step = "step error and a cell's length per step; this is the mean step"
     return flow_forecast(
@@ -54,8 +55,8 @@ def forecast(
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the expected duration and mean time step of a run until the concrete rests or a funnel is empty."""
     scene = simulation.scene
-    # The Courant number limits the time step. Estimate the mean step as the time in which concrete crosses one cell
-    # after it has fallen by its initial height.
+    # A step must not carry concrete farther than about one cell. Estimate the mean step as the time in which concrete
+    # crosses a cell at the speed that it has after falling by its initial height.
     height = scene.extent[1, 1]
     swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
@@ -71,8 +72,9 @@ def course_of(simulation: FreeSimulation) -> Course:
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
-        # The flow of the scene has the same error per step as the flow of the coarser copy. However, concrete crosses
-        # the scene's smaller cells in less time, so the Courant number limits the steps to shorter ones.
+        # With adaptive steps, two limits apply: the error of a step, and the time in which concrete crosses a cell. The
+        # first limit is the same in the copy and in the flow itself. The second is stricter in the flow, whose cells
+        # are smaller, so the flow may need more steps.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

@@ -1,4 +1,4 @@
-"""Settings ("knobs") that trade the accuracy of a free-surface flow for run time."""
+"""Settings ("knobs") that trade accuracy of a free-surface flow for run time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def free_knobs(
     """Yield the parameters that trade accuracy for run time, each with the values to choose from.
 
     The parameters are cell width, time step or its allowed error, regularisation and precision. The cell widths are
-    `spacing` [m] multiplied by each of `factors`. Widths above `coarsest` [m] are left out. If all time steps are
-    equal, cells must also be wider than the distance that concrete covers in one step after a fall by `fall` [m]. The
-    run time is assumed to be proportional to the cell width to the power `power`.
+    `spacing` [m] multiplied by each of `factors`, up to `coarsest` [m]. If all time steps are equal, a cell must also
+    be wider than the distance that concrete covers in one step after falling by `fall` [m]. The run time is assumed to
+    be proportional to the cell width to the power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m")
@@ -31,7 +31,7 @@ def free_knobs(
 
 
 def free_variants(given: FreeConcrete) -> dict[str, dict[str, Any]]:
-    """Return variants of a flow, as changes of its parameters, with half and twice the constants of its concrete."""
+    """Return variants of a flow with half and twice the yield stress or viscosity, as changes of its parameters."""
     found = {}
     for name, words in (("yield_stress", "yield stress"), ("viscosity", "viscosity")):
         value = getattr(given.make_concrete(False), name)

@@ -32,7 +32,7 @@ PARTICLES_PER_AXIS = {2: 3, 3: 2}
 A flow with a free surface needs more particles than a pipe flow.
 """
 NEVER_OPENS = 1e30
-"""Opening time [s] that stands for cells that never open."""
+"""Opening time [s] of cells whose walls never open."""
 
 
 def free_cells(scene: FreeScene) -> tuple[int, ...]:
@@ -99,19 +99,22 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 
 def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return the distance function and the number of each wall except the gate, which is lifted."""
+    """Return the distance function and the kind number of each wall, without the gate, which is lifted."""
     walls: list[tuple[Distance, int]] = [(section_distance(scene, block), ROUGH) for block in scene.blocks]
     return walls + [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
 
 
 def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return the distance function and the number of each wall at the start, the gate included."""
+    """Return the distance function and the kind number of each wall at the start, the gate included."""
     walls = _standing_walls(scene)
     return [*walls, (section_distance(scene, scene.gate), GATE)] if scene.gate else walls
 
 
 def section_distance(scene: FreeScene, polygon: Points) -> Distance:
-    """Return a function that gives the signed distance of points from the body of a polygon [m], negative inside."""
+    """Return a function of points that gives the signed distance [m] from a body, negative inside.
+
+    The body has `polygon` as its section, and is a body of revolution if `scene.round` is true.
+    """
     distance = polygon_distance(polygon)
     if scene.round:
         return lambda points: distance(np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], 1))
@@ -126,7 +129,7 @@ def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
 
 
 def _differing_cells(one: Geometry, two: Geometry) -> np.ndarray:
-    """Return a mask of the cells in which two geometries differ, with the shape of `solid`."""
+    """Return a mask of the cells in which two geometries differ in any array, with the shape of `solid`."""
     faces = (one.part != two.part) | (one.gap != two.gap) | (one.shut != two.shut) | (one.surface != two.surface)
     return (
         faces.any(0)

@@ -1,4 +1,4 @@
-"""Entry of free-surface flows in the list of methods, through which the program runs, draws and reports them."""
+"""Record through which the program finds, runs, draws and reports free-surface flows."""
 
 from ...core.run.method import Method
 from ..common.stepping import run_abreast

@@ -73,5 +73,5 @@ def _curves(scene: FreeScene) -> Mapping[str, str]:
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure of a run folder, or None if the run has only its initial row."""
+    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
     return plot_free(run) if "surface" in run.result else None

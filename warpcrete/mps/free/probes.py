@@ -27,10 +27,9 @@ UNITS = {
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return the horizontal positions of all vertical columns of cells [m], and the height of concrete in each [m].
+    """Return the horizontal positions of all vertical columns of cells [m], and the depth of concrete in each [m].
 
-    In three dimensions the height is averaged over the depth of the simulated space, or around the axis of a round
-    vessel.
+    In three dimensions the depth is averaged over y, or around the axis of a round vessel.
     """
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing
@@ -41,10 +40,10 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _means_of_rings(layout: GridLayout, values: np.ndarray) -> np.ndarray:
-    """Return the means over columns of cells about the axis of a round vessel.
+    """Return the means of values per vertical column of cells over rings about the axis of a round vessel.
 
-    `values` has the shape (..., ny, nx), and the result the shape (..., nx). Each ring is one cell wide, as a cell of
-    an axisymmetric flow.
+    `values` has the shape (..., ny, nx), and the result the shape (..., nx). Each ring is as wide as a cell and
+    contains the columns whose middles lie in it.
     """
     x, y = ((np.arange(n) + 0.5) * h for n, h in zip(layout.cells[:2], layout.room.width[:2], strict=True))
     ring = np.floor(np.hypot(x, y[:, None]) / layout.spacing).astype(int)
@@ -70,7 +69,8 @@ def reach(flow: GridFlow) -> float:
     """Return how far the concrete reaches from the axis or the left side [m], at the height where it is widest."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
     if flow.scene.round:
-        # The radius of a quarter of a disc with the same area.
+        # Only a quarter of a round vessel is simulated. At each height, take the radius of a quarter disc with the area
+        # of the concrete, and return the largest of these radii.
         return float(np.sqrt(4 / np.pi * fill.sum((1, 2)) * layout.spacing * layout.room.width[1]).max())
     if not layout.axial:
         return float((fill.sum(-1) * layout.spacing).max())
@@ -88,9 +88,9 @@ def volume(flow: GridFlow) -> float:
 
 
 def speeds(flow: GridFlow) -> np.ndarray:
-    """Return the speeds in cells that are mostly full [m/s].
+    """Return the speeds in cells that are mostly full of concrete and mostly free of walls [m/s].
 
-    A little concrete in a cell of air falls freely and says nothing about the flow.
+    Cells with little concrete are left out, because isolated drops in the air fall freely.
     """
     state, inner = flow.state, slice(1, -1)
     velocity, axes = state.faces("velocity"), flow.state.layout.axes
@@ -103,7 +103,7 @@ def speeds(flow: GridFlow) -> np.ndarray:
 
 
 def _at_start(layout: GridLayout, about_axis: bool) -> Specimen:
-    """Return the properties of the concrete that a test measures, before the first step, from the initial particles."""
+    """Return the quantities that a standard test measures before the first step, from the initial particles."""
     top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.particle_spacing for axis in (-1, 0))
     return Specimen(
         top=lambda radius: top,
@@ -117,7 +117,7 @@ def _at_start(layout: GridLayout, about_axis: bool) -> Specimen:
 
 
 def specimen(flow: GridFlow) -> Specimen:
-    """Return the properties of the concrete that a test measures, from the fill of the cells and the particles."""
+    """Return the quantities that a standard test measures, from the filled fractions of cells and the particles."""
     layout, (across, height) = flow.state.layout, surface(flow)
     top, far, fill = float((bases(flow) + height).max()), reach(flow), flow.state.cells("fill")
     mass = flow.state.particles.mass.numpy().astype(float)
@@ -125,11 +125,12 @@ def specimen(flow: GridFlow) -> Specimen:
         top=lambda radius: top,
         spread=lambda: 2 * far if flow.scene.about_axis else far,
         height_around=lambda inner, outer: float(np.mean(height[(across >= inner) & (across <= outer)])),
-        # The median of the heights ignores concrete that clings to the walls of a vessel's column.
+        # Concrete clings to the walls of a vessel's column and stands higher there; the median ignores these few
+        # heights.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
         front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,
-        # The outlet lies below the first column of cells. Seen from above, the fullest cell of this column covers the
-        # outlet.
+        # The outlet lies below the first column of cells. Seen from above, concrete covers the outlet as much as it
+        # fills the fullest cell of this column.
         screen=lambda width, breadth: float(fill.reshape(fill.shape[0], -1)[:, 0].max()),
         inside=float(np.sum(mass) / np.sum(layout.mass)),
     )
@@ -138,8 +139,9 @@ def specimen(flow: GridFlow) -> Specimen:
 def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     """Measure a flow and return a row of the time series.
 
-    `whole` is the initial volume of the concrete, in the unit of :func:`volume`. The volume error is the volume that
-    the flow gains or loses at its surface by numerical errors. Concrete that has left through an open side is no error.
+    `whole` is the initial volume of the concrete, in the unit of :func:`volume`. The volume error is the fraction of it
+    that the flow gains (positive) or loses at its surface by numerical errors. Concrete that has left through an open
+    side is not counted as lost.
     """
     concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout, flow.scene.about_axis)
     row = dict.fromkeys(UNITS, 0.0)

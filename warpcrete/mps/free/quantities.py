@@ -18,7 +18,7 @@ from ..grid.geometry import MIRROR, polygon_distance, wall_distance
 from .scene import FreeScene, Points
 
 SAMPLES = 30
-"""Sample points per axis, which give the part of the initial concrete that no wall occupies."""
+"""Number of sample points per axis, from which the free fraction of a space with walls in it is computed."""
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:
@@ -26,7 +26,8 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
 
     `volume` is the initial volume of the concrete [m3]: per metre of depth in a plane, and per radian about an axis.
     """
-    # Each plane of symmetry doubles the volume, because only one half is simulated.
+    # In three dimensions, only one half of the concrete is simulated for each plane of symmetry, so double the volume
+    # for each plane.
     around = 2 * math.pi if scene.axial else 2 ** _mirrors(scene)
     concrete = dict(concrete=scene.concrete, density=scene.concrete.density)
     weight = dict(gravity=scene.gravity, whole=around * volume)
@@ -83,12 +84,12 @@ def start_volume(scene: FreeScene) -> float:
 
 
 def _mirrors(scene: FreeScene) -> int:
-    """Return the number of planes of symmetry."""
+    """Return the number of planes of symmetry at the sides of the simulated space."""
     return list(scene.sides.values()).count(MIRROR)
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
-    """Return the fraction of the concrete's initial space that three-dimensional walls leave free."""
+    """Return the fraction of space in the concrete's initial outline that three-dimensional walls leave free."""
     if not scene.walls:
         return 1.0
     (left, low), (right, high) = scene.extent

@@ -1,4 +1,4 @@
-"""Scenes of concrete with a free surface in a vessel, which a gate may hold back at the start."""
+"""Scenes of concrete with a free surface in a vessel. A gate may hold the concrete back until it is lifted."""
 
 from __future__ import annotations
 
@@ -79,20 +79,20 @@ class FreeScene(Parametrised, FreeSettings):
     height: float
     """Height of the simulated space [m]."""
     spacing: float
-    """Wanted width of the cells [m]; the simulation uses the nearest width of which the width of the simulated space is
-    a multiple."""
+    """Wanted width of the cells [m]; the nearest width is used with which a whole number of cells fits into `width`."""
     outline: Points
-    """Polygon that the concrete fills at the start, except where there are walls."""
+    """Polygon whose interior the concrete fills at the start, except for the parts inside walls."""
     depth: float = 0.0
     """Depth of the simulated space [m]; 0 for a flow in a plane or about an axis."""
     round: bool = False
     """True if the polygons of a flow in space are sections of bodies of revolution about the axis x = y = 0."""
     blocks: tuple[Points, ...] = ()
-    """Polygons that are walls."""
+    """Polygons that are sections of walls at rest."""
     walls: tuple[Wall, ...] = ()
-    """Three-dimensional walls at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
+    """Three-dimensional walls at rest. Concrete is on the side of a wall's closed mesh on which the point `amid`
+    lies."""
     amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point [m] where concrete may be; it shows which side of each wall is open to concrete."""
+    """Point [m] where concrete may be; it tells which side of each closed mesh is open to the concrete."""
     sides: Mapping[str, str] = field(default_factory=dict)
     """Kind of each side of the simulated space, by the names in SIDES.
 
@@ -113,7 +113,8 @@ class FreeScene(Parametrised, FreeSettings):
     """Published values of result quantities, in SI units."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
+    """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
+    such function."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -218,7 +219,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def about_axis(self) -> bool:
-        """True if the vessel is a body of revolution, so that results are those of a heap about the axis."""
+        """True if the vessel is a body of revolution, so that results such as the spread are those of a round heap."""
         return self.axial or self.round
 
     @property

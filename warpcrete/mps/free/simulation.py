@@ -59,7 +59,10 @@ class FreeSimulation(FlowRun):
         return measured(self.flow, self.volume)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
+        """Raise :class:`InstabilityError` if the row contains a number that is not finite, or the plate is too small.
+
+        The plate is too small if the concrete has reached its edge.
+        """
         super().watch_row(row)
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:

@@ -13,7 +13,7 @@ from ...core.drawing.surfaces import Cut, Level, Surface, revolved, smoothed, su
 from .layout import GridLayout
 
 HALF_CELL = 0.5
-"""Largest magnitude of the level-set function that describes the surface of the concrete, in cell widths."""
+"""Largest magnitude, in cell widths, of the level-set function whose zero is the surface of the concrete."""
 FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
 """Name of the field that each colouring shows."""
 
@@ -21,8 +21,8 @@ FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
 class GridDisplay(Display):
     """Display of a flow on a grid: the surface of the concrete, and some of its particles with their mirror images.
 
-    The surface is where the cells are half full, and its colours are means over the particles in the cells beside it.
-    Files for ParaView hold the particles as well.
+    The surface is where the cells are half full. Its colours are means over the particles in the nearest cells.
+    Recordings in files for ParaView contain the particles as well.
     """
 
     noun: ClassVar = "concrete"
@@ -68,7 +68,7 @@ class GridDisplay(Display):
         return palette_colours(values, scale[2], scale[1], self.palette)
 
     def _shown(self, values: np.ndarray) -> np.ndarray:
-        """Convert a field from SI units to the unit of the scale."""
+        """Convert values of the field that colours the display from SI units to the unit of its scale."""
         return values / 1e3 if self.colouring == "pressure" else values
 
     def surface_values(self, surface: Surface) -> np.ndarray:
@@ -86,11 +86,11 @@ class GridDisplay(Display):
         return surface_of(level, self._cutting_plane() if cut else None)
 
     def _cutting_plane(self) -> Cut | None:
-        """Return the cutting plane in the axes of the grid; None if no cut is needed."""
+        """Return the cutting plane in grid coordinates; None for a flow that is not cut open."""
         return None if self.cut is None else Cut(np.array([0.0, 1.0, 0.0]), self.cut)
 
     def _level(self) -> Level:
-        """Return the level-set function of the concrete at the middles of the cells, with mirror images and fields."""
+        """Return the level-set function of the concrete at the cells' centres, with mirror images and fields."""
         layout = self._layout
         places = tuple(
             layout.room.origin[k] + (np.arange(n) + 0.5) * layout.room.width[k] for k, n in enumerate(layout.cells)
@@ -98,11 +98,11 @@ class GridDisplay(Display):
         return Level(places, self._cell_levels(), self._cell_fields())
 
     def _cell_levels(self) -> np.ndarray:
-        """Return the filled fraction of each cell, less one half, first axis first."""
+        """Return the filled fraction of each cell minus one half, shape (nx, ..., nz)."""
         return self._filled() - HALF_CELL
 
     def _filled(self) -> np.ndarray:
-        """Return the fraction of each cell that concrete fills, first axis first.
+        """Return the fraction of each cell that concrete fills, shape (nx, ..., nz).
 
         A step of the flow computes the fractions. Before the first step, and in a state that was read from a file, they
         follow from the volume of the particles in each cell.
@@ -119,7 +119,10 @@ class GridDisplay(Display):
         return np.clip(volume if self.time == 0 else smoothed(volume) / smoothed(np.ones(room.shape)), 0.0, 1.0)
 
     def _of_cells(self, path: str) -> np.ndarray:
-        """Return an array of the state with one value per cell, first axis first, without the frame around the grid."""
+        """Return an array of the state with one value per cell, shape (nx, ..., nz).
+
+        The layer of cells around the grid is left out.
+        """
         values = self.read(path).astype(float).reshape(self._layout.shape)
         return values[(slice(1, -1),) * values.ndim].transpose()
 
@@ -130,7 +133,7 @@ class GridDisplay(Display):
         return np.asarray(np.ravel_multi_index(tuple(index.T), room.cells, mode="clip"))
 
     def _cell_fields(self) -> dict[str, np.ndarray]:
-        """Return shear rate [1/s], speed [m/s] and pressure [Pa] per cell, averaged with its neighbours."""
+        """Return shear rate [1/s], speed [m/s] and pressure [Pa] of cells; means over a cell and its neighbours."""
         cells, shape = self._cells_of_particles(), self._layout.cells
         mass, size = self.read("particles.mass").astype(float), int(np.prod(shape))
         weight = smoothed(np.bincount(cells, mass, size).reshape(shape))

@@ -9,13 +9,14 @@ import numpy as np
 from .geometry import SAMPLES_PER_CELL, Room
 
 THREE_POINTS = 0.125, 0.5, 0.875
-"""Positions of three particles along a cell, in cell widths.
+"""Positions of three particles along a cell, in cell widths from its lower end.
 
-At these positions, the particles' hat-function weights add up to the weights of an evenly filled cell: 0.75 about the
-cell's own middle and 0.125 about the middle of each neighbour.
+Each particle shares its mass among cells by hat functions, which fall from 1 at a cell's centre to 0 at the centres of
+its neighbours. At these positions the shares of the three particles are those of an evenly filled cell: 0.75 for the
+cell itself and 0.125 for each neighbour.
 """
 MAX_MASS = 3.0
-"""Maximum mass of a particle, relative to a particle of normal mass; the minimum is 1 / MAX_MASS."""
+"""Maximum mass of a particle, divided by that of a particle in a full cell; the minimum is 1 / MAX_MASS."""
 
 
 def fill_cells(
@@ -24,15 +25,15 @@ def fill_cells(
     """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
 
     A mass of 1 is that of a particle in a full cell. The particles of a partly filled cell share the mass of the
-    concrete in the cell equally. The total differs only where the particles' mass would lie outside the limits 1 /
-    MAX_MASS and MAX_MASS.
+    concrete in it equally, but each mass is limited to the range from 1 / MAX_MASS to MAX_MASS.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)
     there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
     part = count / per_axis**axes
-    # The surface of the concrete may cross these cells, so they and their neighbours get more sample points.
+    # The surface of the concrete may cross cells that are partly full, and cells of which only one of two neighbours
+    # contains concrete. Compute the filled fractions of these cells from a finer set of sample points.
     edge = (part > 0) & (part < 1)
     for axis in range(axes):
         step = np.diff((part > 0).astype(int), axis=axis) != 0

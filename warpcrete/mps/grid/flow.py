@@ -2,13 +2,13 @@
 
 A step has four parts:
 
-- Particles bring their velocities to the faces of the cells (affine particle-in-cell, Jiang et al. 2015).
+- Particles transfer their velocities to the faces of the cells (affine particle-in-cell, Jiang et al. 2015).
 - An implicit solve changes these velocities by viscosity, walls, pressure and weight.
 - An increment of the pressure removes the divergence of the velocities.
 - Particles take their velocity from the grid and move with it.
 
-The length of steps may adapt to the flow. The equations do not depend on how the particles are arranged, so concrete
-can be sheared without limit.
+The length of the time steps may adapt to the flow. The equations are discretised on the grid and not between particles,
+so concrete can be sheared without limit.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from .stages import DISPERSION_TOLERANCES, GridStep
 from .state import GridState, grid_numbers
 from .systems import CHUNKS, System, solve_arrays, system_of
 
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the net flow into a cell, by precision.
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the net inflow of a cell, by precision.
 MIN_RELATIVE_SPEED = 0.05
-"""Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
+"""Minimum speed by which the error of a time step is divided to get its relative error, as a fraction of the typical
+speed of the flow."""
 CELLS_PER_THREAD = 256
 """Minimum number of cells for each CPU thread."""
-UNREACHABLE_STEPS = 2**31 - 1  # Number of steps that no run ever reaches.
+UNREACHABLE_STEPS = 2**31 - 1  # Number of steps so large that no run reaches it; it stands for no limit.
 
 
 class GridFlow(Stepping):
@@ -64,8 +65,8 @@ class GridFlow(Stepping):
         near, shape = (kind.velocity_neighbours, kind.pressure_neighbours), state.shape
         self.viscous = system_of(self.scalar, self.device, shape, state.layout.axes, near[0])
         self.projection = system_of(self.scalar, self.device, shape, 1, near[1])
-        # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does not need
-        # this system.
+        # A second system, with the matrix of the pressure, moves particles out of crowded regions. A full pipe needs no
+        # such system, because its cells are full by definition.
         self.dispersion = (
             None
             if self.full
@@ -84,9 +85,9 @@ class GridFlow(Stepping):
         self._read_clock()
 
     def _step_control(self) -> Any:
-        """Return the struct `Pace`, which controls the length of steps.
+        """Return the struct `Pace`, which contains the constants that control the length of time steps.
 
-        The method also stores the residual norms at which the solves stop.
+        The method also stores the residual norms at which the linear solves stop.
         """
         pace, scene = Pace(), self.scene
         stop_norm = DISPERSION_TOLERANCES[1]
@@ -156,8 +157,8 @@ class GridFlow(Stepping):
 
     @property
     def _largest_graph(self) -> int:
-        # Check often whether other programs use the cores of the threads, because a step of a flow on a grid takes
-        # long.
+        # Between graphs, the threads check whether other programs use their cores. Steps on a grid take long, so allow
+        # only few of them per graph.
         return LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
 
     @property
@@ -167,7 +168,7 @@ class GridFlow(Stepping):
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal if no time step gets shorter; steps beyond the goal change nothing."""
+        """Number of steps to the goal if no time step gets shorter; steps beyond the goal have no effect."""
         if not self.adaptive:
             return self._goal - self.steps
         by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)
@@ -206,7 +207,7 @@ class GridFlow(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one time step, one list for each thread."""
+        """Stages of one time step (kernel launches and barriers), one list for each thread."""
         if self._step is None:
             self._step = [GridStep(self, range(part, part + 1)).stages() for part in range(self.threads)]
         return self._step
@@ -235,7 +236,7 @@ class GridFlow(Stepping):
 
     @property
     def _force(self) -> float:
-        """Norm of the forces on all faces that change each velocity by the typical speed within the longest step."""
+        """Norm of the force residual if every velocity is wrong by the typical speed, in the longest time step."""
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
 
@@ -253,7 +254,7 @@ class GridFlow(Stepping):
 
     @property
     def _size(self) -> float:
-        """Factor from the rms of a residual to its norm: the square root of the number of initially full cells."""
+        """Factor from the rms of a residual to its norm: square root of the number of initially full cells."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 

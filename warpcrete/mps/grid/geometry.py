@@ -18,24 +18,25 @@ from ...kernels.mps.grid.cells import FIXED, INSIDE
 
 NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
 """Numbers of the kinds of walls. NONE stands for an open cell. PLATE is the wall of a pipe or a side of the simulated
-box. SMOOTH is an axis or plane of symmetry, without friction. GATE is a wall that will open. ROUGH is a wall that
-concrete sticks to. Larger numbers belong to walls that move."""
+box. SMOOTH is an axis or plane of symmetry, without friction. GATE is a wall that will open. ROUGH is a wall to which
+concrete sticks, unless the layout states a slip layer for it. Larger numbers belong to walls that move."""
 WALL, MIRROR, OPEN_SIDE = "wall", "mirror", "open"
 """Kinds of sides of the simulated box: a wall, a plane of symmetry, or an open side."""
 NO_SLIP_VISCOSITY = 1e8
 """Viscosity of a slip layer on which concrete hardly slips [Pa s/m]."""
 MIN_QUARTER_FRACTION = 1e-3
-"""Minimum open fraction of a quarter of a cell that has an open corner."""
+"""Minimum open fraction of a quarter of a cell, unless walls close it entirely."""
 MIN_OPEN_FRACTION = 0.01
-"""Fraction above which a cell or a face counts as open."""
+"""Open fraction of a cell or face below which it counts as closed."""
 ALIGNED, MAX_WALL_OFFSET = 0.999, 0.01
-"""Two limits for a cell face that counts as the side of a wall aligned with the grid. ALIGNED is the minimum cosine of
-the angle between the wall's normal and the grid axis. MAX_WALL_OFFSET is the maximum distance of the face from the
-wall, in cell widths."""
+"""Two conditions for a cell face to count as lying on a wall parallel to it. ALIGNED is the minimum cosine of the angle
+between the wall's normal and the face's normal. MAX_WALL_OFFSET is the maximum distance of the face from the wall, in
+cell widths."""
 SAMPLES_PER_CELL = {2: 8, 3: 4}
-"""Number of sample points of a cell along each axis for its open volume; even, so that flat walls are exact."""
+"""Number of sample points per axis in a cell, from which its open volume is computed, by number of axes. The numbers
+are even, so that the volume is exact for a wall through the centre of the cell."""
 LINES_PER_CELL = 8
-"""Number of lines across a face or cell along which its open part is integrated."""
+"""Number of parallel lines across a face or cell, over whose open parts the open fraction is averaged."""
 AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
 """Pairs of axes, each of which spans a plane of shear."""
 
@@ -47,16 +48,18 @@ Distance = Callable[[np.ndarray], np.ndarray]
 class Geometry:
     """Open fractions of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
 
-    `shape` is the shape of the grid with a frame of one cell around it, in reversed order of the axes. Arrays of cells
-    have this shape. Arrays of faces have the shape (axes, *shape), and `depth` has the shape (*shape, 2^axes).
+    All arrays include one layer of cells around the grid. `shape` is the number of cells along each axis, with this
+    layer, last axis first. Arrays of cells have this shape. Arrays of faces have the shape (axes, *shape), and `depth`
+    has the shape (*shape, 2^axes).
     """
 
     solid: np.ndarray
-    """Number of the wall that fills a cell, NONE for an open cell."""
+    """Number of the kind of wall that fills each cell, NONE for an open cell."""
     depth: np.ndarray
     room: np.ndarray
     quarter_fraction: np.ndarray
-    """Open fractions of the quarters of each cell around its edges, shape (*shape, pairs of axes, 4)."""
+    """Open fractions of the four quarters of each cell, for each pair of axes, shape (*shape, pairs of axes, 4). The
+    quarters result from halving the cell along both axes of the pair, so each of them adjoins one edge of the cell."""
     weighted_volume: np.ndarray
     gap: np.ndarray
     part: np.ndarray
@@ -79,8 +82,8 @@ class Room:
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
         """Return a point [m] in each cell of the grid and in each cell of the layer around the grid.
 
-        Each point is `shift` cell widths from its cell's lowest corner. The layer adds 2 points along each axis, and
-        `more` adds further points at the upper end. The shape is (*(cells + 2 + more), axes).
+        Along each axis, a point lies `shift` cell widths from the lower end of its cell. `more` is the number of
+        additional points beyond the upper end of each axis. The shape is (*(cells + 2 + more), axes).
         """
         along = [
             o + (np.arange(-1, n + 1 + more) + s) * h
@@ -92,14 +95,15 @@ class Room:
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
     """Return the geometry of a box with walls: which fractions of its cells, faces and edges are open.
 
-    `walls` are pairs of a distance function and a wall number. Sides of the box that are walls have the number PLATE.
-    If `axial`, the box is a section through the axis of symmetry, and volumes are weighted by the radius.
+    Each of `walls` is a pair of a distance function and a kind number. Sides of the box that are walls have the number
+    PLATE. If `axial`, the flow is axisymmetric, and volumes are weighted by the radius.
     """
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    # Leave the sides of the box out of the distances at the corners, because these sides coincide with sides of cells.
-    # If the distances included them, interpolation would round off every wall that meets a side of the box at an angle.
+    # Leave the sides of the box out of the distances at the corners of cells. The sides of the box coincide with sides
+    # of cells, so they need no interpolation. With them, interpolation would round off every wall that meets a side of
+    # the box at an angle.
     corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
@@ -120,14 +124,15 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         share = _positive_fraction(_corner_values(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
-        # A wall prescribes the velocity across a closed face only if the wall is parallel to the face. Near an inclined
-        # wall this velocity is an unknown.
+        # At a closed face that lies on a wall parallel to it, the velocity normal to the face is that of the wall. Near
+        # an inclined wall, the velocity normal to a closed face is an unknown of the solve.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
-        # A side of the box prescribes the velocity across its faces even inside other walls. If these velocities were
-        # unknowns, they would hardly be determined along an edge between two walls, and solves would converge slowly.
+        # At a face on a side of the box, the velocity normal to the face is that of the side, even where another wall
+        # covers the face. If it were an unknown, an edge between two walls would hardly determine it, and solves would
+        # converge slowly.
         for side, at in zip(room.sides[axis], (1, depth.shape[axis] - 1), strict=True):
             if side == WALL:
                 on_side = closed & (index[axis] == at)
@@ -154,11 +159,11 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
 
 
 def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
-    """Return the open fractions of the quarters of each cell around its edges, shape (pairs, 4, cells...)."""
+    """Return the open fractions of each cell's four quarters for each pair of axes, shape (pairs, 4, cells...)."""
     axes, half = corners.ndim, corners
     for axis in range(axes):
-        # Insert interpolated values midway between the corners, so that the two halves of each cell follow each other
-        # in the array.
+        # Insert the interpolated value midway between two corners of a cell, so that the result has values at the
+        # corners of the two halves of each cell.
         half = np.moveaxis(half, axis, -1)
         middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
         half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
@@ -187,7 +192,7 @@ def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
 def nearest_wall(
     room: Room, walls: Sequence[tuple[Distance, int]], sides: bool = True
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return a function that finds the wall nearest to each of several points: its distance [m] and its number.
+    """Return a function of points that gives the distance [m] and the kind number of the wall nearest to each point.
 
     The points have the shape (..., axes) [m]. With `sides`, the sides of the box that are walls are included.
     """
@@ -214,7 +219,7 @@ def _last_first(array: np.ndarray) -> np.ndarray:
 
 
 def _room_walls(room: Room) -> list[tuple[Distance, int]]:
-    """Return each side of a box that is a wall, as its distance function and the number of the wall."""
+    """Return a distance function and the kind number PLATE for each side of a box that is a wall."""
 
     def plane(axis: int, place: float, sign: float) -> Distance:
         return lambda x: sign * (x[:, axis] - place)
@@ -229,19 +234,19 @@ def _room_walls(room: Room) -> list[tuple[Distance, int]]:
 
 
 def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
-    """Return the open volume around the middle of each cell, weighted as the kernel `fill` weights particles.
+    """Return the open volume around the centre of each cell, weighted as the kernel `fill` weights particles.
 
-    The weight is a hat function that falls to zero at the middles of the neighbouring cells, so a volume counts for
-    several cells. An exception is the part of a volume that would count for a neighbouring cell of `wall`: it counts
-    for the cell in which the volume lies.
+    The weight is a hat function of the position, which falls from 1 at the centre of a cell to 0 at the centres of its
+    neighbours. A volume therefore counts in parts for several cells. The part that would count for a cell of `wall`
+    counts for the cell in which the volume lies instead.
     """
     axes = len(room.cells)
     fine = SAMPLES_PER_CELL[axes]
     inner = (np.arange(fine) + 0.5) / fine
     values = corners
     for axis in range(axes):
-        # Interpolate the corner values linearly to the sample points in the cells. Sample points of one cell are
-        # adjacent in the resulting array.
+        # Interpolate the corner values linearly to the sample points of the cells; those of one cell are adjacent in
+        # the result.
         values = np.moveaxis(values, axis, -1)
         low, high = values[..., :-1, None], values[..., 1:, None]
         values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
@@ -267,9 +272,9 @@ def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np
 def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     """Return the part of each cell's open volume that hat functions assign to neighbouring wall cells.
 
-    A hat function belongs to a cell. It falls linearly from 1 at the centre of the cell to 0 at the centres of the
-    neighbouring cells. Each cell has `fine` sample points along each axis. `found` holds the weights of these points: 0
-    inside a wall, and elsewhere 1 or, about an axis of symmetry, the radius. `wall` is a mask of the wall cells.
+    The hat function of a cell falls linearly from 1 at its centre to 0 at the centres of the neighbouring cells. Each
+    cell has `fine` sample points along each axis. `found` holds the weights of these points: 0 inside a wall, and
+    elsewhere 1 or, in axisymmetric flow, the radius. `wall` is a mask of the wall cells.
     """
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
@@ -278,8 +283,8 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     away = (np.arange(half) + 0.5) / fine
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
-        # The centre of a cell divides the cell into two halves along each axis, and `side` names one of them for each
-        # axis. Select the sample points that lie in all of these halves, in order from the centre outward.
+        # The centre of a cell divides it into two halves along each axis; `side` tells for each axis whether the upper
+        # half is meant. Select the sample points in the common part of these halves, in order from the centre outward.
         rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
         part = inner[(..., *rays)]
         for beyond in list(np.ndindex((2,) * axes))[1:]:
@@ -340,7 +345,7 @@ def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> 
 def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, int] = (0, -1)) -> Distance:
     """Return a function that gives the signed distance of points from a polygonal wall [m], negative inside the wall.
 
-    The two coordinates of the corners lie along `axes`. The wall extends without end along any other axis.
+    The corners have two coordinates, along the two `axes`. Along any other axis the wall has no ends.
     """
     a = np.array(corners, float)
     b = np.roll(a, -1, 0)

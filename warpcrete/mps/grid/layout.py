@@ -1,4 +1,4 @@
-"""Layout of a grid at the start: its cells, the walls around them, and the concrete in them."""
+"""Initial layout of a flow on a grid: its cells, the walls around them, and the concrete in them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from .geometry import NO_SLIP_VISCOSITY, Geometry, Room
 
 @dataclass(frozen=True)
 class GridLayout:
-    """Grid, walls and particles of a flow at the start."""
+    """Grid, walls and particles of a flow at the start.
+
+    Arrays of cells include one layer of cells around the grid.
+    """
 
     kind: GridKind
     room: Room
     solid: np.ndarray
-    """Wall number of each cell and of the frame of cells around the grid, NONE for open cells; last axis first."""
+    """Number of the kind of wall that fills each cell, NONE for open cells; last axis first, shape `shape`."""
     fluid: np.ndarray
     """Positions of the particles [m], shape (n, axes)."""
     mass: np.ndarray
@@ -27,17 +30,18 @@ class GridLayout:
     slip: tuple[float, float]
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
     speed: float
-    """Typical speed of the flow [m/s], with which errors of the solves are compared."""
+    """Typical speed of the flow [m/s], by which errors of the solves are judged."""
     length: float
     """Length over which the velocity typically varies [m]."""
     frame: float = 0.0
-    """Velocity of the grid along its last axis [m/s]; in a periodic pipe it is the concrete's mean velocity."""
+    """Velocity of the grid along its last axis [m/s]. In a periodic pipe it is the mean velocity of the concrete."""
     drive: float = 0.0
     """Driving force per volume at the start [N/m3]."""
     mean_velocity_fixed: bool = True
     """True if the driving force of a periodic pipe adapts to keep the mean velocity; False if the force is constant."""
     resistance: float = 0.0
-    """Increase of the wall force per volume of a periodic pipe with the mean velocity [kg/m3/s]."""
+    """Derivative of the wall's friction force per volume with respect to the mean velocity, in a periodic pipe
+    [kg/m3/s]."""
     geometry: Geometry | None = None
     """Geometry of walls that cut cells; None if walls are sides of cells."""
     opened: Geometry | None = None
@@ -45,17 +49,19 @@ class GridLayout:
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
-    """True if concrete fills the grid at all times, so that even a flow that is not periodic has no free surface."""
+    """True if concrete fills the grid at all times; without it, only periodic flows have no free surface."""
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
-    """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
+    """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on ROUGH walls; by default concrete sticks to them."""
     slips: bool = True
-    """True if `slip` is the concrete's own slip layer, with its flow law; False if the layer's stress is linear."""
+    """True if `slip` is the concrete's own slip layer, which follows its flow law; False if its stress grows linearly
+    with the slip velocity."""
     rough_slips: bool = False
-    """True if `rough` is the concrete's own slip layer, so that it obeys that layer's law; otherwise it is linear."""
+    """True if `rough` is the concrete's own slip layer, which follows its flow law; False if its stress grows linearly
+    with the slip velocity."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()
-    """Motions of the walls whose numbers follow ROUGH."""
+    """Motions of the moving walls, in the order of their kind numbers ROUGH + 1, ROUGH + 2, ..."""
     inlet: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     """Positions at which particles that have left the grid enter again [m], shape (n, axes).
 
@@ -78,7 +84,7 @@ class GridLayout:
 
     @property
     def axial(self) -> bool:
-        """True for a flow about an axis, which is the left side of the grid."""
+        """True for an axisymmetric flow, whose axis is the left side of the grid."""
         return self.kind.axial
 
     @property
@@ -108,25 +114,25 @@ class GridLayout:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of arrays over the cells and one layer of cells around them, last axis first."""
+        """Number of cells along each axis, last axis first, with one more cell at both ends of the axis."""
         return tuple(n + 2 for n in reversed(self.cells))
 
     @property
     def volume(self) -> float:
-        """Mean volume of a particle [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
+        """Mean initial volume of a particle [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
         radius = float(self.fluid[:, 0].mean()) if self.axial else 1.0
         return radius * float(np.prod([self.particle_spacing * h / self.spacing for h in self.room.width]))
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Rigid-body velocity that a wall imposes on the concrete; the wall keeps its place on the grid."""
+    """Rigid motion of a wall. Its velocity acts on the concrete, but the wall itself stays at its place on the grid."""
 
     velocity: tuple[float, ...]
     """Velocity of the wall [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Angular velocity of the wall [rad/s]. In a plane, whose axes are x and z of space, only the middle component
-    counts."""
+    """Angular velocity of the wall about x, y and z [rad/s]. In a plane flow, which lies in the plane of x and z, only
+    the component about y counts."""
     pivot: tuple[float, ...] | None = None
     """Point about which the wall spins [m]; None for the origin."""
     smooth: bool = False

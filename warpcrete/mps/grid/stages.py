@@ -1,9 +1,9 @@
 """One time step of a flow on a grid, as a list of stages for each thread.
 
-1. Sort particles into cells, find how full the cells are, and gather velocities on the faces.
+1. Sort particles into cells, compute how full the cells are, and transfer velocities from particles to faces.
 2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
 3. Solve for the pressure increment, and remove the divergence of the velocities.
-4. Adapt the driving force, measure the speed, break the structure, and move crowded particles apart.
+4. Adapt the driving force, measure the speed, break the thixotropic structure, and move crowded particles apart.
 5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
 """
 
@@ -33,17 +33,19 @@ from ...kernels.mps.resident_solver import resident_blocks
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
 from .systems import CHUNKS, System
 
-EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
+# Number of layers of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
+EXTRAPOLATED_CELLS = 3
 # Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
-# second is relative to the residual that displaces the volume of a whole cell in one step.
+# second is relative to the residual that arises if every cell must lose its whole volume in one step.
 DISPERSION_TOLERANCES = 0.1, 1e-5
 
 
 class GridStep:
-    """Part of a time step that one CPU thread does, or the whole step on a GPU.
+    """Stages of a time step for one CPU thread, or for the GPU.
 
-    The thread does the work of the threads with the numbers `parts`. The first thread also does what is not divided
-    among threads. All threads meet after each stage.
+    The work of a stage is divided into one share for each thread. `parts` are the numbers of the shares in this object:
+    one share for one of several threads, or all shares for a thread that does the whole step. Share 0 includes the work
+    that is not divided. After each stage, the threads wait for one another.
     """
 
     def __init__(self, flow: Any, parts: range) -> None:
@@ -93,10 +95,11 @@ class GridStep:
     # The following methods make stages from a kernel.
 
     def _shared(self, kernel: Any, count: int, **named: Any) -> list[Stage]:
-        """Return stages in which the threads share the `count` items that a kernel processes."""
+        """Return stages in which the threads share the `count` items of a kernel, and then wait for one another."""
         found, threads = [], self.flow.threads
         for part in self.parts:
-            # This thread processes the strips of items with the numbers part, part + threads, part + 2 threads, ...
+            # The items are divided into strips of STRIP items. This thread processes the strips with the numbers part,
+            # part + threads, part + 2 threads, ...
             strips = len(range(part * STRIP, count, threads * STRIP))
             last = (part + (strips - 1) * threads) * STRIP
             tasks = (strips - 1) * STRIP + min(STRIP, count - last) if strips else 0
@@ -107,13 +110,13 @@ class GridStep:
         return self._shared(kernel, self.slots, **named)
 
     def _alone(self, kernel: Any, tasks: int, **named: Any) -> list[Stage]:
-        """Return stages in which the first thread alone runs a kernel."""
+        """Return stages in which the first thread alone runs a kernel while the others wait."""
         return [*([self.flow.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier]
 
     # The following methods return stages of a step.
 
     def _break_structure(self) -> list[Stage]:
-        """Return stages in which shear and slip break the structure that the concrete gained at rest."""
+        """Return stages in which shear and slip reduce the yield stress that the concrete gained at rest."""
         scene = self.flow.scene
         return self._cells(
             break_kernel(self.scalar, self.kind), breakdown=scene.breakdown,
@@ -123,7 +126,8 @@ class GridStep:
     def _extrapolate(self) -> list[Stage]:
         """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
 
-        The launches alternate between two arrays. They begin with the array for which the last launch writes to the
+        The first launch reads the velocities of the mesh, and each further one those that the launch before it has
+        written. The launches write to the two arrays `flow.extended` in alternation, so that the last one writes to the
         first array.
         """
         flow, found = self.flow, []
@@ -139,8 +143,8 @@ class GridStep:
     def _disperse(self) -> list[Any]:
         """Return stages that move particles out of crowded regions.
 
-        The displacements of the particles follow from a linear system that has the same matrix as the system for the
-        pressure.
+        A linear system with the matrix of the pressure system gives a potential; the displacements are along its
+        gradient.
         """
         kernels, flow = crowd_kernels(self.scalar, self.kind), self.flow
         return [
@@ -150,7 +154,7 @@ class GridStep:
         ]
 
     def _speeds(self) -> list[Stage]:
-        """Return stages that measure the speed of the concrete, from which the length of the next step follows."""
+        """Return stages that measure the speed of the concrete, which determines the length of the next step."""
         kernels, flow = speed_kernels(self.scalar, self.kind), self.flow
         if not flow.parallel:
             return self._alone(kernels.speeds, 1)
@@ -161,7 +165,7 @@ class GridStep:
         ]
 
     def _drive(self) -> list[Stage]:
-        """Return stages that apply the driving force which keeps the mean velocity of a periodic pipe constant."""
+        """Return stages that adapt the driving force of a periodic pipe, so that the mean velocity stays constant."""
         kernels, flow = drive_kernels(self.scalar, self.layout.axes), self.flow
         correct = self._alone(kernels.correct, self.slots)
         if not flow.parallel:
@@ -174,7 +178,7 @@ class GridStep:
         ]
 
     def _complete(self, system: System) -> list[Stage]:
-        """Return the stages that form the coarser levels of a system and list its rows with unknowns."""
+        """Return the stages that compute the coarser multigrid levels of a system, and list its rows with unknowns."""
         kernels, matrix = level_kernels(self.scalar, not self.flow.parallel), system.matrix
         found = []
         for level in range(1, len(system.first) - 1):
@@ -188,8 +192,8 @@ class GridStep:
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
         """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
 
-        The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
-        system.
+        The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below the norm
+        stored in the system.
         """
         flow = self.flow
         lower, upper = (CHUNKS * part // flow.threads for part in (self.parts.start, self.parts.stop))

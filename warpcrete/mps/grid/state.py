@@ -18,19 +18,21 @@ from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
-"""Names of the arrays of particles and of the mesh that the next step depends on."""
+"""Names of the arrays on which the next step depends: those of the particles (PARTICLE_ARRAYS), and those on cells,
+faces and edges (MESH_ARRAYS)."""
 STRUCTURE_ARRAYS = ("gained", "layer")
-"""Names of further mesh arrays that the next step depends on if the concrete gained structure at rest."""
+"""Names of further mesh arrays on which the next step depends if the concrete is thixotropic."""
 FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
-"""Names of the mesh arrays with one entry per face. The next lines name the arrays with one entry per edge, and those
-with one entry per particle. Most other mesh arrays have one entry per cell."""
+"""Names of the mesh arrays with one entry per face. EDGE_ARRAYS names those with one entry per edge, and PARTICLE_LISTS
+those with one entry per particle. Most other mesh arrays have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles")
 SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
-"""Memory of a cell with its faces, system rows and particles [bytes], in single precision, by number of axes."""
+"""Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
+by number of axes."""
 
 FIRST_STEP_RATIO = 0.01
-"""Length of the first step, relative to the longest one, if steps adapt to the flow."""
+"""Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""
 
 
 class GridState:
@@ -47,16 +49,15 @@ class GridState:
     mesh: Any
     """Arrays on cells, faces and edges, a struct `Fields`."""
     geometry: Any
-    """Current geometry of the walls, a struct `Geometry`; the attribute `opened` holds the geometry once the gate has
-    opened.
-    """
+    """Geometry of the walls as the next step uses it, a struct `Geometry`; the attribute `opened` holds the geometry
+    that applies after the gate has opened."""
     walls: Any
     """Motions and slip layers of the walls, a struct `Walls`."""
     grains = None
     """Coarse aggregate; always None, because flows on a grid have no separate aggregate."""
 
     aggregates: Any = None
-    """Arrays of rigid aggregates, which :mod:`warpcrete.suspension` adds; None without aggregates."""
+    """Arrays of rigid aggregates in a flow of :mod:`warpcrete.suspension`; None in other flows."""
 
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
@@ -75,7 +76,8 @@ class GridState:
         drive[int(FORCE)] = layout.drive
         clock = np.zeros(CLOCK)
         clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST_STEP_RATIO if scene.step_error else 1.0)
-        full = np.zeros(self.shape, np.int32)  # Cells of a full pipe always stay full.
+        # Mark the cells that are full at all times with 1: the open cells of a full pipe. All other cells get 0.
+        full = np.zeros(self.shape, np.int32)
         if layout.periodic or layout.full:
             inner = (slice(1, -1),) * layout.axes
             full[inner] = layout.solid[inner] == NONE
@@ -124,7 +126,7 @@ class GridState:
         )
 
     def _rows(self, name: str) -> int:
-        """Return the number of entries of the mesh array with a given name."""
+        """Return the number of entries of the mesh array called `name`."""
         if name in PARTICLE_LISTS:
             return self.count
         if name == "reserved_places":
@@ -140,7 +142,10 @@ class GridState:
         return many.get(name, 1) * self.slots
 
     def _geometry(self, found: Geometry | None) -> Any:
-        """Return a struct `Geometry`; its arrays are empty if walls are sides of cells."""
+        """Return a struct `Geometry`.
+
+        Without a geometry (`found` is None), all walls are sides of cells, and the arrays of the struct are empty.
+        """
         own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
         names = [name for name in self.structs.Geometry.vars if name not in own]
         given = {name: 0 if found is None else getattr(found, name).ravel() for name in names}
@@ -148,7 +153,7 @@ class GridState:
 
     @property
     def particle_spacing(self) -> float:
-        """Distance of particles at the start [m]."""
+        """Distance between neighbouring particles at the start [m]."""
         return self.layout.particle_spacing
 
     def faces(self, name: str) -> np.ndarray:
@@ -158,7 +163,7 @@ class GridState:
     def cells(self, name: str) -> np.ndarray:
         """Return an array of the mesh or geometry with one entry per cell, in double precision.
 
-        The frame around the grid is left out, and the last axis comes first.
+        The layer of cells around the grid is left out, and the last axis comes first.
         """
         of = self.mesh if name in self.structs.Fields.vars else self.geometry
         whole = getattr(of, name).numpy().astype(float).reshape(self.shape)
@@ -180,9 +185,10 @@ class GridState:
 
 
 def check_memory(cells: tuple[int, ...], device: Any, precision: str, more: int = 0) -> None:
-    """Raise :class:`CapacityError` if a grid with these numbers of cells does not fit in memory.
+    """Raise :class:`CapacityError` if a grid does not fit in the free memory of a device.
 
-    `more` is the memory of a cell that is needed beyond that of a plain flow [bytes], in single precision.
+    `cells` is the number of cells along each axis. `more` is memory per cell that the flow needs in addition, for
+    example for aggregates [bytes], in single precision.
     """
     slots = math.prod(n + 2 for n in cells)
     needed = slots * (SLOT_BYTES[len(cells)] + more) * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
@@ -195,7 +201,7 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str, more: int 
 
 
 def grid_numbers(state: GridState) -> Any:
-    """Return the struct of constants of a grid for the kernels."""
+    """Return the struct with the constants of a flow on a grid that kernels receive."""
     scene, layout, concrete = state.scene, state.layout, state.scene.concrete
     g = grid_parameters_struct(state.scalar, layout.axes)()
     down = [0.0] * (layout.axes - 1) + [0.0 if layout.weightless else -scene.gravity]

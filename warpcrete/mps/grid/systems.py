@@ -23,22 +23,25 @@ CHUNKS = 32
 Each chunk yields one partial sum, so sums have the same bits for any number of threads. CHUNKS is also the maximum
 number of threads.
 """
-HISTORY = 256  # Number of iterations of a solve whose residual norms are stored.
+HISTORY = 256  # Maximum number of iterations for which a solve stores the norm of the residual.
 SMALLEST = {"cpu": 2000, "gpu": 150_000}
-"""Number of cells below which a grid has a single level, so that the preconditioner is the diagonal of the matrix.
+"""Minimum number of cells, including those around the grid, for a multigrid preconditioner with several levels. Smaller
+grids have a single level, so that the preconditioner is the diagonal of the matrix.
 
-On smaller grids, coarser levels take more time than they save. The number includes the frame of cells around the grid.
+On smaller grids, coarser levels take more time than they save.
 """
 COARSEST = 32
-"""Maximum number of cells of a level that is not coarsened further."""
+"""Number of cells at or below which a level is not coarsened further."""
 COARSEST_STEPS = 6
 """Number of smoothing steps by which the equations of the coarsest level are solved approximately."""
 VISITS = {"cpu": 2, "gpu": 1}
-"""Number of visits of the next coarser level in a cycle (1 is a V-cycle, 2 a W-cycle).
+"""Number of visits of the next coarser level in a multigrid cycle: 1 is a V-cycle, 2 a W-cycle.
 
-A second visit saves iterations, but on a GPU the barriers of a visit take more time than it saves."""
+A second visit reduces the number of iterations. On a GPU, however, its barriers take more time than it saves.
+"""
 STEPS = {"cpu": 1, "gpu": 2}
-"""Number of smoothing steps before and after a visit of the next coarser level. The finest level always has one."""
+"""Number of smoothing steps before and after the visits of the next coarser level. On the finest level it is always
+1."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class System:
     rows: int
     """Number of rows of the finest level."""
     first: tuple[int, ...]
-    """First row of each level, and the number of rows of all levels."""
+    """Index of the first row of each level, followed by the total number of rows."""
     matrix: Any
     """Coefficients of the systems of all levels, a struct `Matrix`."""
     arrays: Any
@@ -58,9 +61,9 @@ class System:
 def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: int, near: int) -> System:
     """Return a linear system for a grid, with the levels of its preconditioner.
 
-    `shape` is the number of cells along each axis, with the frame around the grid, and with the last axis first. There
-    are `copies` rows for each cell: one per axis for velocities, or a single one for pressures. A row has at most
-    `near` off-diagonal entries.
+    `shape` is the number of cells along each axis, last axis first, including the cells around the grid. There are
+    `copies` rows for each cell: one per axis for velocities, or a single one for pressures. A row has at most `near`
+    off-diagonal entries.
     """
     kind = "gpu" if parallel(device) else "cpu"
     shapes = level_shapes(shape) if math.prod(shape) >= SMALLEST[kind] else [shape]
@@ -78,7 +81,7 @@ def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: in
 
 
 NUMBERS = ("near_capacity", "rows", "levels", "children")
-"""Members of the struct `Matrix` that are numbers."""
+"""Members of the struct `Matrix` that are single numbers, not arrays."""
 
 
 def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
@@ -93,7 +96,7 @@ def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
 
 
 def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Return the numbers of cells along each axis for all levels; each level halves those of the level before it."""
+    """Return the number of cells along each axis for all levels; it halves from each level to the next coarser one."""
     shapes = [tuple(shape)]
     while math.prod(shapes[-1]) > COARSEST and max(shapes[-1]) > 2:
         shapes.append(tuple((n + 1) // 2 for n in shapes[-1]))
@@ -101,9 +104,10 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row of the next coarser level that contains each row, and the rows that each coarser row contains.
+    """Return for each row its parent on the next coarser level, and for each coarser row its children, the finer rows.
 
-    Missing rows are -1. In the second array, the finer rows of each coarser row are adjacent.
+    Rows of the coarsest level have the parent -1. The second array has 2^axes entries for each coarser row, one after
+    the other; entries without a child are -1.
     """
     axes = len(shapes[0])
     parent = np.full(first[-1], -1)
@@ -124,8 +128,9 @@ def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int
     """Return the operations of a multigrid cycle, as `kernels/mps/grid/multigrid.py` describes them.
 
     Each level visits the next coarser one `visits` times, with `steps` smoothing steps before and after the visits. The
-    first smoothing step of a level is part of the preceding operation. The solution of the finest level is in the array
-    `odd` before the cycle, and in the array `even` after it.
+    first smoothing step of a level is part of the operation before it. A level has two arrays for its solution, `even`
+    and `odd`, which smoothing reads and writes in alternation. The solution of the finest level is in `odd` before the
+    cycle, and in `even` after it.
     """
     found: list[tuple[int, int, int, int]] = []
 
@@ -136,7 +141,11 @@ def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int
         return side
 
     def visit(level: int, side: int, first: bool) -> int:
-        """Add a visit of a level whose solution is in the array `side`, and return the array of its new solution."""
+        """Add a visit of a level whose solution is in the array `side`; return the array of its new solution.
+
+        The arrays are 0 for `even` and 1 for `odd`. The `first` visit of a level in a cycle needs one smoothing step
+        less.
+        """
         if level == levels - 1:
             return smooth(level, side, COARSEST_STEPS - first)
         count = steps if level else 1

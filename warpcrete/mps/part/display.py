@@ -1,4 +1,4 @@
-"""Display of a part of a line for recorders: the concrete and a transparent wall."""
+"""Display of a flow through a part of a pump line for recorders: the concrete and a transparent wall."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .probes import friction_ahead
 from .scene import PartScene
 
 WALL_GAP = 0.03
-"""Distance between the concrete and the drawn wall, in radii at the start."""
+"""Distance between the concrete and the drawn wall, divided by the radius of the pipe at the start of the part."""
 MAX_DRAWN_PARTICLES = 12000
 """Maximum number of particles in files for ParaView, mirror images included."""
 FACETS_AROUND, RING_COUNT = 48, 60
@@ -25,7 +25,7 @@ FACETS_AROUND, RING_COUNT = 48, 60
 
 
 class PartDisplay(GridDisplay):
-    """Display of a part of a pump line: concrete coloured by speed, by pressure or by shear rate.
+    """Display of a flow through a part of a pump line: concrete coloured by speed, pressure or shear rate.
 
     If only half of the part is simulated, its mirror image is drawn as well.
     """
@@ -52,7 +52,7 @@ class PartDisplay(GridDisplay):
         return np.arange(0, count, max(1, -(-count * self.copies // MAX_DRAWN_PARTICLES)))
 
     def radii(self) -> np.ndarray:
-        """Return the radii of drawn particles [m], larger if fewer are drawn, so that they always fill the part."""
+        """Return the radii of drawn particles [m]; they are larger if fewer are drawn, to fill the same volume."""
         state, chosen = self.simulation.state, self.drawn_particles
         fewer = (state.count / len(chosen)) ** (1 / 3)
         return np.full(len(chosen) * self.copies, 0.45 * state.particle_spacing * fewer, np.float32)
@@ -65,7 +65,7 @@ class PartDisplay(GridDisplay):
 
     @cached_property
     def _bore(self) -> np.ndarray:
-        """Distance of each cell's centre from the wall or the inlet, whichever is nearer, in cells."""
+        """Distance of each cell's centre from the nearer one of wall and inlet, in cell widths, at most +-0.5."""
         layout = self._layout
         middles = layout.room.places([0.5] * layout.axes)
         inner = (slice(1, -1),) * layout.axes
@@ -112,17 +112,17 @@ class PartDisplay(GridDisplay):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the pressure along the axis, and the theoretical pressure along straight pipes."""
+        """Return the pressure along the axis, and for comparison that of straight pipes with the same bores."""
         return (Profile("pressure", "Pressure [kPa] along the axis [m]", (
             Points("this run", self._pressures, RUN), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 
     def _friction_ahead(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and, for each, the frictional loss from there to the end of the part [Pa]."""
+        """Return arc lengths [m] and, for each, the frictional pressure loss from there to the end of the part [Pa]."""
         return self.snapshot_value("friction ahead", lambda: friction_ahead(self.simulation.flow))
 
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and the mean pressure of each section, weight included [kPa]."""
+        """Return arc lengths [m] and the mean pressure in the cross-section at each of them, including weight [kPa]."""
         place, friction = self._friction_ahead()
         return place, (friction + self._scene.weight(place)) / 1e3
 
@@ -132,7 +132,7 @@ class PartDisplay(GridDisplay):
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and, for each, the theoretical frictional loss from there to the end of the part [Pa]."""
+        """Arc lengths [m] and, for each, the frictional loss from there to the end of straight pipes by theory [Pa]."""
         end = self._scene.axis.length
         s = np.linspace(0, end, RING_COUNT)
         return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])
@@ -151,8 +151,8 @@ class PartDisplay(GridDisplay):
         else:
             s = np.linspace(0, scene.axis.length, RING_COUNT)
             vertices, faces = scene.axis.swept(s, scene.bore(s), FACETS_AROUND)
-        # Draw the wall a little outside the concrete, because a viewer cannot tell which of two surfaces at the same
-        # place is in front.
+        # Move the drawn wall a little outwards. If it coincided with the surface of the concrete, a viewer could not
+        # tell which of the two is in front.
         outward = vertices - scene.axis.projected(vertices)[0]
         outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
         return [DrawnWall("wall", vertices + WALL_GAP * scene.radius * outward, faces, False, GLASS)]

@@ -15,7 +15,7 @@ from .simulation import PartSimulation
 
 
 def forecast(scene: PartScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
+    """Return the forecast of a run on a Warp `device`; `probe` measures the wall time of recording one frame."""
     return flow_forecast(
         lambda: PartSimulation(scene, device=str(device), precision=precision, threads=threads),
         _course,
@@ -31,7 +31,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 
 
 def _course(simulation: PartSimulation) -> Course:
-    """Return the expected duration and time step of a run that ends when the flow is steady.
+    """Return the expected duration and time step of a run until the flow is steady.
 
     A run of a coarser copy of the flow gives the duration.
     """

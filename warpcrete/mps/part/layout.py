@@ -1,8 +1,8 @@
 """Layout of a part of a pump line on a grid: cells, walls, and the concrete in the part at the start.
 
-The last axis of the grid is the direction in which concrete leaves, through an open side. Concrete enters through a
-plane across the pipe's axis. This plane is a wall that has the velocity of the flow. Particles that have left the grid
-enter again there.
+Concrete leaves along the last axis of the grid, through an open side. It enters through a plane across the pipe's axis,
+which is a wall that moves with the velocity of the flow. Particles that have left the grid enter it again at this
+plane.
 """
 
 from __future__ import annotations
@@ -18,24 +18,22 @@ from ..grid.layout import GridLayout, Motion
 from .scene import PartScene
 
 INLET = ROUGH + 1
-"""Wall number of the plane through which concrete enters."""
+"""Kind number of the wall that represents the plane through which concrete enters."""
 MARGIN_CELLS, INLET_RADIUS = 2, 1.5
-"""Number of cells around the bore (MARGIN_CELLS), and radius of the inlet plane in bore radii (INLET_RADIUS).
-
-The inlet plane extends MARGIN_CELLS cells beyond that radius.
-"""
+"""MARGIN_CELLS is the number of cells between the bore and the sides of the grid. The radius of the inlet plane is
+INLET_RADIUS times the radius of the bore, plus MARGIN_CELLS cells."""
 PARTICLES_PER_AXIS = 2
 """Number of particles per cell along each axis."""
 MIN_AXIS_POINTS, POINTS_PER_RADIUS = 200, 8
-"""Minimum number of points along the axis at which a part's extent is sampled, and number of points per radius of
-the bore.
-"""
+"""Number of points along the axis from which the extent of a part is computed: POINTS_PER_RADIUS for each radius of the
+bore, but at least MIN_AXIS_POINTS."""
 
 
 class Frame:
-    """Axes of the grid in the space of the scene.
+    """Grid axes in the coordinates of the scene.
 
-    The last axis is the direction of the outlet. The first lies in the plane of the bends, if they have a common plane.
+    The last axis is the direction in which concrete leaves. The first axis lies in the plane of the bends, if they have
+    a common plane.
     """
 
     def __init__(self, scene: PartScene) -> None:
@@ -64,12 +62,13 @@ def part_room(scene: PartScene) -> Room:
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
-    # A longer part needs more sample points, so that they do not miss the farthest point of a bend.
+    # The number of sample points grows with the length of the part, so that they do not miss the farthest point of a
+    # bend.
     count = max(MIN_AXIS_POINTS, math.ceil(POINTS_PER_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.to_grid(points)
-    # A pipe's round cross-section is inclined to the grid. Along a grid axis, it extends from the pipe's axis by its
-    # radius times the sine of the angle between the pipe's tangent and that grid axis.
+    # The cross-section of the pipe is a disc normal to the tangent of its axis. Along a grid axis, this disc extends by
+    # its radius times the sine of the angle between the tangent and the grid axis.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
     low, high = (places - reach).min(0) - MARGIN_CELLS * h, (places + reach).max(0) + MARGIN_CELLS * h
     if scene.is_half:
@@ -83,13 +82,14 @@ def part_room(scene: PartScene) -> Room:
 
 
 def bore_distance(scene: PartScene) -> Distance:
-    """Return a function that gives the distance of grid points from the wall of the bore [m]."""
+    """Return a function of grid points that gives their distance from the wall of the bore [m], positive inside."""
     frame, axis = Frame(scene), scene.axis
     if scene.inner is not None:
         inner = scene.inner
         return lambda x: inner.distance(frame.to_scene(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
-    # In a cone the distance to the wall is the gap perpendicular to the axis times the cosine of the slope.
+    # In a cone, the distance to the wall is the distance normal to the pipe's axis, times the cosine of the cone's
+    # slope.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:
@@ -101,9 +101,10 @@ def bore_distance(scene: PartScene) -> Distance:
 
 
 def inlet_distance(scene: PartScene) -> Distance:
-    """Return a function that gives the distance of grid points from the plane through which concrete enters [m].
+    """Return a function of grid points that gives their distance from the plane through which concrete enters [m].
 
-    Far from the pipe the distance is large, because the plane does not extend there.
+    The distance is positive on the side of the pipe. Away from the pipe it is large, because the plane does not extend
+    there.
     """
     frame = Frame(scene)
     start, tangent = (a[0] for a in scene.axis.at(0.0))
@@ -156,9 +157,9 @@ def part_layout(scene: PartScene) -> GridLayout:
 
 
 def _area(geometry, room: Room, way: np.ndarray) -> float:
-    """Return the area of the inlet plane as represented by cells [m2]: the volume flow divided by the plane's speed.
+    """Return the area of the inlet plane as represented by cells [m2].
 
-    The unit vector `way` is the plane's normal.
+    The volume flow divided by this area is the speed of the plane. The unit vector `way` is its normal.
     """
     liquid = np.zeros(geometry.solid.shape, bool)
     inner = (slice(1, -1),) * 3
@@ -167,7 +168,7 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     for axis in range(3):
         area = room.width[0] ** 2
         closed_area = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
-        # The arrays of cells store the axes in reverse order, so the axis number counts from the end.
+        # Arrays of cells store the axes in reverse order, so grid axis `axis` is the array axis 2 - axis.
         above = np.roll(liquid, 1, 2 - axis)
         total += float(np.sum(closed_area * liquid) - np.sum(closed_area * above))
     return total

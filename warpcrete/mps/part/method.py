@@ -1,4 +1,4 @@
-"""Entry in the list of simulation methods for flows through parts of a pump line."""
+"""Record through which the program finds, runs, draws and reports flows through parts of a pump line."""
 
 from ...core.run.method import Method
 from ..common.stepping import run_abreast

@@ -1,4 +1,4 @@
-"""Matplotlib figures of flows through parts of a line."""
+"""Matplotlib figures of flows through parts of a pump line."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def plot_part(run: Run) -> Any:
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end of each stretch of the pipeline part that is not straight pipe."""
+    """Yield name, begin [m] and end [m] of each stretch of the part that is not straight pipe of constant bore."""
     odd = [section for section in scene.sections if not section.straight]
     if not odd and scene.middle[1] > scene.middle[0]:
         yield "other bore", *scene.middle
@@ -52,5 +52,5 @@ def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure of a run folder, or None if the run has only its initial row."""
+    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
     return plot_part(run) if "profile" in run.result else None

@@ -1,4 +1,4 @@
-"""Measurements of concrete that flows through a part of a line."""
+"""Measurements of concrete that flows through a part of a pump line."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ UNITS = {
 """Units of the columns of the time series."""
 
 FULL = 0.3
-"""Minimum filled fraction of the bore in a slice one cell thick; slices with less are left out of the pressures.
+"""Minimum filled fraction of the bore in a slice one cell thick. In slices with less concrete, no pressure is measured.
 
-The filled volume of a slice is that of the open parts of its cells with concrete.
+The filled volume of a slice is the sum of the open volumes of its cells with concrete.
 """
 
 
 def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return arc lengths [m], and at each of them the mean pressure of the cross-section without weight [Pa].
 
-    The hydrostatic part of the pressure is left out. The rest is the frictional loss between this arc length and the
-    end of the pipe.
+    The solver leaves out the hydrostatic pressure, so this pressure is the frictional loss from the cross-section to
+    the end of the pipe.
     """
     scene: PartScene = flow.scene
     layout = flow.state.layout
@@ -55,9 +55,9 @@ def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return lines fitted to the pressure in the straight pipes upstream and downstream of a part's middle.
 
-    The middle consists of the part's bends and tapers. Each line is returned as its slope [Pa/m] and its value at arc
-    length zero [Pa]. A length of CLEARANCE radii at both ends of a straight pipe is left out. With fewer than three
-    points, slope and value are NaN.
+    The middle is the stretch from the first to the last bend or taper. Each line is returned as its slope [Pa/m] and
+    its value at arc length zero [Pa]. Points closer than CLEARANCE radii to an end of a straight pipe are not used.
+    With fewer than three points, slope and value are NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))
@@ -84,10 +84,9 @@ def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
 def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]:
     """Return the frictional loss of each section of a part of a pump line [Pa].
 
-    The loss is the difference of the pressures at the ends of the section. At the end of a straight stretch, the
-    pressure is that of a straight line. The line is fitted to the pressures in the stretch, without a length of one
-    radius at both ends. At all other ends, and in stretches too short for a line, the pressure is the mean over the
-    cross-section.
+    The loss is the difference of the pressures at the ends of the section. At the ends of straight pipes, the pressure
+    is that of a straight line, fitted to the pressures along the pipe except within one radius of its ends. At all
+    other ends, and in pipes too short for a line, the pressure is the mean over the cross-section.
     """
     sections = scene.sections
     at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]
@@ -116,7 +115,7 @@ def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
 def measured(flow: GridFlow) -> dict[str, float]:
     """Measure a flow through a part of a pump line and return a row of the time series.
 
-    The entry `pressure` is the pressure at the start of the part, including the weight of the concrete.
+    The entry `pressure` is the pressure at the start of the part that balances friction and weight.
     """
     scene: PartScene = flow.scene
     if not flow.steps:
@@ -128,8 +127,8 @@ def measured(flow: GridFlow) -> dict[str, float]:
     top = layout.shape[0] - 1
     out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
-    # A face on the open side has only half a cell of concrete. Its area is therefore the volume of this concrete
-    # divided by half a spacing.
+    # Only half of the control volume of a face on the open side lies in the grid. The area of the face is therefore
+    # that volume divided by half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")

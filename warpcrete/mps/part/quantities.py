@@ -1,4 +1,4 @@
-"""Result quantities of a flow through a part of a line."""
+"""Result quantities of a flow through a part of a pump line."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: the loss of each part, and a note if the flow is not steady."""
+    """Yield further lines of the report: the loss of each section of the part, and a note if the flow is not steady."""
     parts = run.result.get("parts", ()) if run.scene.parts else ()
     for count, part in enumerate(parts, 1):
         ours, theory = number(part["loss"]), number(part["loss_theory"])

@@ -1,4 +1,4 @@
-"""Scenes of a part of a pump line that concrete fills and flows through at a given rate."""
+"""Scenes of a part of a pump line that is full of concrete, which flows through it at a stated rate."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from ..common.settings import STEP_ERROR, check_interval
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
 CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
-"""Limits for the measurement of friction in straight stretches of pipe. CLEARANCE is the length, in radii, that is left
-out next to an end or the middle of the simulated part. MIN_CELLS_LEFT is the minimum number of cells that must
-remain."""
+"""Limits for the measurement of friction in straight pipes. CLEARANCE is the length that is left out at both ends of a
+straight pipe, divided by its radius. MIN_CELLS_LEFT is the minimum length of the rest, in cells."""
 ROUNDNESS_TOLERANCE = 0.03
-"""Maximum relative deviation of a bore's radius around the axis for the theory of round pipes to apply."""
+"""Maximum relative deviation of a mesh's radius, around the axis, from that of a circle of equal area. With larger
+deviations, theory of round pipes is not applied."""
 AXIS_SAMPLES = 60
 """Number of points along the axis at which the bore of a mesh is measured."""
 
@@ -66,55 +66,57 @@ class PartSettings(Declared):
 
 @dataclass(frozen=True)
 class Section:
-    """Piece of a part, such as a bend or a taper, between two arc lengths of the axis."""
+    """Section of a part of a pump line, such as a bend or a taper, between two arc lengths of the axis."""
 
     kind: str
-    """Kind of the piece, such as "straight", "bend" or "taper"."""
+    """Kind of the section, such as "straight", "bend" or "taper"."""
     begin: float
-    """Arc length at which the piece begins [m]."""
+    """Arc length at which the section begins [m]."""
     end: float
-    """Arc length at which the piece ends [m]."""
+    """Arc length at which the section ends [m]."""
     called: str = ""
-    """Description of the piece; empty to use its kind."""
+    """Description of the section; if empty, its kind is used."""
 
     @property
     def straight(self) -> bool:
-        """True if this piece is straight pipe."""
+        """True if this section is straight pipe of constant bore."""
         return self.kind == "straight"
 
     @property
     def label(self) -> str:
-        """Short description of this piece of the pipe's axis, such as its kind."""
+        """Short description of this section, such as its kind."""
         return self.called or self.kind
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PartScene(Parametrised, PartSettings):
-    """Concrete that fills a pipe along an axis, enters at its start and leaves at its end; SI units, z is up."""
+    """Part of a pump line, in which concrete enters at the start and leaves at the end; SI units, z points upwards."""
 
     name: str
     concrete: Concrete
     axis: Axis
     """Axis of the pipe; its first and last pieces are straight."""
     bores: Bores
-    """Inner radii of the round pipe along its axis; they change in straight pieces only."""
+    """Inner radii of the round pipe as a function of the arc length; they change only where the axis is straight."""
     flow: float
     """Volume flow of the concrete through the part [m3/s]."""
     spacing: float
     """Wanted width of the cells [m]; the nearest width that divides the radius at the start is used."""
     parts: tuple[Section, ...] = ()
-    """Parts of a line whose losses are reported; if empty, they follow from axis and bores."""
+    """Sections whose losses are reported; if empty, they are derived from `axis` and `bores`."""
     wall: MeshWall | None = None
-    """Mesh that replaces the round pipe; the bore is the inner surface, seen from the axis (:class:`InnerSurface`)."""
+    """Triangle mesh whose inner surface, as seen from the axis (:class:`InnerSurface`), is the bore; None for a round
+    pipe."""
     insert: tuple[float, float] | None = None
-    """Arc lengths at which a mesh that is shorter than the part begins and ends [m]; None for a mesh of full length.
+    """Arc lengths at which a mesh begins and ends that is shorter than the part [m]; None for a mesh of full length.
 
-    Before and after the mesh, the bore keeps the cross-section of the mesh's nearer end.
+    Before and after the mesh, the bore has the cross-section of the mesh's nearer end.
     """
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
+    """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
+    such function."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,7 +165,7 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
-            # Allow for rounding errors in the comparison, because both lengths are differences of arc lengths.
+            # Compare with a tolerance for rounding errors, because both lengths are differences of arc lengths.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
@@ -177,7 +179,7 @@ class PartScene(Parametrised, PartSettings):
         check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return arc lengths along a mesh's bore [m] and radii of circles of the same area [m]; None without a mesh."""
+        """Return arc lengths [m], and for each the radius of a circle with the bore's area [m]; None without a mesh."""
         object.__setattr__(self, "_inner", None)
         if self.wall is None:
             return None
@@ -199,7 +201,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def inner(self) -> InnerSurface | None:
-        """Inner surface of the mesh; None for a round pipe."""
+        """Inner surface of the mesh; None for a round pipe without a mesh."""
         return getattr(self, "_inner", None)
 
     def bore(self, s: np.ndarray | float) -> np.ndarray:
@@ -211,7 +213,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def radius(self) -> float:
-        """Inner radius of the round pipe at the start [m]."""
+        """Inner radius of the round pipe at the start of the part [m]."""
         return float(self.bores.at(0.0))
 
     @property
@@ -230,7 +232,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def is_half(self) -> bool:
-        """True if only one half of the part is simulated, because the other half mirrors it."""
+        """True if only one half of the part is simulated, because it has a plane of symmetry."""
         return self.wall is None and self.axis.is_plane
 
     @property
@@ -246,7 +248,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def is_round(self) -> bool:
-        """True if the theory of a round pipe holds for the straight stretches."""
+        """True if the straight pipes are round, so that the theory of round pipes applies to them."""
         return getattr(self, "_round", True)
 
     @property
@@ -272,7 +274,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """All pieces of the part in order, from start to end: straight pipes, bends, tapers and so on."""
+        """All sections of the part in order, from start to end: straight pipes, bends, tapers and so on."""
         if self.parts:
             return self.parts
         found, begin = [], 0.0
@@ -286,9 +288,9 @@ class PartScene(Parametrised, PartSettings):
         return tuple(found)
 
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
-        """Yield the sections of a straight piece of the axis.
+        """Yield the sections between two arc lengths [m] on a straight piece of the axis.
 
-        A section is a straight pipe, a taper, or the stretch in which the bore of a mesh varies.
+        A section is a straight pipe, a taper, or the stretch in which a mesh replaces the round pipe.
         """
         odd = [("bore", *self.insert)] if self.insert is not None else []
         if self.wall is None:
@@ -311,7 +313,7 @@ class PartScene(Parametrised, PartSettings):
         return float(ends[1, 2] - ends[0, 2])
 
     def weight(self, s: np.ndarray) -> np.ndarray:
-        """Return the hydrostatic pressure [Pa] of concrete between arc lengths `s` [m] and the end, shape as `s`."""
+        """Return the hydrostatic pressure of the concrete from arc lengths `s` [m] to the end [Pa], shape as `s`."""
         height = self.axis.at(np.append(s, self.axis.length))[0][:, 2]
         return self.concrete.density * self.gravity * (height[-1] - height[:-1])
 
@@ -321,12 +323,12 @@ class PartScene(Parametrised, PartSettings):
         return steady(self.concrete, line, self.flow)
 
     def friction(self, begin: float, end: float) -> float:
-        """Return the frictional loss between two arc lengths [Pa], by theory for straight pipe of each bore."""
+        """Return the frictional loss by theory between two arc lengths [Pa], as the sum over short straight pipes."""
         inner = [place for place in self.bores.places if begin < place < end] if self.wall is None else []
         return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
 
     def _friction(self, begin: float, end: float) -> float:
-        """Return the frictional loss between two arc lengths [Pa]; the bore there must be conical or that of a mesh."""
+        """Return the frictional loss by theory between two arc lengths between which no taper begins or ends [Pa]."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:

@@ -23,7 +23,8 @@ from .quantities import QUANTITIES, RunData
 from .scene import PartScene
 
 SAMPLES = 10
-"""Number of steps during which the pressure must not change. Two such periods in a row make the flow steady."""
+"""Length of the two successive periods over which the pressure must not change in a steady flow, in longest allowed
+time steps."""
 
 
 class PartSimulation(FlowRun):
@@ -53,12 +54,16 @@ class PartSimulation(FlowRun):
         return measured(self.flow)
 
     def ended_early(self) -> bool:
-        """Return whether the frictional pressure has not changed over two successive periods of `SAMPLES` steps."""
+        """Return whether the frictional pressure changed by less than `steadiness` in each of two successive periods.
+
+        The length of a period is `SAMPLES` time steps.
+        """
         scene, rows = self.scene, [row for row in self._rows if row["time"] > 0]
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        # Hydrostatic part of the pressure, which does not depend on the flow.
+        # The hydrostatic pressure does not depend on the flow; without it, the relative change of the friction is
+        # measured.
         weight = scene.concrete.density * scene.gravity * scene.rise
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
