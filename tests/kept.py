@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from warpcrete.dem.scene.clumps import ClumpTemplate
 
@@ -95,6 +96,9 @@ def _fields(value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, ClumpTemplate):
         # The signs of principal axes, and the axes of equal moments, are as the linear algebra library has them.
         yield from (("radii", value.radii), ("inertia", value.inertia), ("far", np.linalg.norm(value.offsets, axis=1)))
+        return
+    if isinstance(value, trimesh.Trimesh):
+        yield from (("vertices", value.vertices.view(np.ndarray)), ("faces", value.faces.view(np.ndarray)))
         return
     for field in dataclasses.fields(value) if dataclasses.is_dataclass(value) else ():
         yield field.name, getattr(value, field.name)

@@ -79,7 +79,7 @@ mix:
   aggregate: 40 %
   sieve: {4: 0, 8: 0.4, 16: 1}
   concrete: {yield_stress: 60 Pa, viscosity: 30 Pa s, flow_index: 1.3, uncertainty: 10 %}
-  layer: {tribometer: [[0.2, 110], [0.4, 190], [0.6, 260]]}
+  layer: {tribometer: [[0.2, 110], [0.4, 190], [0.6, 262]]}
 """
 FILES = {
     "site.yaml": LINE,

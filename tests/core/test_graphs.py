@@ -1,6 +1,8 @@
 """Launches as graphs, and what goes between host and device with them."""
 
 import gc
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from test_contacts import two_spheres
 from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.device.exchange import Exchange, LaunchAndRead
-from warpcrete.core.device.graphs import GraphLaunch, Zero, _garbage_collection_off, captured
+from warpcrete.core.device.graphs import GraphLaunch, Zero, captured
 from warpcrete.core.device.launching import Launcher
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
@@ -21,29 +23,67 @@ from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.kernels.common.control import ESTIMATED
 
 
-def test_python_collects_no_cycles_while_launches_are_captured(device):
-    """Also where one is captured while another is; after each, as before, errors included."""
-    array, seen = wp.ones(4, dtype=wp.float32, device=device), []
+def test_a_capture_waits_for_a_garbage_collection_of_another_thread(device):
+    """Warp lets other threads run while it frees memory, and CUDA refuses to capture a graph meanwhile."""
+    array, started, order = wp.ones(4, dtype=wp.float32, device=device), threading.Event(), []
+
+    class Cycle:
+        def __init__(self):
+            self.itself = self
+
+        def __del__(self):
+            started.set()
+            time.sleep(0.1)
+            order.append("freed")
 
     def launch():
-        seen.append(gc.isenabled())
+        order.append("captured")
         Zero(array)()
 
-    for collects in (True, False):
-        (gc.enable if collects else gc.disable)()
-        try:
-            captured(find_device(device), launch)
-            assert gc.isenabled() == collects and seen.pop() is False
-            with pytest.raises(ZeroDivisionError):
-                captured(find_device(device), lambda: 1 / 0)
-            assert gc.isenabled() == collects
-            with _garbage_collection_off():
-                with _garbage_collection_off():  # of another thread's run
-                    assert not gc.isenabled()
-                assert not gc.isenabled()
-            assert gc.isenabled() == collects
-        finally:
-            gc.enable()
+    gc.collect()
+    gc.disable()
+    try:
+        Cycle()
+        collector = threading.Thread(target=gc.collect)
+        collector.start()
+        assert started.wait(10)
+        captured(find_device(device), launch)
+        collector.join()
+    finally:
+        gc.enable()
+    assert order == ["freed", "captured"]
+
+
+def test_a_garbage_collection_of_another_thread_waits_for_a_capture(device):
+    """Errors of a capture, and a collection within it, leave the lock free."""
+    array, order = wp.ones(4, dtype=wp.float32, device=device), []
+
+    class Cycle:
+        def __init__(self):
+            self.itself = self
+
+        def __del__(self):
+            order.append("freed")
+
+    def launch():
+        gc.collect()
+        Cycle()
+        collector.start()
+        collector.join(0.1)
+        order.append("captured")
+        Zero(array)()
+
+    with pytest.raises(ZeroDivisionError):
+        captured(find_device(device), lambda: 1 / 0)
+    gc.collect()
+    gc.disable()
+    try:
+        collector = threading.Thread(target=gc.collect)
+        captured(find_device(device), launch)
+        collector.join()
+    finally:
+        gc.enable()
+    assert order == ["captured", "freed"]
 
 
 def test_what_is_read_with_a_launch_is_as_that_left_it(device):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import gc
 import threading
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import warp as wp
@@ -13,33 +12,25 @@ import warp as wp
 from .arrays import DeviceArray, copy_array
 from .interrupts import defer_interrupts
 
-_capture_lock = threading.Lock()
-_capturing, _collector_was_on = 0, False
-"""Number of graph captures in progress, and whether Python's garbage collector was enabled before the first one."""
+_collecting_or_capturing = threading.RLock()
+"""Lock that one thread holds during a garbage collection or during the capture of a graph.
+
+The garbage collector frees the arrays of a run that has ended, in whichever thread it happens to run. CUDA refuses to
+capture a graph while another thread frees memory (error 906, a legacy stream operation during a capture). To disable
+the collector during a capture is not enough: another thread may be in the middle of a collection when the capture
+begins, because Warp releases Python's interpreter lock while it frees memory.
+"""
 
 
-@contextmanager
-def _garbage_collection_off() -> Generator[None]:
-    """Disable Python's cyclic garbage collector while a graph is captured.
+def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
+    """Acquire the lock when a garbage collection starts, and release it when the collection stops."""
+    if phase == "start":
+        _collecting_or_capturing.acquire()
+    else:
+        _collecting_or_capturing.release()
 
-    In a recorder thread, the collector might free arrays of a run that has ended while another thread captures a graph.
-    Warp defers such frees during a capture, but Warp takes no lock when it checks whether a capture is in progress.
-    With the collector enabled, two of forty successive runs with recorders failed with CUDA error 906 (legacy stream
-    operation during a capture).
-    """
-    global _capturing, _collector_was_on
-    with _capture_lock:
-        if _capturing == 0:
-            _collector_was_on = gc.isenabled()
-            gc.disable()
-        _capturing += 1
-    try:
-        yield
-    finally:
-        with _capture_lock:
-            _capturing -= 1
-            if _capturing == 0 and _collector_was_on:
-                gc.enable()
+
+gc.callbacks.append(_hold_lock_during_collection)
 
 
 def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
@@ -48,7 +39,7 @@ def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
     Ctrl-C is deferred until the capture has ended, because an exception inside nested captures would leave Warp in an
     inconsistent state.
     """
-    with defer_interrupts(), _garbage_collection_off(), wp.ScopedCapture(device=device) as capture:
+    with defer_interrupts(), _collecting_or_capturing, wp.ScopedCapture(device=device) as capture:
         launch()
     assert capture.graph is not None
     return capture.graph

@@ -27,6 +27,8 @@ PARTICLES_PER_AXIS = 2
 MIN_AXIS_POINTS, POINTS_PER_RADIUS = 200, 8
 """Number of points along the axis from which the extent of a part is computed: POINTS_PER_RADIUS for each radius of the
 bore, but at least MIN_AXIS_POINTS."""
+ROUNDING = 1e-6
+"""Largest rounding error of a length that is a whole number of cells [cells]."""
 
 
 class Frame:
@@ -74,7 +76,9 @@ def part_room(scene: PartScene) -> Room:
     if scene.is_half:
         low[1] = 0.0
     high[2] = 0.0
-    counts = np.ceil((high - low) / h).astype(int)
+    # Sines and cosines are rounded differently on different processors. A box that is a whole number of cells wide must
+    # not get one more cell on some of them.
+    counts = np.ceil((high - low) / h - ROUNDING).astype(int)
     low[2] = -counts[2] * h
     front = MIRROR if scene.is_half else WALL
     sides = ((WALL, WALL), (front, WALL), (WALL, OPEN_SIDE))
