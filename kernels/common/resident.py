@@ -22,4 +22,4 @@ GATHER = """
 
 @wp.func_native(GATHER)
 def gather(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """Wait until all `parties` blocks of the kernel have arrived; a CPU has a single block and does not wait."""
+    """Wait until all `parties` blocks of the kernel have called this function; on a CPU there is only one block."""

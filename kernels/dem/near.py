@@ -47,10 +47,10 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Return a free index in the list of near links to each thread whose `wants` is true, and -1 to the others.
+    """Return a free index in the list of near links if `wants` is true, else -1.
 
-    All threads of a block must call this function. One atomic addition per block reserves the indices. Blocks run in
-    any order, so the order of the list varies.
+    All threads of a block must call this function together, with one atomic addition per block. Blocks run in any
+    order, so the order of the list varies.
     """
 
 
@@ -95,8 +95,8 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # Put a pair that touched or is bonded into the list, even if its spheres are far apart now. The next step
-            # must evaluate such a pair, to notice that its contact has ended.
+            # Also put a pair into the list if it touched in the last step or is bonded, even if its spheres are far
+            # apart now. The next step must evaluate such a pair to notice that its contact has ended.
             near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:

@@ -13,9 +13,9 @@ from .structs import array_structs
 def rebuilding_kernels(scalar) -> SimpleNamespace:
     """Return two kernels of one thread each, for a scene that runs alone: ``needs_rebuild`` and ``fit``.
 
-    ``needs_rebuild`` decides if the device must rebuild the lists now. It leaves rebuilds with sorting, and scenes that
-    have failed, to the host. ``fit`` decides if the arrays have room for the new lists. If the arrays are too small,
-    the host rebuilds the lists.
+    ``needs_rebuild`` decides if the device must rebuild the lists now. The host handles failed scenes and rebuilds at
+    which bodies are sorted. ``fit`` decides if the arrays have room for the new lists. If not, the host rebuilds the
+    lists with larger arrays.
     """
     Scenes = array_structs(scalar).Scenes
 
