@@ -45,7 +45,7 @@ keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 @functools.cache
 def serial_scale(scalar):
-    """Build the CPU kernel (one task) that computes the factor by which weights must be scaled to add up to `wanted`."""
+    """Build the CPU kernel (one task) that computes the factor by which weights are scaled to add up to `wanted`."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def scale_alone(

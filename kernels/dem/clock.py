@@ -14,7 +14,7 @@ rounding errors."""
 
 @functools.cache
 def arrived_function(scalar):
-    """Return `arrived`, a function that returns true if a scene must halt at a goal or for a new stable step estimate."""
+    """Return `arrived`, a function that returns true if a scene must halt at a goal or for a stable step estimate."""
     Scenes = array_structs(scalar).Scenes
 
     @wp.func

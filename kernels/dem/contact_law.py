@@ -112,7 +112,7 @@ def contact_functions(scalar):
 
     @wp.func
     def spring_energy(history: t.vec3, stiffness: scalar):
-        """Return the elastic energy of a spring with force or moment `history` [J], or zero if its stiffness is zero."""
+        """Return the elastic energy of a spring with force or moment `history` [J], or 0 if its stiffness is 0."""
         square = wp.length_sq(history)
         stored = scalar(0.0)
         if square > scalar(0.0):

@@ -55,7 +55,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def along(v: scalar) -> wp.int32:
-        """Return the index of the cell that contains the coordinate `v` along one axis; `v` is in units of cell widths."""
+        """Return the index along one axis of the cell that contains the coordinate `v`, in units of cell widths."""
         far = scalar(wp.static(FARTHEST))
         place = wp.where(v > -far, v, -far)  # NaN fails this comparison, so it is mapped to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))

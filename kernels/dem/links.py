@@ -88,7 +88,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def moment_on_end(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """Return the link's moment about the centre of one of its spheres [N m]; `end` tells which one, as in `row_of`."""
+        """Return the link's moment about the centre of one sphere [N m]; `end` tells which sphere, as in `row_of`."""
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)

@@ -143,7 +143,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def drift_of(scenes: Scenes, s: wp.int32):
-        """Return the displacement by the scene's common drift [m], from the last list rebuild to the end of this step."""
+        """Return the displacement by the scene's common drift [m] from the last list rebuild to the end of the step."""
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func

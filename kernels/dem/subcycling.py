@@ -222,7 +222,7 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def apply_kick(subcycled: Subcycled, q: wp.int32, kick: scalar):
-        """Return the new velocity and angular momentum of body q, after all forces have acted for the time `kick` [s]."""
+        """Return velocity and angular momentum of body q after all forces have acted on it for the time `kick` [s]."""
         total = subcycled.other_force[q]
         torque = subcycled.other_torque[q]
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
