@@ -1,4 +1,7 @@
-"""A barrier for all blocks of one GPU kernel; the GPU must have room to run all these blocks at the same time."""
+"""Barrier for all blocks of one GPU kernel.
+
+The GPU must have room to run all these blocks at the same time, because they wait for each other.
+"""
 
 import warp as wp
 

@@ -26,7 +26,10 @@ MOST_ROWS = 2 ** (31 - int(KIND_BITS))
 
 @wp.func
 def kind_of(bond: wp.int32):
-    """Return the kind of a pair's bond, or the state itself if the pair is unbonded (0) or the bond broken (< 0)."""
+    """Return the kind of a pair's bond from its state.
+
+    Without an intact bond, the result is the state itself: 0 if the pair is unbonded, negative if the bond broke.
+    """
     return wp.where(bond > 0, bond & wp.static(MOST_KINDS), bond)
 
 

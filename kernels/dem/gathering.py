@@ -16,7 +16,8 @@ from .structs import array_structs
 from .warps import group_functions
 
 ESTIMATE_LANES = 4
-"""Number of GPU threads that share a sphere in the estimate of the stable step; they read its list entries together."""
+"""Number of GPU threads that share a sphere in the estimate of the stable step; they divide its list entries among
+them."""
 
 
 @functools.cache
@@ -107,7 +108,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
             met = 0
         for slot in range(met):
             w = first_wall + slot
-            n = t.vec3()  # Normal vector that points into the wall.
+            n = t.vec3()  # Unit normal that points into the wall.
             overlap = scalar(-1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], xi)

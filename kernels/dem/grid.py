@@ -28,7 +28,7 @@ def grid_struct(scalar):
         # index in `point` of each cell's first point, followed by the number of points, shape (cells + 1,)
         start: wp.array(dtype=wp.int32)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
-        # rank of each point among the points of its cell, in no particular order, shape (points,)
+        # number of each point among the points of its cell, from 0, in the arbitrary order of counting, shape (points,)
         rank: wp.array(dtype=wp.int32)
         point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
 

@@ -22,7 +22,7 @@ def motion_options(half: bool) -> dict:
     """Return the compiler options of a kernel that moves bodies.
 
     On a GPU, `fast_math` speeds up division, as it does in contact kernels (:func:`contacts.contact_options`). It also
-    gives sines an error of 4e-7. Only drives along bends use sines.
+    gives sines an error of 4e-7. Sines are used only for the direction of drive forces in pipe bends.
     """
     return {"fast_math": not half}
 
@@ -150,8 +150,8 @@ def motion_functions(scalar, dissipation: bool):
     def exceeds_skin(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
         """Return True if a sphere has moved so far that a list with this skin may miss one of its contacts.
 
-        The allowed motion relative to the common drift of the spheres is half the skin, minus the growth of the
-        sphere's radius.
+        A sphere may move by half the skin, minus the growth of its radius. Its motion is measured relative to the
+        common drift of the spheres since the list was built.
         """
         slack = scalar(0.5) * skin - (radius - built[3])
         return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)

@@ -1,11 +1,11 @@
 """Kernels that choose the near links of a GPU: the pairs close enough to touch within a few steps.
 
 Near links form a second, shorter neighbour list of pairs (links). The main list holds all pairs within a skin that
-lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR
-of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them
-anew at a fixed interval (`NEAR_LINK_INTERVAL` in `warpcrete/dem/engine`), without the host. If a sphere moves too far
-before the next choice, its scene evaluates all links until then. No contact is missed, and the results are the same
-either way.
+lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs whose gap is below a
+fraction NEAR of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The
+device chooses them anew at a fixed interval (`NEAR_LINK_INTERVAL` in `warpcrete/dem/engine`), without the host. If a
+sphere moves too far before the next choice, its scene evaluates all links until then. No contact is missed, and the
+results are the same either way.
 """
 
 import functools

@@ -40,9 +40,9 @@ def pair_functions(scalar):
     @wp.struct
     class PairTouch:
         touch: Touch
-        apart: t.vec3  # velocity of the second centre relative to the first [m/s]
+        apart: t.vec3  # velocity of the higher-numbered sphere's centre relative to the other centre [m/s]
         distance: scalar  # distance between the centres [m]
-        arm_i: scalar  # distance from the first centre to the contact point [m]
+        arm_i: scalar  # distance from the centre of sphere i to the contact point [m]
         arm_j: scalar
 
     @wp.func
@@ -216,11 +216,11 @@ def bond_pull_functions(scalar, dissipation: bool):
     class BondPull:
         force: t.vec4  # new shear force vector and tension of the bond [N]; zero if the bond broke
         moment: t.vec4  # new bending moment vector and torsion of the bond [N m]; zero if the bond broke
-        total: t.vec3  # force of the bond on the first body [N]
-        bending: t.vec3  # moment of the bond on the first body [N m]
+        total: t.vec3  # force of the bond on the sphere with the lower permanent number [N]
+        bending: t.vec3  # moment of the bond on the sphere with the lower permanent number [N m]
         contact: scalar  # factor on the contact force: 0 if the bond broke and the spheres do not touch, else 1
         lost: scalar  # energy lost by contact and bond [J]
-        outcome: wp.int32  # 1 if the bond holds; negative: code of how the bond broke
+        outcome: wp.int32  # 1 if the bond holds; otherwise the negative code of how it broke
 
     @wp.func
     def bond_pull(

@@ -359,7 +359,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # Normal vector that points into the wall.
+            n = t.vec3()  # Unit normal that points into the wall.
             overlap = scalar(-1.0)
             towards = half_step
             known = slot < scenes.row[s].analytic

@@ -18,10 +18,10 @@ SQUARE_APART = """
     return wp::length_sq(a - b);
 #endif
 """
-"""Source of a function that returns the squared distance between two points.
+"""C++ source of a function that returns the squared distance between two points.
 
-Its intrinsics keep the GPU compiler from fusing multiply and add, so that the result is rounded the same way in every
-kernel.
+On a GPU it uses intrinsics that are never fused to multiply-add instructions, so that the result is rounded the same
+way in every kernel.
 """
 
 
@@ -117,7 +117,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.func
     def padded_reach(reach: scalar, middle: t.vec3) -> scalar:
-        """Return `reach` enlarged by a margin, because rounding errors of positions could hide a neighbour."""
+        """Return `reach` plus a margin for rounding errors of positions, which could otherwise hide a neighbour."""
         return reach + scalar(wp.static(rounding)) * wp.max(wp.abs(middle))
 
     @wp.func

@@ -103,8 +103,8 @@ def recording_functions(scalar):
 
     @wp.func
     def record_speed(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
-        # Reading the maximum first avoids nearly all atomic operations. The value that is read may be outdated, but it
-        # is never too high, so no new maximum is missed.
+        # Read the present maximum first, because this avoids nearly all atomic operations. The value may be outdated,
+        # but it is never too high, so no new maximum is missed.
         if wp.float64(speed) > estimate.fastest[part, s]:
             wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 
@@ -228,8 +228,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    # Compile without `fast_math` even on a GPU, because it flushes products of small bodies' moments of inertia to
-    # zero.
+    # Compile without `fast_math` even on a GPU, because `fast_math` flushes very small numbers to zero, such as
+    # products of the moments of inertia of small bodies.
     @wp.kernel(module="unique", enable_backward=False, module_options=contact_options(True))
     def reduce_step(
         # The next arguments are arrays of the model, which are constant during a run.

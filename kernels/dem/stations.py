@@ -96,7 +96,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         radius = spheres.position[i][3]
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # Normal vector that points into the wall.
+            n = t.vec3()  # Unit normal that points into the wall.
             gap = scalar(1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)

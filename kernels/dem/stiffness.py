@@ -27,8 +27,8 @@ def estimate_struct(scalar):
     @wp.struct
     class Estimate:
         sums: wp.array2d(dtype=vec6)  # stiffness and damping per sphere, shape (spheres, 4); zero between estimates
-        # Stiffness [mN/m] and damping [mN s/m] of all contacts of a wall. Each CPU thread stores the sums over its
-        # contacts for each wall, shape (threads, walls, 2).
+        # Stiffness [mN/m] and damping [mN s/m] of all contacts of a wall, as integers. Each CPU thread stores the sums
+        # over its contacts for each wall, shape (threads, walls, 2).
         wall_load: wp.array3d(dtype=wp.int64)
         # Stable time step [s]. Each CPU thread stores the minimum over its bodies for each scene, shape (threads,
         # scenes).

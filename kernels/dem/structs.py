@@ -312,7 +312,8 @@ def subcycled_struct(scalar):
         place: wp.array(dtype=wp.int32)  # current index of each body in the batch's arrays of bodies
         # index of each body's first row in `force`, followed by the number of rows, shape (bodies + 1,)
         start: wp.array(dtype=wp.int32)
-        # for each row of `force`: twice the index of its pair, plus 1 at the pair's higher sphere, shape (2 pairs,)
+        # For each row of `force`, the pair and the sphere to which it belongs: 2 p for the sphere of pair p with the
+        # lower permanent number, 2 p + 1 for the other one. Shape (2 pairs,).
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]

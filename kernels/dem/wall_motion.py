@@ -14,7 +14,10 @@ SPEED_LIMIT = 1.0e4  # Speed above which a scene fails [m/s], far above the spee
 
 @wp.func
 def ramped(time: wp.float64, ramp: wp.float64):
-    """Return the distance of a motion whose speed rises linearly to 1: the integral of min(time / ramp, 1)."""
+    """Return the distance travelled in `time` if the speed rises linearly from 0 to 1 and then stays 1.
+
+    The rise takes the time `ramp`. The distance is the integral of min(t / ramp, 1) from 0 to `time`.
+    """
     if time <= wp.float64(0.0):
         return wp.float64(0.0)
     if time < ramp:
@@ -24,7 +27,7 @@ def ramped(time: wp.float64, ramp: wp.float64):
 
 @wp.func
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
-    """Return the distance of a motion that consists of `stops` strokes, followed by motion at a constant speed of 1.
+    """Return the distance travelled in `time` with `stops` strokes, followed by motion at a constant speed of 1.
 
     Each stroke goes from rest to rest and is followed by a pause.
     """

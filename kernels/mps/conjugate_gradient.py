@@ -124,7 +124,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 
     @wp.func
     def share(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve, z: wp.array(dtype=value)):
-        """Store the preconditioned residual in `z` for the particles of the grains from number `first` up to `end`."""
+        """Store the preconditioned residual in `z` for all particles of the rigid grains `first` to `end` - 1."""
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if wp.static(rigid):

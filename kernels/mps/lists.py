@@ -81,8 +81,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # Number of neighbours over capacity, in per mille, for the fullest of the particle's three lists. If a list is
-        # too short, the host computes a sufficient capacity from the maximum of this number over all particles.
+        # Number of neighbours divided by capacity, in per mille, for the fullest of the particle's three lists. If a
+        # list is too short, the host computes a sufficient capacity from the maximum of this number over all particles.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

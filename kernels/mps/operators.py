@@ -207,9 +207,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
 def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """Build the kernel that sets up the equations of the pressure increment.
 
-    The right-hand side is -density / dt times the divergence of the velocities; this density is the reference density.
-    The matrix is minus the Laplacian. In two-phase flows, the coefficient of a pair is multiplied by the reference
-    density over the mean density of the pair.
+    The right-hand side is -density / dt times the divergence of the velocities, where `density` is the reference
+    density. The matrix is minus the Laplacian. In two-phase flows, the coefficient of a pair is multiplied by the
+    reference density and divided by the mean density of the pair.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)

@@ -121,7 +121,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Grains:
-        # First particle of each grain, followed by the end of the last grain, shape (grains + 1,).
+        # Index of each grain's first particle, followed by the index after the last grain's particles, shape (grains +
+        # 1,).
         first: wp.array(dtype=wp.int32)
         offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
@@ -141,7 +142,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         count: wp.int32  # Number of cubes of the coarse grid.
         wide: wp.int32  # Number of cubes across the pipe, at least 3.
         of: wp.array(dtype=wp.int32)  # Index of the cube that contains each particle, shape (n,).
-        # Index of each cube's first particle in `member`, followed by the end of the last cube, shape (count + 1,).
+        # Index of each cube's first particle in `member`, followed by the number of particles, shape (count + 1,).
         first: wp.array(dtype=wp.int32)
         member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
         # Numbers of the cubes around each cube, -1 where there is none, shape (3^d * count,).

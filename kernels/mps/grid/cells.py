@@ -28,8 +28,8 @@ from ..structs import mps_types
 
 # Value of `solid` for a cell that concrete may fill; any other value is the number that identifies a wall.
 OPEN = wp.constant(0)
-SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
-GATE = wp.constant(3)  # Number of the wall that opens at a given time.
+SMOOTH = wp.constant(2)  # Value of `solid` for the frictionless wall, which is an axis or a plane of symmetry.
+GATE = wp.constant(3)  # Value of `solid` for the gate, a wall that opens at given times.
 # The constants AIR, LIQUID, FIXED, INSIDE and GHOST are the kinds of cell faces. ROUGH is another value of `solid`.
 AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
@@ -62,7 +62,8 @@ def item(task: wp.int32, worker: wp.int32, workers: wp.int32) -> wp.int32:
     """Return the number of the cell, face or particle that a task processes.
 
     Items are divided into strips of `STRIP` items, and the strips are dealt out to `workers` threads in turn, so that
-    all threads get about as much concrete. `worker` is the number of the thread. On a GPU there is one worker.
+    all threads get about the same amount of concrete. `worker` is the number of the thread. On a GPU there is one
+    worker.
     """
     return (task / STRIP * workers + worker) * STRIP + task % STRIP
 

@@ -113,8 +113,9 @@ def edge_function(scalar, dimensions: int, law: str):
             return viscosity
         if over >= change:
             # The stress differs by `change` over each of the two cells. The mean rate over the cells is nearly the rate
-            # at the corner's stress s plus a correction: change^2 / 12 times the second derivative of the rate with
-            # respect to the stress.
+            # at the corner's stress s, plus change^2 / 12 times the second derivative of the rate with respect to the
+            # stress. Therefore s is lower than the estimate by change^2 / 12 times `bend`, the ratio of second to first
+            # derivative.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
         # Here the edge of a plug or the middle of the pipe lies in the two cells. Find the corner's stress s by
