@@ -73,7 +73,7 @@ def clock_kernel(scalar, growth: bool) -> wp.Kernel:
         flags[s, STEPS] = steps
         if wp.static(growth):
             scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-        # Bodies are re-sorted only at fixed step counts, and these steps always mark the lists as stale. Otherwise the
+        # Bodies are re-sorted only at fixed step counts, and these steps always force a list rebuild. Otherwise the
         # order of the bodies would depend on when motion happened to make a rebuild necessary.
         if late != 0 or (sort_every > 0 and steps % sort_every == 0):
             flags[s, LATE] = 0

@@ -128,8 +128,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 add_wall_stiffness(estimate, part, w, k)
-        # Add the stiffness and damping of the pairs that the half list contains only at the other sphere; the array
-        # holds them already.
+        # Keep what `estimate.sums` already holds: the stiffness and damping of pairs that the half list contains only
+        # at the other sphere.
         if wp.static(half):
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]

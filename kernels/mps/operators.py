@@ -20,10 +20,10 @@ NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
 """Damping of the pressure at walls: the distance in spacings below which it acts, and its factor.
 
 For particles closer to a wall than NEARER spacings, the diagonal of the pressure equation is multiplied by DAMPED.
-Otherwise, the pressure would oscillate from step to step. A pressure increment changes the particle's velocity, and
-with it the velocity that is continued behind the wall. Both change the divergence at the particle itself. Very close to
-the wall, this response is more than twice as large as the undamped diagonal assumes. In the initial lattice the
-outermost particles are half a spacing from the wall, so they are not damped.
+Without this damping, the pressure would oscillate from step to step. A pressure increment changes the particle's
+velocity, and with it the velocity that is continued behind the wall. Both change the divergence at the particle itself.
+Very close to the wall, this response is more than twice as large as the undamped diagonal assumes. In the initial
+lattice the outermost particles are half a spacing from the wall, so they are not damped.
 """
 
 

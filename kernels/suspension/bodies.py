@@ -268,7 +268,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
         b = wp.tid()
         count = wp.int32(0)
         low, high = f.box(g, bodies, b)
-        # List the faces axis by axis, in the order in which they are stored.
+        # List the faces axis by axis, in the order in which arrays of faces store them.
         for axis in range(3):
             for k in range(low[2], high[2] + 1):
                 for j in range(low[1], high[1] + 1):

@@ -118,7 +118,7 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels of the pressure in the preconditioner, with one task per cell.
 
     - `resist` sets the matrix of the preconditioner's pressure solve.
-    - `request` sets the right-hand side of this solve from the residual's net inflow, which its solution shall remove.
+    - `request` sets the right-hand side of this solve, so that its solution removes the net inflow of the residual.
     - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus a multiple
       of the net inflow (Cahouet & Chabard 1988).
     """
