@@ -121,8 +121,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Grains:
-        # Index of each grain's first particle, followed by the index after the last grain's particles, shape (grains +
-        # 1,).
+        # Index of each grain's first particle, followed by the number of particles in all grains, shape (grains + 1,).
         first: wp.array(dtype=wp.int32)
         offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
