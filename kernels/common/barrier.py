@@ -67,5 +67,5 @@ def meet(gate: wp.array(dtype=wp.int32), parties: wp.int32): ...
 
 @wp.kernel(enable_backward=False)
 def barrier(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """Wait until `parties` threads have each launched this kernel with a single task."""
+    """Wait at the barrier until `parties` threads have each launched this kernel with a single task."""
     meet(gate, parties)

@@ -21,7 +21,7 @@ FIRST_CORNER: int = wp.constant(4)
 
 @functools.cache
 def axis_functions(scalar):
-    """Build the struct ``Segment`` of a pipe axis, and the function `closest_on_axis`, in one precision."""
+    """Return the struct ``Segment`` (a line or arc of a pipe axis) and the function `closest_on_axis`."""
     t = types(scalar)
 
     @wp.struct
@@ -31,8 +31,8 @@ def axis_functions(scalar):
         tangent: t.vec3  # Unit tangent at the segment's first point.
         outward: t.vec3  # Unit vector from an arc's centre to its first point; unused for lines.
         radius: scalar  # Radius of an arc's centreline [m]; unused for lines.
-        lower: scalar  # Smallest arc length (lines) or angle (arcs) that belongs to the segment.
-        upper: scalar  # Largest arc length (lines) or angle (arcs) that belongs to the segment.
+        lower: scalar  # Lower end of the segment: distance from `start` along a line [m], or angle on an arc [rad].
+        upper: scalar  # Upper end of the segment: distance from `start` along a line [m], or angle on an arc [rad].
 
     @wp.func
     def closest_on_axis(segments: wp.array(dtype=Segment), first: wp.int32, last: wp.int32, x: t.vec3):
@@ -68,16 +68,17 @@ def axis_functions(scalar):
 
 @functools.cache
 def triangle_functions(scalar):
-    """Build the function for the closest point on a triangle, in one precision.
+    """Build the function `closest_on_triangle`, in one precision.
 
-    The function uses distances to the triangle's plane and edges. They stay exact to rounding on triangles that are
-    hundreds of times longer than wide (a straight pipe in an STL file), where barycentric coordinates lose accuracy.
+    The function compares distances from the triangle's plane and edges. On triangles that are hundreds of times longer
+    than wide (a straight pipe in an STL file), these distances stay exact to rounding, while barycentric coordinates
+    lose accuracy.
     """
     t = types(scalar)
 
     @wp.func
     def closest_on_edge(p: t.vec3, a: t.vec3, b: t.vec3):
-        """Return the point of segment ab closest to p, and a code of its place: 0 at a, 1 between a and b, 2 at b."""
+        """Return the point of segment ab closest to p, and a code: 0 if it is a, 1 if between a and b, 2 if it is b."""
         along = b - a
         part = wp.dot(p - a, along) / wp.dot(along, along)
         if part <= scalar(0.0):
@@ -96,7 +97,11 @@ def triangle_functions(scalar):
 
     @wp.func
     def closest_on_triangle(p: t.vec3, a: t.vec3, b: t.vec3, c: t.vec3):
-        """Return the point of triangle abc closest to p, and the code of the face, edge or corner that holds it."""
+        """Return the point of triangle abc closest to p, and a code for the face, edge or corner on which it lies.
+
+        The codes are those of FACE, FIRST_EDGE and FIRST_CORNER: 0 for the face, 1 to 3 for the edges, 4 to 6 for the
+        corners.
+        """
         zero = scalar(0.0)
         n = wp.normalize(wp.cross(b - a, c - a))
         outside_ab = wp.dot(wp.cross(n, b - a), p - a) < zero

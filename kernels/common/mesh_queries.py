@@ -7,7 +7,7 @@ import warp as wp
 def signed_distances(
     mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, distance: wp.array(dtype=wp.float32)
 ):
-    """Compute each point's signed distance to the mesh, or `reach` where the surface is farther than that.
+    """Compute each point's signed distance to the mesh [m], or `reach` where the surface is farther than that.
 
     Points inside the mesh, as judged by the winding number, have negative distances.
     """
@@ -23,7 +23,7 @@ def signed_distances(
 def distances(
     mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, distance: wp.array(dtype=wp.float32)
 ):
-    """Compute the distance of each point to the surface, or `reach` where the surface is farther than that."""
+    """Compute the distance of each point from the surface [m], or `reach` where the surface is farther than that."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
     distance[i] = reach
@@ -39,9 +39,9 @@ def ray_distances(
     reach: wp.float32,
     distance: wp.array(dtype=wp.float32),
 ):
-    """Compute the distance along each ray to the surface, or -1 where the ray hits nothing within `reach`.
+    """Compute the distance along each ray to the surface [m], or -1 where the ray hits nothing within `reach`.
 
-    `directions` are unit vectors.
+    `directions` are the unit vectors of the rays.
     """
     i = wp.tid()
     query = wp.mesh_query_ray(mesh, origins[i], directions[i], reach)

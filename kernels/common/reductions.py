@@ -13,12 +13,16 @@ BLOCK = 256
 def block_sums(width: int) -> SimpleNamespace:
     """Build the functions `keep` and `total`, with which kernels sum a value over all threads of all blocks.
 
-    A block has `width` threads. `keep` stores the sum of one block, and `total` adds up the sums of all blocks.
+    A block has `width` threads. `keep` stores the sum over the threads of one block, and `total` adds up the stored
+    sums of all blocks.
     """
 
     @wp.func
     def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
-        """Store the sum of `own` over a block in `partial[first + block]`; all its threads must call this function."""
+        """Store the sum of `own` over the threads of a block in `partial[first + block]`.
+
+        All threads of the block must call this function together.
+        """
         whole = wp.tile_sum(wp.tile(own))
         sum = whole[0]
         if thread % width == 0:
@@ -26,7 +30,7 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
-        """Return the sum of all blocks' partial sums; all threads of the calling block must call this function."""
+        """Return the sum of the `blocks` values in `partial` from `first` on; a whole block must call this together."""
         own = wp.float64(0.0)
         for k in range(thread % width, blocks, width):
             own += partial[first + k]
@@ -41,7 +45,7 @@ keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 @functools.cache
 def serial_scale(scalar):
-    """Build the CPU kernel (one task) for the factor on all weights that makes their sum equal to `wanted`."""
+    """Build the CPU kernel (one task) that computes the factor by which weights are scaled to add up to `wanted`."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def scale_alone(
@@ -57,9 +61,10 @@ def serial_scale(scalar):
 
 @functools.cache
 def parallel_scale(scalar):
-    """Build the GPU kernels that compute the factor by which all weights are multiplied so that their sum is `wanted`.
+    """Build the GPU kernels that compute the factor by which weights must be scaled to add up to `wanted`.
 
-    `gather` runs in whole blocks and stores partial sums of `weight`; `divide` then runs in a single block.
+    `gather` runs in whole blocks and stores partial sums of `weight`. `divide` then runs in a single block and divides
+    `wanted` by the sum of all weights.
     """
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -1,4 +1,7 @@
-"""A barrier for all blocks of one GPU kernel; the GPU must have room to run all these blocks at the same time."""
+"""Barrier for all blocks of one GPU kernel.
+
+The GPU must have room to run all these blocks at the same time, because they wait for each other.
+"""
 
 import warp as wp
 
@@ -22,4 +25,4 @@ GATHER = """
 
 @wp.func_native(GATHER)
 def gather(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """Wait until all `parties` blocks of the kernel have arrived; a CPU has a single block and does not wait."""
+    """Wait until all `parties` blocks of the kernel have called this function; on a CPU there is only one block."""

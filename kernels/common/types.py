@@ -20,8 +20,8 @@ vec8f, vec8d = wp.types.vector(8, wp.float32), wp.types.vector(8, wp.float64)
 def module_of(name: str, *kind) -> str:
     """Return the name of a Warp module that holds all kernels made by one call of a kernel factory.
 
-    Every module takes at least a tenth of a second to compile, however small it is. Small kernels that are used
-    together therefore share a module. `kind` holds the arguments of the factory.
+    `kind` contains the arguments of the factory. Every module takes at least a tenth of a second to compile, however
+    small it is. Small kernels that are used together therefore share a module.
     """
     return "_".join(["warpcrete", name, *(getattr(each, "__name__", str(each)) for each in kind)])
 
@@ -121,16 +121,17 @@ def vector_functions(scalar):
 
     @wp.func
     def rotated_with_normal(v: t.vec3, n: t.vec3, twist: scalar):
-        # Rotate the shear vector with the contact plane: remove the normal component that the plane's tilt has
-        # produced, rotate by `twist` about the normal, and restore the length, because a rotation does not change it.
+        # Rotate the shear vector `v` with the contact plane. First remove the component normal to the plane, which
+        # appears because the plane has tilted. Then rotate the vector by `twist` about the normal. Finally restore its
+        # length, which a rotation must not change.
         one = scalar(1.0)
         square = wp.length_sq(v)
         out = wp.dot(v, n)
         u = v - out * n
         u = u + twist * wp.cross(n, u)
-        # The operations above have changed the squared length |v|^2 to |u|^2 = |v|^2 (1 - tilt) (1 + twist^2). Here
-        # tilt is the share of |v|^2 that belonged to the removed normal component. The function `lengthened` restores
-        # the length. Its last argument is the number `shrink` for which |u|^2 = |v|^2 (1 - shrink).
+        # These operations have changed the squared length |v|^2 to |u|^2 = |v|^2 (1 - tilt) (1 + twist^2), where `tilt`
+        # is the fraction of |v|^2 that belonged to the removed normal component. The function `lengthened` restores the
+        # length. Its last argument is the number `shrink` in |u|^2 = |v|^2 (1 - shrink).
         tilt = scalar(0.0)
         if square > scalar(0.0):
             tilt = out * out / square

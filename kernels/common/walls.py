@@ -18,10 +18,10 @@ PLANE: int = wp.constant(0)
 PIPE: int = wp.constant(1)
 MESH: int = wp.constant(2)
 
-# An array stores a number for each edge of a mesh face. If exactly one other face shares the edge, the number is the
-# corner of that face opposite the edge. If no other face shares the edge, the number is BORDER. If several faces share
-# the edge, it is SHARED - k, where k is the number of a list in a second array, `ring`. This list contains the opposite
-# corners of all these faces.
+# The array `across` of a mesh stores a number for each edge of a face. If exactly one other face shares the edge, the
+# number is the corner of that face opposite the edge. If no other face shares the edge, the number is BORDER. If
+# several faces share the edge, it is SHARED - k, where k is the number of a list in the array `ring`. This list
+# contains the opposite corners of all these faces.
 BORDER: int = wp.constant(-1)
 SHARED: int = wp.constant(-2)
 
@@ -49,18 +49,19 @@ def wall_struct(scalar):
         motion: wp.int32
         start_time: wp.float64  # Time at which the wall starts to move from rest [s].
         ramp_time: wp.float64  # Time in which the speed of a prescribed motion rises linearly to its final value [s].
-        stops: wp.float64  # Number of strokes from rest to rest, each followed by a pause, before the steady motion.
+        # Number of strokes from rest to rest, each followed by a pause, before the wall moves steadily.
+        stops: wp.float64
         stroke_time: wp.float64  # Duration of a stroke from rest to rest, including a speed ramp at both ends [s].
         pause: wp.float64  # Pause after each stroke [s].
-        # For a wall with prescribed motion, the velocity after all strokes, when it moves steadily [m/s]. For a wall
-        # that a force drives, a vector in its direction of motion.
+        # If the motion is prescribed: velocity of the steady motion, after the ramp and all strokes [m/s]. If the wall
+        # is driven by a force: a vector in the direction of motion.
         velocity: wp.vec3d
         spin: wp.vec3d  # Angular velocity of the wall about `pivot` [rad/s].
         pivot: wp.vec3d
         mass: wp.float64  # Inertia of a driven wall along its direction of motion [kg].
         drive_force: wp.float64  # Force that pushes a driven wall along its direction of motion [N].
         drive_damping: wp.float64  # Viscous damping of a driven wall's motion [N s/m].
-        extent: wp.float64  # Largest distance of a mesh corner from the wall's origin [m].
+        extent: wp.float64  # Largest distance of a mesh wall's corners from the origin of the wall's frame [m].
 
     return Wall
 
@@ -79,8 +80,8 @@ def wall_functions(scalar):
     def distance_to_wall(wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3):
         """Return the distance of `x` from a wall [m], which is negative behind the wall, and a vector towards the wall.
 
-        `place` is the present position of the wall, and `normal` the present normal if the wall is a plane. The vector
-        points towards the nearest point of the wall. Its length has no meaning.
+        `place` is the present position of the wall. `normal` is the present normal of a plane and unused for a pipe.
+        The vector points towards the nearest point of the wall, and its length has no meaning.
         """
         if wall.kind == PLANE:
             return wp.dot(place - x, -normal), -normal
@@ -89,7 +90,10 @@ def wall_functions(scalar):
 
     @wp.func
     def into_wall(wall: Wall, direction: t.vec3):
-        """Return the unit vector towards the wall from the vector that `distance_to_wall` has returned."""
+        """Return the unit vector from a point towards a wall.
+
+        `direction` is the vector that `distance_to_wall` returned for this point.
+        """
         if wall.kind == PLANE:
             return direction
         # On the axis of a pipe every direction leads to the wall, so any unit vector is correct.

@@ -1,6 +1,6 @@
 """Contact of spheres with planes and pipe surfaces, and the summation of forces on all walls.
 
-Forces on walls are summed as 64-bit integers with a fixed number of units per newton, so the order of the summation
+Forces on walls are rounded to a fixed fraction of a newton and summed as 64-bit integers, so the order of the summation
 cannot change the result. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
 """
 
@@ -20,8 +20,9 @@ from .wear import wear_functions
 
 # Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
 FARTHEST = 1.0e15
-# Number of walls that have a bit in the mask in which a sphere marks the walls that it touches. Walls with higher
-# indices have no bit, so every step reads the contact history of these walls.
+# Each sphere has a bit mask that marks the planes and pipes it touched in the last step. WALL_BITS is the number of
+# bits, for the walls with the lowest indices. Walls with higher indices have no bit, so every step must read the
+# contact history of these walls.
 WALL_BITS: int = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)
@@ -79,15 +80,15 @@ def warp_force_function(scalar):
 
     Many spheres touch the same wall. One atomic addition per sphere would take most of the time of a small step. The
     threads of a warp therefore first sum their forces, and then one thread adds the sum to the wall. If `lanes`
-    adjacent threads share a sphere, each of them takes part in the sums for other walls. Only threads whose numbers
-    differ by a multiple of `lanes` sum their forces with each other.
+    adjacent threads share a sphere, each of them handles different walls. Only threads whose numbers differ by a
+    multiple of `lanes` therefore sum their forces with each other.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)
 
     @wp.func_native(LEADER)
-    # `leader` returns the number of the first thread whose sphere touches a wall, 32 if no sphere touches, or -1 if the
-    # spheres touch several walls.
+    # Among the threads that process the same wall slot, `leader` returns the number of the first one whose sphere
+    # touches a wall. It returns 32 if no sphere touches a wall, or -1 if the spheres touch different walls.
     def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...
 
     @wp.func_native(WARP_TOTAL)
@@ -100,8 +101,8 @@ def warp_force_function(scalar):
     ):  # fmt: skip
         """Add the forces `f` and moments `m` of the threads of a GPU warp to the walls that their spheres touch.
 
-        All threads of the warp must call this function. If the sphere of a thread touches no wall, `f` and `m` must be
-        zero.
+        All threads of the warp must call this function together. A thread whose sphere touches no wall must pass `f`
+        and `m` as zero.
         """
         first = leader(touches, w, lanes)
         for c in range(3):
@@ -118,7 +119,7 @@ def warp_force_function(scalar):
 
 @functools.cache
 def surface_touch_function(scalar):
-    """Return the function `surface_touch`: the contact geometry for a wall at distance `gap` along normal `n`."""
+    """Return `surface_touch`, which computes the contact geometry of a sphere at the distance `gap` from a wall."""
     t = types(scalar)
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
@@ -320,7 +321,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         if here and now != before:
             slots.touching[i] = now
         if here and not far:
-            # The stored clearance from the nearest wall is reduced by 1 % to cover rounding errors.
+            # Store only 99 % of the distance from the nearest fixed wall, to cover rounding errors.
             write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))
         return total_force, total_moment, total_lost
 

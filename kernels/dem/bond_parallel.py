@@ -9,8 +9,8 @@ import warp as wp
 from ..common.types import types, vector_functions
 from .contact_law import contact_functions
 
-# State of a pair's bond: 0 without a bond, negative if the bond broke. A positive state combines the bond's kind with
-# the index in `pairs.load` at which the bond's force and moment are stored.
+# The state of a pair's bond is 0 without a bond and negative if the bond broke. A positive state combines the bond's
+# kind with the index in `pairs.load` at which the bond's force and moment are stored.
 UNBONDED: int = wp.constant(0)
 BROKEN_IN_TENSION: int = wp.constant(-1)
 BROKEN_IN_SHEAR: int = wp.constant(-2)
@@ -26,7 +26,10 @@ MOST_ROWS = 2 ** (31 - int(KIND_BITS))
 
 @wp.func
 def kind_of(bond: wp.int32):
-    """Return the kind of a pair's bond, or the state itself if the pair is unbonded (0) or the bond broken (< 0)."""
+    """Return the kind of a pair's bond from its state.
+
+    Without an intact bond, the result is the state itself: 0 if the pair is unbonded, negative if the bond broke.
+    """
     return wp.where(bond > 0, bond & wp.static(MOST_KINDS), bond)
 
 
@@ -56,13 +59,15 @@ def bond_functions(scalar):
         shear_to_normal: scalar  # ratio of shear stiffness to normal stiffness
         tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
         cohesion: scalar  # shear strength at zero normal stress [Pa]
-        tan_friction_angle: scalar  # increase of the shear strength over the increase of the compressive stress
-        radius_multiplier: scalar  # bond radius over the radius of the smaller sphere
-        moment_factor: scalar  # fraction of the bending and torsion moments that enters the peak stresses
+        # tangent of the friction angle: increase of the shear strength divided by the increase of the compressive
+        # stress
+        tan_friction_angle: scalar
+        radius_multiplier: scalar  # bond radius divided by the radius of the smaller sphere
+        moment_factor: scalar  # fraction of the bending and torsion moments that is included in the peak stresses
 
     @wp.func
     def bond_stiffness(p: Bond, touch: Touch):
-        """Return the normal and shear stiffness [N/m] and the bending and torsion stiffness [N m] of a bond."""
+        """Return the four stiffnesses of a bond: normal and shear [N/m], bending and torsion [N m]."""
         radius = p.radius_multiplier * touch.smaller_radius
         normal = p.effective_modulus / touch.length * scalar(wp.static(float(np.pi))) * radius * radius
         bending = scalar(0.25) * normal * radius * radius
@@ -82,9 +87,9 @@ def bond_functions(scalar):
         """Return the new force, moment and state of a bond.
 
         If the bond breaks, the returned force and moment are those that broke it. `force` consists of the shear force
-        vector and the tension, `moment` of the bending moment vector and the torsion. `stretch` is the exact change of
-        the distance between the centres in this step. The approximation `velocity dt` along the normal would count a
-        rotation of the pair as stretch, with an error of first order in dt.
+        vector and the tension [N], `moment` of the bending moment vector and the torsion [N m]. `stretch` is the exact
+        change of the distance between the centres in this step [m]. The approximation of `stretch` by the normal
+        velocity times dt would count a rotation of the pair as stretch, with an error of first order in dt.
         """
         n = touch.normal
         k = bond_stiffness(p, touch)
@@ -97,7 +102,9 @@ def bond_functions(scalar):
 
         radius = p.radius_multiplier * touch.smaller_radius
         per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
-        per_section = scalar(4.0) * per_area / radius  # Bond radius R over the bond's moment of area I.
+        # R / I = 4 / (A R), with the bond's radius R, the area A of its circular cross-section, and the second moment
+        # of area I = A R^2 / 4.
+        per_section = scalar(4.0) * per_area / radius
         stress = tension * per_area
         peak_tension = stress + p.moment_factor * wp.length(bending) * per_section
         peak_shear = wp.length(shear) * per_area + scalar(0.5) * p.moment_factor * wp.abs(torsion) * per_section

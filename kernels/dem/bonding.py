@@ -37,8 +37,9 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
         """Bond all pairs that have no intact bond and whose surfaces are at most `gap` apart.
 
         If `group` is not negative, only pairs inside this group are bonded: the bodies of both spheres must belong to
-        it. With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without
-        `healing`, the bonds receive their rows in `pairs.load` later.
+        it. The array `pairs.load` stores the force and moment of each bond. With `healing`, it has a row for each list
+        entry, and this kernel sets the rows of new bonds to zero. Without `healing`, new bonds are assigned their rows
+        later.
         """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
@@ -63,7 +64,7 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
         # The next arguments are arrays of the state that this kernel reads and writes.
         pairs: Pairs,
     ):
-        """Give a random fraction of the bonds of one kind another kind.
+        """Change the bonds of kind `old_kind` to kind `new_kind` with the probability `fraction`.
 
         The random number depends only on the seed and the permanent numbers of the two spheres. The result is therefore
         the same on every device and in any order of threads.

@@ -8,12 +8,13 @@ from ..common.control import ARRIVED, ESTIMATED, FAILED, GOAL, HALTED, LATE, OVE
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
 
 CLOSE = 1.0e-6
-"""Fraction of a step by which a scene may miss its end time and still count as arrived (absorbs rounding)."""
+"""Largest time left before the end time, as a fraction of a step, at which a scene counts as arrived. This absorbs
+rounding errors."""
 
 
 @functools.cache
 def arrived_function(scalar):
-    """Return the function `arrived`: true if a scene has reached its goal or needs a new stable step estimate."""
+    """Return `arrived`, a function that returns true if a scene must halt at a goal or for a stable step estimate."""
     Scenes = array_structs(scalar).Scenes
 
     @wp.func
@@ -30,16 +31,18 @@ def arrived_function(scalar):
 def goal_reached(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
     """Return True if the step goal, the next estimate of the stable step or the end time is reached.
 
-    `beyond_goal` and `beyond_estimate` count steps beyond the goal and the next estimate; `left` is the time left [s].
+    `beyond_goal` and `beyond_estimate` are the present step count minus that of the goal and of the next estimate;
+    `left` is the time left until the end time [s].
     """
     return beyond_goal >= 0 or beyond_estimate >= 0 or not (left > wp.float64(wp.static(CLOSE)) * dt)
 
 
 @functools.cache
 def clock_kernel(scalar, growth: bool) -> wp.Kernel:
-    """Return the kernel, with one thread per scene, that completes a step and halts the scene where it must wait.
+    """Return the kernel, with one thread per scene, that completes a step and halts the scene if necessary.
 
-    It advances the time, the step count and, with `growth`, the growth of the spheres during packing.
+    It advances the time and the step count. With `growth` it also advances the growth of the spheres during packing. A
+    scene halts if it has failed, needs new neighbour lists, or has reached its goal.
     """
     Scenes = array_structs(scalar).Scenes
 
@@ -70,8 +73,8 @@ def clock_kernel(scalar, growth: bool) -> wp.Kernel:
         flags[s, STEPS] = steps
         if wp.static(growth):
             scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-        # Bodies are re-sorted at fixed step counts, and sorting always forces a list rebuild. The result of the sorting
-        # therefore does not depend on when the lists were last rebuilt for other reasons.
+        # Bodies are re-sorted only at fixed step counts, and these steps always force a list rebuild. Otherwise the
+        # order of the bodies would depend on when motion happened to make a rebuild necessary.
         if late != 0 or (sort_every > 0 and steps % sort_every == 0):
             flags[s, LATE] = 0
             flags[s, STALE] = 1

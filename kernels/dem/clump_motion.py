@@ -1,4 +1,7 @@
-"""Motion of bodies of one or more spheres: forces gathered from the spheres, a leapfrog step, new sphere positions."""
+"""Kernel that moves bodies of one or more spheres.
+
+For each body it sums the forces on the body's spheres, makes a leapfrog step, and computes the new sphere positions.
+"""
 
 import functools
 
@@ -53,7 +56,8 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
     ):  # fmt: skip
         """Sum the forces on a body's spheres with `lanes` threads; all threads of a warp must call this together.
 
-        `first` is the body's first lane in the warp. The sums run in the order of the spheres, for any number of lanes.
+        `first` is the lane (thread number in the warp) of the body's first thread. The sums run in the order of the
+        spheres, whatever the number of lanes.
         """
         total = t.vec3()
         torque = t.vec3()
@@ -89,7 +93,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
 @functools.cache
 def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
-    """Return the function `move_sphere`, which moves a sphere with its body and checks whether lists stay valid."""
+    """Return `move_sphere`, which moves a sphere with its body and checks whether the neighbour lists stay valid."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
@@ -105,7 +109,7 @@ def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
     ):  # fmt: skip
         """Set position and velocity of sphere i from the motion of its body.
 
-        The arguments from `x` on belong to the body; `size` is the current scale factor of the body's size.
+        The argument `x` and those after it describe the body; `size` is the current scale factor of the body's size.
         """
         offset = read_vec4(spheres.offset, i)
         arm = wp.quat_rotate(orientation, xyz(offset)) * size
@@ -179,7 +183,8 @@ def clump_kernel(
             mass = bodies.mass[b]
             begin = scenes.row[scene].spheres + bodies.first[b + scene]
             end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
-            # Read all values that another thread of the warp may overwrite before the threads synchronise.
+            # Read all values before the threads of the warp synchronise, because another thread may overwrite them
+            # afterwards.
             velocity = bodies.velocity[b]
             rounding = bodies.rounding[b]
             spin_before = bodies.spin[b]

@@ -78,9 +78,10 @@ def contact_functions(scalar):
 
         Return its new force, True if it slips, and the energy lost by slip [J].
 
-        The spring's ends move apart at the velocity `rate`, and its force is limited to `limit`. Its old force
-        `history` rotates with the contact plane. In the first step of a contact, only the time after first touch loads
-        the spring. The energy lost is the mean spring force of the step times the slip distance.
+        `rate` is the velocity at which the spring's ends move apart [m/s], `history` its old force, and `limit` the
+        largest force that it can bear [N]. The old force rotates with the contact plane. In the first step of a
+        contact, the spring is loaded only during the part of the step after first touch. The energy lost is the mean
+        spring force of the step times the slip distance.
         """
         overlap = wp.max(-touch.gap, scalar(0.0))
         loading = dt
@@ -111,7 +112,7 @@ def contact_functions(scalar):
 
     @wp.func
     def spring_energy(history: t.vec3, stiffness: scalar):
-        """Return the elastic energy of a spring with force or moment `history` [J]; zero if the stiffness is zero."""
+        """Return the elastic energy of a spring with force or moment `history` [J], or 0 if its stiffness is 0."""
         square = wp.length_sq(history)
         stored = scalar(0.0)
         if square > scalar(0.0):

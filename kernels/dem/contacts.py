@@ -104,8 +104,8 @@ def contact_kernel(
             else:
                 block = block + BLOCK
                 if wp.static(dissipation):
-                    # Compute the forces of the collected contacts after each block of list entries, so that a sphere's
-                    # energy losses are added up block by block.
+                    # Evaluate the collected contacts after each block of list entries. A sphere's energy losses are
+                    # then always added up in the same order: block by block.
                     full = block < end
                 if block >= end:
                     i = i + 1

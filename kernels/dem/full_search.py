@@ -34,7 +34,11 @@ def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
 
 @functools.cache
 def octant_functions(scalar):
-    """Return `side` (sign of an octant along an axis) and `within` (true if a point lies in an octant)."""
+    """Return `side` and `within`, functions for the eight octants around a sphere's centre.
+
+    `side` returns the sign (1 or -1) of an octant along an axis, and `within` returns true if a vector from the centre
+    lies in an octant.
+    """
     t = types(scalar)
 
     @wp.func
@@ -43,7 +47,7 @@ def octant_functions(scalar):
 
     @wp.func
     def within(away: t.vec3, octant: wp.int32) -> wp.bool:
-        # Each point lies in exactly one octant, also on the boundaries.
+        # The comparisons assign each point to exactly one octant, also if it lies on a boundary between octants.
         place = wp.where(away[0] < scalar(0.0), 0, 1) + wp.where(away[1] < scalar(0.0), 0, 2)
         return place + wp.where(away[2] < scalar(0.0), 0, 4) == octant
 
@@ -54,8 +58,8 @@ def octant_functions(scalar):
 def recording_functions(scalar, bonds: bool):
     """Return the functions `old_row` and `add_neighbour`, with which a search writes full neighbour lists.
 
-    `old_row` finds the entries of a sphere in the old list, and `add_neighbour` writes an entry into the new list. A
-    full list contains each pair at both of its spheres.
+    A full list contains each pair at both of its spheres. `old_row` returns the range of a sphere's entries in the old
+    list, and `add_neighbour` records an entry of the new list.
     """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
@@ -89,10 +93,11 @@ def recording_functions(scalar, bonds: bool):
 def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``search`` and ``fill`` for full lists (GPU).
 
-    ``search`` counts the neighbours of each sphere (`count` must be zero before) and stores them in `finds` as far as
-    there is room. After a prefix sum has given the row starts, ``fill`` writes the neighbours to their rows in sorted
-    order. If there are few spheres, eight threads (`lanes`) share each sphere, and each thread searches one octant. The
-    last element of `total` receives the length of the longest row that does not fit into `finds`.
+    ``search`` counts the neighbours of each sphere in `count`, which must be zero before, and stores as many of them as
+    fit in the buffer `finds`. A prefix sum of the counts then yields the start of each sphere's row in the list, and
+    ``fill`` writes the neighbours to their rows in sorted order. If there are few spheres, eight threads (`lanes`)
+    share each sphere, and each thread searches one octant. The last element of `total` receives the length of the
+    longest row that does not fit into `finds`.
 
     Pairs whose bond spans a gap wider than the skin are copied from the old list. A wider search in the grid would make
     a few threads slow and let all others wait for them.

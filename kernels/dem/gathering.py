@@ -16,16 +16,17 @@ from .structs import array_structs
 from .warps import group_functions
 
 ESTIMATE_LANES = 4
-"""Number of GPU threads that share a sphere in the estimate of the stable step; they read its list entries together."""
+"""Number of GPU threads that share a sphere in the estimate of the stable step; they divide its list entries among
+them."""
 
 
 @functools.cache
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int) -> wp.Kernel:
-    """Return the kernel that adds stiffness and damping of the spheres' contacts to `estimate`, from sphere `begin` on.
+    """Return the kernel that adds up the stiffness and damping of each sphere's contacts in `estimate`.
 
-    With `stiff` the kernel counts only pairs that move in sub-cycling rounds. With half lists, `first` and `last` bound
-    the chunk of spheres whose pairs are counted. `part` is the number of the CPU thread; it is 0 on a GPU, where
-    `lanes` threads share a sphere.
+    `begin` is the first sphere of the launch. With `stiff` the kernel counts only pairs that move in sub-cycling
+    rounds. With half lists, `first` and `last` bound the chunk of spheres whose pairs are counted. `part` is the number
+    of the CPU thread; it is 0 on a GPU, where `lanes` threads share a sphere.
     """
     t = types(scalar)
     sum_of_group = group_functions(scalar, lanes).sum_of_group
@@ -107,7 +108,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
             met = 0
         for slot in range(met):
             w = first_wall + slot
-            n = t.vec3()  # Normal vector that points into the wall.
+            n = t.vec3()  # Unit normal that points into the wall.
             overlap = scalar(-1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], xi)
@@ -127,7 +128,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 add_wall_stiffness(estimate, part, w, k)
-        # Add the stiffness and damping of pairs that a half list contains at the other sphere only.
+        # Keep what `estimate.sums` already holds: the stiffness and damping of pairs that the half list contains only
+        # at the other sphere.
         if wp.static(half):
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]

@@ -22,12 +22,13 @@ def grid_struct(scalar):
 
     @wp.struct
     class Grid:
-        dims: wp.vec3i  # number of cells along each axis
+        dims: wp.vec3i  # number of cells of the grid along each axis
         per_width: wp.array(dtype=scalar)  # inverse width of a cell [1/m], shape (1,)
         held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
-        start: wp.array(dtype=wp.int32)  # index in `point` of each cell's first point, and the end, shape (cells + 1,)
+        # index in `point` of each cell's first point, followed by the number of points, shape (cells + 1,)
+        start: wp.array(dtype=wp.int32)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
-        # rank of each point among the points of its cell, in no particular order, shape (points,)
+        # number of each point among the points of its cell, from 0, in the arbitrary order of counting, shape (points,)
         rank: wp.array(dtype=wp.int32)
         point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
 
@@ -38,9 +39,10 @@ def grid_struct(scalar):
 def grid_functions(scalar) -> SimpleNamespace:
     """Return the functions `cell_at`, `region` and `run_of` for queries of the grid.
 
-    `cell_at` returns the cell of a position. `region` returns the block of cells that may hold points within a reach of
-    a position. `run_of` returns the entries in `point` for one run of the block. A run is a line of adjacent cells
-    along x; it splits into two runs where the periodic grid ends between them.
+    `cell_at` returns the cell of a position. `region` returns the block of cells that may hold points within a distance
+    `reach` of a position. A run is a line of adjacent cells of the block along x; it splits into two runs where it
+    crosses the end of the periodic grid. `run_of` returns the range of one run in `point`, the list of points sorted by
+    cell.
     """
     t = types(scalar)
     Grid = grid_struct(scalar)
@@ -53,9 +55,9 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def along(v: scalar) -> wp.int32:
-        """Return the index along one axis of the cell that holds a coordinate, which is given in cell widths."""
+        """Return the index along one axis of the cell that contains the coordinate `v`, in units of cell widths."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # NaN fails this comparison and is mapped to the farthest cell
+        place = wp.where(v > -far, v, -far)  # NaN fails this comparison, so it is mapped to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func
@@ -86,7 +88,10 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def run_of(grid: Grid, region: Region, number: wp.int32) -> wp.vec2i:
-        """Return the range of indices in `point` (the points sorted by cell) of the run of adjacent cells `number`."""
+        """Return the range of run `number` in `point`, the list of points sorted by cell.
+
+        A run is a line of adjacent cells of the region along x.
+        """
         row = number
         begin = region.lowest[0]
         end = begin + region.count[0]
@@ -111,9 +116,9 @@ def grid_functions(scalar) -> SimpleNamespace:
 def grid_kernels(scalar) -> SimpleNamespace:
     """Return two kernels over points that sort points into cells.
 
-    ``count`` counts the points of each cell; the array `held` must be zero before. The prefix sums of these counts are
-    then written to the array `start`. Finally, ``put`` writes the indices of the points to the array `point`, sorted by
-    cell.
+    ``count`` counts the points of each cell in the array `held`, which must be zero before. The caller then writes the
+    prefix sums of these counts to the array `start`. Finally, ``put`` writes the indices of the points to the array
+    `point`, sorted by cell.
     """
     Grid = grid_struct(scalar)
     cell_at = grid_functions(scalar).cell_at

@@ -19,8 +19,8 @@ from .structs import array_structs
 def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
     """Insert an entry at its sorted position in a list row that already holds `found` entries.
 
-    Rows are sorted in ascending order, whatever the order in which the grid finds neighbours. The sums of a step then
-    do not depend on the grid, which is shared by all scenes of a batch.
+    `row` is the index of the row's first entry. The grid finds neighbours in an order that depends on all scenes of a
+    batch. Sorted rows make the sums of a step independent of this order.
     """
     k = row + found
     for ahead in range(found):
@@ -35,7 +35,7 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
 def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     """Return the kernel ``search`` for half lists (CPU), which runs with one task per chunk.
 
-    A chunk is the range of spheres of one CPU thread. Two rules decide where a pair is listed:
+    A chunk is the range of spheres of one CPU thread. Two rules decide at which sphere a pair is listed:
 
     - A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
       search around a sphere then reaches no further than the sphere's own diameter plus the margin.
@@ -44,7 +44,7 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
 
     Each task writes the list entries of its spheres, one sphere after the other, to the buffer `other`. `room` is the
     range of entries in this buffer that the chunk may use. The output `wanted` is the number of entries that the chunk
-    needs, which may exceed this range.
+    needs, which may be more than this range can hold.
     """
     t = types(scalar)
     structs = array_structs(scalar)

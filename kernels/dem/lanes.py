@@ -26,16 +26,18 @@ BOND = (
     "effective_modulus", "shear_to_normal", "tensile_strength", "cohesion", "tan_friction_angle", "radius_multiplier",
     "moment_factor",
 )  # fmt: skip
-"""Names of the bond parameters, in the order of their columns."""
+"""Names of the bond parameters, in the order in which `layout` stores their columns. A column holds the values of one
+quantity for all vector lanes."""
 
 
 @functools.cache
 def column_functions(scalar):
     """Return functions that read and write numbers and vectors in columns, and that select a vector or zero.
 
-    A vector lane is one of the contacts that a CPU computes at the same time. A column holds one number for each lane.
-    `get`, `put` and their variants access the number of lane `lane` in the column that starts at index `at`, or a
-    vector in several columns from there on. `where3` and `where4` return the vector if a condition holds, else zero.
+    A vector lane is one of the contacts that a CPU computes at the same time. A column is a part of an array that holds
+    one number for each lane. `get` and `put` access the number of lane `lane` in the column that starts at index `at`.
+    `get3`, `put3`, `get4` and `put4` access a vector, whose components are in consecutive columns. `where3` and
+    `where4` return the vector if a condition holds, else zero.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -90,10 +92,10 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Return the index at which the columns of each quantity begin in the float or integer array of the lanes.
+    """Return where the values of each quantity begin in the two arrays of the vector lanes, and the arrays' sizes.
 
-    A vector lane is one of the contacts that a CPU computes at the same time. The result also contains the sizes of
-    both arrays.
+    A vector lane is one of the contacts that a CPU computes at the same time. One array holds floating-point numbers,
+    the other integers. Each scalar quantity occupies LANES consecutive elements, one for each lane.
     """
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})
@@ -137,8 +139,9 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
     ):  # fmt: skip
         """Copy the data of list entry k of sphere i into one vector lane.
 
-        A vector lane evaluates one contact. `row` is the first row of contact parameters for the sphere's material, and
-        `base` is the index of the scene's first sphere.
+        A vector lane evaluates one contact. `row` is the first row of the contact parameters for the sphere's material,
+        `base` the index of the scene's first sphere, `first_bond` that of its first bond parameters, and `first_load`
+        that of its first bond force.
         """
         entry = read_int(pairs.other, k)
         j = base + decode(entry)
@@ -284,11 +287,11 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
     def scatter(
         spheres: Spheres, pairs: Pairs, first: wp.int32, last: wp.int32, columns: Columns, ints: Ints, count: wp.int32
     ):
-        """Add the results of all vector lanes to their spheres and pairs.
+        """Add the results of the first `count` vector lanes to their spheres and pairs.
 
         A vector lane is one of the contacts that a CPU computes at the same time. The calling CPU thread owns spheres
-        `first` to `last`. A pair across the border of that range is listed and evaluated on both sides. Only the copy
-        at the sphere with the lower permanent number counts energy and broken bonds.
+        `first` to `last` - 1. A pair across the border of that range is listed and evaluated on both sides. Only the
+        copy at the sphere with the lower permanent number counts energy and broken bonds.
         """
         lane = wp.int32(0)
         while lane < count:

@@ -14,8 +14,8 @@ from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
 EXTRA_MASKS: int = wp.constant(4)
-"""Number of bit masks per sphere for the entries of its neighbour list after the first BLOCK entries. Each bit tells if
-the pair of an entry touches. The bits of the first BLOCK entries are in `spheres.touching`."""
+"""Number of additional bit masks per sphere. Each bit tells if the pair of a list entry touches. The bits of a sphere's
+first BLOCK list entries are in `spheres.touching`, and those of later entries in the additional masks."""
 MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
@@ -25,7 +25,7 @@ A row with more entries is rare: a large sphere among small ones has about a hun
 
 @functools.cache
 def mark_function(scalar):
-    """Return `mark_touching`, which records in a sphere's bit masks whether the pair of a list entry touches.
+    """Return `mark_touching`, which sets or clears the bit that tells if the pair of a list entry touches.
 
     `place` is the position of the entry in the sphere's row of the neighbour list.
     """
@@ -53,8 +53,9 @@ def mark_function(scalar):
 def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int) -> SimpleNamespace:
     """Return the kernels that create the links (pairs as the GPU evaluates them) when neighbour lists are rebuilt.
 
-    ``clear_links`` runs over links, and ``count_own`` over spheres. ``fill_links`` runs with `lanes` threads per
-    sphere, which share the sphere's list entries. `rows` is the number of rows in which a link stores its forces.
+    ``clear_links`` marks all links as unused, with one thread per link. ``count_own`` counts the links of each sphere,
+    with one thread per sphere. ``fill_links`` writes the links; `lanes` threads share the list entries of a sphere.
+    `rows` is the number of rows in which a link stores its forces.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -92,9 +93,9 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Return the index of the list entry whose neighbour is sphere i, by a binary search from `begin` to `end`.
+        """Return the list entry, from `begin` to `end` - 1, whose neighbour is sphere i.
 
-        The entries are sorted by the index of the neighbour.
+        The entries are those of one sphere. They are sorted by the index of the neighbour, so a binary search finds it.
         """
         low = begin
         high = end - 1
@@ -147,7 +148,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
                 # Only the first MASKED_ENTRIES list entries of a sphere have a bit that tells whether the pair touches.
-                # Every step adds up the results of later entries without a check, so these results must start at zero.
+                # Every step adds the results of later entries without a check, so the results of these links must start
+                # at zero.
                 if k - pairs.start[i + s] >= MASKED_ENTRIES or twin - begin >= MASKED_ENTRIES:
                     for each in range(rows):
                         links.result[rows * p + each] = t.vec4()

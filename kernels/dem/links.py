@@ -25,8 +25,9 @@ from .structs import APART, DT_PREVIOUS, PARTED, STIFF, TOUCHING, array_structs,
 def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
     """Return the number of rows of `links.result` in which each pair of spheres stores its result.
 
-    Two rows are enough for both spheres, because the forces on them are opposite. With bonds, rolling resistance or a
-    sum of the lost energy, each sphere needs two rows of its own, for its moment and its energy.
+    Two rows hold a force and a contact moment, which suffice for both spheres because the forces on them are opposite.
+    With bonds, rolling resistance or a sum of the lost energy, each sphere needs two rows of its own, for its moment
+    and its energy.
     """
     return 4 if bonds or rolls or dissipation else 2
 
@@ -80,14 +81,14 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def force_on_end(end: wp.int32, force: t.vec4):
-        """Return the link's force on the sphere at this end of the link [N]."""
+        """Return the link's force [N] on one of its spheres; `end` tells which sphere, as in `row_of`."""
         if wp.static(apart):
             return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
     def moment_on_end(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """Return the link's moment about the centre of the sphere at this end of the link [N m]."""
+        """Return the link's moment about the centre of one sphere [N m]; `end` tells which sphere, as in `row_of`."""
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
@@ -96,7 +97,7 @@ def result_functions(scalar, count: int):
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
         """Add up force, moment and lost energy over the links (pairs) of sphere i, in list order.
 
-        `row` is the index of the scene's first list entry, and `slot` the sphere's index in `pairs.start`.
+        `row` is the index of the scene's first list entry, and `slot` is the index in `pairs.start` for sphere i.
         """
         force = t.vec3()
         moment = t.vec3()
@@ -112,7 +113,8 @@ def result_functions(scalar, count: int):
             else:
                 left = read_int(links.later_touching, EXTRA_MASKS * i + word - 1)
             while left != 0:
-                # Each pass loads the results of up to four links at once, so that their memory latencies overlap.
+                # Each pass of this loop loads the results of up to four links at once, so that their memory latencies
+                # overlap.
                 q = read_int(links.end, block + lowest_bit(left))
                 left = left & (left - 1)
                 u, v, w = wp.int32(0), wp.int32(0), wp.int32(0)
@@ -152,7 +154,7 @@ def result_functions(scalar, count: int):
             block += BLOCK
             word += 1
         # The list entries after the first MASKED_ENTRIES have no bits that mark touching pairs, so add the results of
-        # all of them.
+        # all these entries. Pairs that do not touch have a result of zero.
         for entry in range(begin + MASKED_ENTRIES, end):
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
@@ -241,9 +243,10 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            # A stiff bond may break between two checks by this kernel, and its spheres may already be apart at the
-            # second check. The second check must then clear the contact history. The state STIFF makes sure of this;
-            # the state APART would not.
+            # This kernel clears the contact history of a pair when its state changes to APART. A stiff bond may break
+            # between two checks by this kernel, and the spheres may already be apart at the second check. The state of
+            # a pair with a stiff bond is therefore STIFF; with the state APART, the second check would see no change
+            # and keep the history.
             after = STIFF
         if state != after:
             lost = scalar(0.0)
@@ -252,7 +255,7 @@ def contact_update_function(
             if after == APART and state != PARTED:
                 lost = clear_parted(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
-                after = PARTED  # the link's result stays in the sums for one more step, so that the loss is counted
+                after = PARTED  # Keep the link in the sums for one more step, so that its lost energy is counted.
             else:
                 mark_touching(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark_touching(spheres, links, j, twin - row - pairs.start[j + s], close)
@@ -391,7 +394,7 @@ def link_kernel(
                 first, row = scenes.row[links.scene[p]].spheres, scenes.row[links.scene[p]].pairs
                 ends = wp.vec4i(first + link[0], first + link[1], row + link[2], p)
             s = spheres.scene[ends[0]]
-            # All loads are issued before the branch that decides if they are needed, so that their latencies overlap.
+            # Issue all loads before the branch that decides whether they are needed, so that their latencies overlap.
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
             state, kind = read_int(links.state, ends[3]), wp.int32(0)
             if wp.static(bonds):

@@ -18,7 +18,7 @@ from .search import find_function
 from .structs import SINCE_BUILD, array_structs
 
 SAMPLED: int = wp.constant(16)
-"""Approximate number of spheres that are sampled in each part of a scene to estimate their mean velocity.
+"""Approximate number of spheres sampled in each part of a scene to estimate the mean velocity of its spheres.
 
 The spheres of a scene are divided into parts of equal size, each of which yields one partial sum.
 """
@@ -43,9 +43,10 @@ def transfer_kernel(
     def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
         """Return the bond state to store at one entry of a half neighbour list.
 
-        If the two spheres of a pair belong to different CPU threads, the pair has two entries, and both threads compute
-        its bond. Each entry then needs its own copy of the bond's force and moment. The entry that owns the bond uses
-        an even row of `load`. The other entry uses the odd row after it.
+        If the two spheres of a pair belong to different CPU threads, the pair has two list entries, and both threads
+        compute its bond. Each entry then needs its own copy of the bond's force and moment. The entry at the sphere
+        with the lower permanent number (`own`) uses an even row of `pairs.load`. The other entry uses the odd row after
+        it.
         """
         found = bond
         if bond > 0:
@@ -122,9 +123,9 @@ def transfer_kernel(
 
 @functools.cache
 def list_kernels(scalar) -> SimpleNamespace:
-    """Return the kernels that run before and after a search for neighbours, in a namespace.
+    """Return the kernels that run before and after a search for neighbours.
 
-    Its members are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.
+    Their names are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -137,7 +138,10 @@ def list_kernels(scalar) -> SimpleNamespace:
         flags: wp.array2d(dtype=wp.int32), shift: wp.array(dtype=t.vec3), spheres: Spheres,
         centre: wp.array(dtype=t.vec3),
     ):  # fmt: skip
-        """Write the sphere centres for the grid, and store the positions from which displacements are measured."""
+        """Write the sphere centres, shifted by the `shift` of their scene, to the points of the search grid.
+
+        In scenes with stale lists, also store the present positions, from which later displacements are measured.
+        """
         i = wp.tid()
         centre[i] = xyz(spheres.position[i]) + shift[spheres.scene[i]]
         if flags[spheres.scene[i], STALE] != 0:
@@ -201,8 +205,8 @@ def list_kernels(scalar) -> SimpleNamespace:
     def drift(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)):
         """Sum the velocities of a sample of each scene's spheres, to estimate the common drift.
 
-        Displacements are measured relative to the drift. Lists stay complete whatever the drift is; a poor estimate
-        only makes them expire sooner, so a sample is enough.
+        Displacements since the list rebuild are measured relative to this drift. A poor estimate costs no accuracy: it
+        only makes the lists expire sooner. A sample is therefore enough.
         """
         s, lane = wp.tid()
         if flags[s, STALE] == 0:
@@ -220,7 +224,11 @@ def list_kernels(scalar) -> SimpleNamespace:
 
     @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
-        """Mark a scene's lists as valid and resume it, unless it waits for another reason; one thread per scene."""
+        """Mark a scene's new lists as valid and let the scene continue, with one thread per scene.
+
+        The scene stays halted if it has failed, or has reached its goal or its next stable step estimate. The kernel
+        also stores the scene's mean velocity, and resets the time and the wall displacements since the rebuild.
+        """
         s = wp.tid()
         if flags[s, STALE] == 0:
             return

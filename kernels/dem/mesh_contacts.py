@@ -13,9 +13,9 @@ A sphere's list of candidate triangles stays valid for hundreds of steps, so mos
 touch. Each sphere therefore has a second, shorter list of near candidates. The kernel rebuilds this list when sphere
 and meshes may have approached by more than a margin. Both lists have the same order and yield the same contacts.
 
-The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
-structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
-longer.
+The arrays of walls and contact slots are separate arguments of the kernel, and the loop that searches for an old
+contact's history is part of the kernel's own code. If the arrays came in structs, or if the search were a function,
+CUDA's compiler would unroll the loops differently and the kernel would take 5 % longer.
 """
 
 import functools
@@ -35,13 +35,14 @@ from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-# Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
-# radii].
+# A contact point counts as hidden by a nearer contact if it lies behind the plane through the nearer contact point, or
+# at most this far in front of the plane [sphere radii].
 BEHIND = 2.0e-2
 ROUNDING = 0.99
 """Fraction of the margin by which sphere and meshes may approach before near candidates are chosen again.
 
-The rest of the margin covers rounding errors."""
+The rest of the margin covers rounding errors.
+"""
 # Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
 # contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
@@ -124,8 +125,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         other side.
         """
         gap = distance - radius
-        # Cosine of the angle between `n` and a normal of the previous step on this wall: the one most nearly parallel
-        # to `n`.
+        # Among the normals that this sphere had on this wall in the previous step, find the one most nearly parallel to
+        # `n`, in either direction. `side` is the cosine of the angle between both.
         side = scalar(0.0)
         for s in range(MESH_SLOTS):
             if slot_wall[i, first + s] == wall:
@@ -237,7 +238,8 @@ def near_function(scalar):
             moved += wall_moved[w]
         chosen = candidates.chosen[i]
         is_valid = wp.length(x - xyz(chosen)) + radius + scalar(moved) <= chosen[3]
-        # The threads of a warp wait for each other, so if one thread must rebuild its list, all of them do.
+        # The threads of a warp wait for each other, so rebuilding the lists of all threads costs no more than
+        # rebuilding one. If one thread must rebuild its list, all of them do.
         if any_active(not is_valid):
             near = begin
             for k in range(begin, end):
@@ -341,8 +343,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                         if found > MESH_SLOTS:
                             found = MESH_SLOTS
                             flags[scene, OVERFLOW] = 1
-            # Contact slots are filled in order. If the first slot is unused, all slots are unused, and there is no
-            # history to clear.
+            # Contact slots are filled in order. An unused first slot thus means that all slots are unused, and that
+            # there is no history to clear.
             if found == 0 and slot_wall[i, analytic] < 0:
                 continue
             dt, scale = scalar(scenes.clock[scene, DT_PREVIOUS]), scenes.clock[scene, FORCE_SCALE]
@@ -370,8 +372,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
-                # If the sphere's centre is behind the surface, check whether the whole sphere could be behind it after
-                # one more step. If so, the scene fails.
+                # If the centre of the sphere has passed the surface, check whether the whole sphere could be behind the
+                # surface after one more step. If so, mark the scene as failed.
                 if gaps[s] < -radius:
                     if dt * wp.dot(parts.xyz(velocity) - wall_velocity[w], n) - gaps[s] > scalar(2.0) * radius:
                         wp.atomic_cas(flags, scene, FAILED, 0, 1 + spheres.body[i])

@@ -36,7 +36,7 @@ def surface_functions(scalar) -> SimpleNamespace:
     def falls_towards(direction: t.vec3, offset: t.vec3):
         # Return True if a small step along `direction` on the surface leads nearer to the sphere's centre. The
         # tolerance covers rounding in single precision. Because of the tolerance, two faces may report the same
-        # minimum; such minima are merged later, because their directions form a small angle.
+        # minimum. The contacts of both are merged later, because their normals are nearly parallel.
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
@@ -83,7 +83,8 @@ def surface_functions(scalar) -> SimpleNamespace:
                         return False
                 return True
             if across[face, edge + 3] < face:
-                return False  # Avoid a duplicate: the neighbouring face has the lower index and reports this edge.
+                # Avoid a duplicate: the neighbouring face has a lower index than this face, so it reports this edge.
+                return False
             return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
@@ -104,7 +105,7 @@ def surface_functions(scalar) -> SimpleNamespace:
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
     ):
-        """Return the unit normal into the wall at a face's point closest to a sphere.
+        """Return the unit normal into the wall at the point of a face that is closest to a sphere's centre.
 
         The normal is opposite to `offset`, the vector from this point to the sphere's centre. If the centre lies on the
         face, the result is the face's own normal, which follows from the order of the face's corners.
@@ -154,7 +155,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
             for w in range(first_wall + scenes.row[s].analytic, first_wall + scenes.row[s].wall_count):
                 local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
                 centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
-                # The search tree of the mesh is in single precision, so add a margin for its rounding errors.
+                # Warp stores the bounding boxes of the mesh in single precision, so add a margin for rounding errors.
                 margin = wp.float32(reach) + wp.float32(1.0e-6) * wp.length(centre)
                 box = wp.vec3(margin, margin, margin)
                 query = wp.mesh_query_aabb(walls.table[w].mesh, centre - box, centre + box)

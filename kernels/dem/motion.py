@@ -22,16 +22,17 @@ def motion_options(half: bool) -> dict:
     """Return the compiler options of a kernel that moves bodies.
 
     On a GPU, `fast_math` speeds up division, as it does in contact kernels (:func:`contacts.contact_options`). It also
-    gives sines an error of 4e-7. Only drives along bends use sines.
+    gives sines an error of 4e-7. Sines are used only for the direction of drive forces in pipe bends.
     """
     return {"fast_math": not half}
 
 
 @functools.cache
 def rotation_functions(scalar):
-    """Return `turned` (rotate a quaternion by a rotation vector) and `spin_at_middle` (spin from angular momentum).
+    """Return the functions `turned` and `spin_at_middle`, which describe the rotation of a body.
 
-    `turned` does not normalise its result.
+    `turned` rotates a quaternion by a rotation vector [rad], and does not normalise the result. `spin_at_middle`
+    computes the angular velocity from the angular momentum.
     """
     t = types(scalar)
 
@@ -40,8 +41,8 @@ def rotation_functions(scalar):
         a = wp.length_sq(rotation)
         part = scalar(1.0)
         doublings = wp.int32(0)
-        # A rotation by more than 0.1 rad is computed by halving the angle and squaring the result. Series and squaring
-        # take a GPU fewer instructions than sine and cosine.
+        # A rotation by more than 0.1 rad is computed for a fraction of the angle, which is the angle halved several
+        # times. The result is then squared as many times. On a GPU this takes fewer instructions than sine and cosine.
         while a > scalar(0.01) and doublings < 40:
             a = scalar(0.25) * a
             part = scalar(0.5) * part
@@ -70,7 +71,11 @@ def rotation_functions(scalar):
 
     @wp.func
     def spin_at_middle(q: t.quat, angular_momentum: t.vec3, inertia: t.vec3, dt: scalar):
-        """Return the spin in the middle of the step's rotation, found by fixed-point iteration (midpoint rule)."""
+        """Return the angular velocity in the middle of the step's rotation [rad/s].
+
+        It depends on the orientation at that time, which depends on the angular velocity itself. Three fixed-point
+        iterations solve this equation (midpoint rule).
+        """
         spin = spin_of(q, angular_momentum, inertia)
         if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
             iteration = wp.int32(0)
@@ -138,15 +143,15 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def drift_of(scenes: Scenes, s: wp.int32):
-        """Return the displacement [m] by the scene's common drift since the last list rebuild, including this step."""
+        """Return the displacement by the scene's common drift [m] from the last list rebuild to the end of the step."""
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func
     def exceeds_skin(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
         """Return True if a sphere has moved so far that a list with this skin may miss one of its contacts.
 
-        The allowed motion relative to the common drift of the spheres is half the skin, minus the growth of the
-        sphere's radius.
+        A sphere may move by half the skin, minus the growth of its radius. Its motion is measured relative to the
+        common drift of the spheres since the list was built.
         """
         slack = scalar(0.5) * skin - (radius - built[3])
         return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)

@@ -1,11 +1,11 @@
 """Kernels that choose the near links of a GPU: the pairs close enough to touch within a few steps.
 
 Near links form a second, shorter neighbour list of pairs (links). The main list holds all pairs within a skin that
-lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR
-of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them
-anew at a fixed interval (`NEAR_LINK_INTERVAL` in `warpcrete/dem/engine`), without the host. If a sphere moves too far
-before the next choice, its scene evaluates all links until then. No contact is missed, and the results are the same
-either way.
+lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs whose gap is below a
+fraction NEAR of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The
+device chooses them anew at a fixed interval (`NEAR_LINK_INTERVAL` in `warpcrete/dem/engine`), without the host. If a
+sphere moves too far before the next choice, its scene evaluates all links until then. No contact is missed, and the
+results are the same either way.
 """
 
 import functools
@@ -47,10 +47,10 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Return a free index in the list of near links to each thread whose `wants` is true, and -1 to the others.
+    """Return a free index in the list of near links if `wants` is true, else -1.
 
-    All threads of a block must call this function. One atomic addition per block reserves the indices. Blocks run in
-    any order, so the order of the list varies.
+    All threads of a block must call this function together, with one atomic addition per block. Blocks run in any
+    order, so the order of the list varies.
     """
 
 
@@ -95,8 +95,8 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # Put a pair that touched or is bonded into the list, even if its spheres are far apart now. The next step
-            # must evaluate such a pair, to notice that its contact has ended.
+            # Also put a pair into the list if it touched in the last step or is bonded, even if its spheres are far
+            # apart now. The next step must evaluate such a pair to notice that its contact has ended.
             near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:

@@ -11,17 +11,18 @@ from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .structs import array_structs
 
-# Number of list entries that are checked at a time: one bit per entry in an int32, without its sign bit.
+# Number of list entries that are checked at a time. Each has one bit in an int32, whose sign bit is not used.
 BLOCK: int = wp.constant(31)
-# Mask with all bits set. It is stored after a list rebuild, so that every entry counts as having touched before.
+# Mask with all bits set. It is stored after a list rebuild, so that every pair counts as having touched in the previous
+# step.
 ALL_TOUCHED = 2**31 - 1
 
 
 @wp.func
 def decode(entry: wp.int32):
-    """Return the neighbour index of a list entry.
+    """Return the index of the neighbour from an entry of a neighbour list.
 
-    An entry is j, or -1 - j where the neighbour j has the lower permanent number.
+    An entry is the index j of the neighbour, or -1 - j if the neighbour has the lower permanent number of the pair.
     """
     if entry < 0:
         return -1 - entry
@@ -30,7 +31,7 @@ def decode(entry: wp.int32):
 
 @functools.cache
 def pair_functions(scalar):
-    """Return the struct `PairTouch` and the function `pair_touch`: the geometry of a touching or bonded pair."""
+    """Return the struct `PairTouch` (geometry of a touching or bonded pair) and `pair_touch`, which computes it."""
     t = types(scalar)
     contact = contact_functions(scalar)
     Touch, sphere_touch = contact.Touch, contact.sphere_touch
@@ -39,9 +40,9 @@ def pair_functions(scalar):
     @wp.struct
     class PairTouch:
         touch: Touch
-        apart: t.vec3  # velocity of the second centre relative to the first [m/s]
+        apart: t.vec3  # velocity of the higher-numbered sphere's centre relative to the other centre [m/s]
         distance: scalar  # distance between the centres [m]
-        arm_i: scalar  # distance from the first centre to the contact point [m]
+        arm_i: scalar  # distance from the centre of sphere i to the contact point [m]
         arm_j: scalar
 
     @wp.func
@@ -75,9 +76,9 @@ def pair_functions(scalar):
         arm_i = position_i[3] + scalar(0.5) * gap
         arm_j = position_j[3] + scalar(0.5) * gap
         apart = sign * (xyz(velocity_j) - xyz(velocity_i))
-        # A pair is stored twice, as (i, j) and as (j, i). Both copies must give the same bits, even if the compiler
-        # fuses a multiplication and an addition. The following form of arm_i spin_i + arm_j spin_j rounds in the same
-        # way when i and j are exchanged.
+        # A pair may be listed and computed twice, as (i, j) and as (j, i). Both computations must give the same bits,
+        # even if the compiler fuses a multiplication and an addition. The following form of arm_i spin_i + arm_j spin_j
+        # rounds in the same way when i and j are exchanged.
         spins = spin_i + spin_j
         sliding = (scalar(0.5) * (arm_i + arm_j)) * spins
         sliding = sliding + (scalar(0.5) * (arm_j - arm_i)) * (spin_j - spin_i)
@@ -187,7 +188,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
 
 @functools.cache
 def broken_function(scalar):
-    """Return the function `count_broken`, which counts a broken bond at a sphere, by its failure mode."""
+    """Return `count_broken`, which adds a broken bond to a sphere's count for tension or for shear."""
     Spheres = array_structs(scalar).Spheres
 
     @wp.func
@@ -215,11 +216,11 @@ def bond_pull_functions(scalar, dissipation: bool):
     class BondPull:
         force: t.vec4  # new shear force vector and tension of the bond [N]; zero if the bond broke
         moment: t.vec4  # new bending moment vector and torsion of the bond [N m]; zero if the bond broke
-        total: t.vec3  # force of the bond on the first body [N]
-        bending: t.vec3  # moment of the bond on the first body [N m]
-        contact: scalar  # 0 if the bond broke and the spheres do not touch, else 1
+        total: t.vec3  # force of the bond on the sphere with the lower permanent number [N]
+        bending: t.vec3  # moment of the bond on the sphere with the lower permanent number [N m]
+        contact: scalar  # factor on the contact force: 0 if the bond broke and the spheres do not touch, else 1
         lost: scalar  # energy lost by contact and bond [J]
-        outcome: wp.int32  # 1 if the bond holds; negative: code of how the bond broke
+        outcome: wp.int32  # 1 if the bond holds; otherwise the negative code of how it broke
 
     @wp.func
     def bond_pull(
@@ -242,8 +243,8 @@ def bond_pull_functions(scalar, dissipation: bool):
         pull.lost = lost
         if outcome < 0:
             holds = scalar(0.0)
-            # A bond may break while the spheres are apart. The contact's dashpot must then vanish together with the
-            # bond.
+            # The contact law computes a dashpot force for every bonded pair, even if its spheres are apart. If the bond
+            # breaks while they are apart, this force must vanish together with the bond.
             if touch.gap >= scalar(0.0):
                 pull.contact = scalar(0.0)
                 pull.lost = scalar(0.0)
@@ -261,7 +262,7 @@ def bond_pull_functions(scalar, dissipation: bool):
 
 @functools.cache
 def bonded_function(scalar, healing: bool, dissipation: bool):
-    """Return the function `bonded`, which adds a bond's force to the contact force and updates the bond."""
+    """Return the function `bonded`, which adds the force of a pair's bond to its contact force and updates the bond."""
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
     PairTouch = pair_functions(scalar).PairTouch
@@ -285,8 +286,8 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
     ):
         """Return total force [N], bond moment [N m], lost energy [J] and bond outcome of a pair that may be bonded.
 
-        The total force is the sum of the forces of contact and bond. The outcome is 1 if the bond holds or there is
-        none. If the bond breaks, the outcome is a negative code of how it broke.
+        The total force is the sum of the forces of contact and bond. The outcome is 1 if the bond holds or if the pair
+        has no bond. If the bond breaks, the outcome is the negative code of its failure mode.
         """
         moment = t.vec3()
         outcome = wp.int32(1)

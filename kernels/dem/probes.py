@@ -1,4 +1,8 @@
-"""Kernels that measure contacts, bodies and walls and sum each measured quantity (a column) in a fixed order."""
+"""Kernels that measure contacts, bodies and walls.
+
+The measured quantities are columns of tables whose rows belong to spheres or bodies. The sum of each column is formed
+in a fixed order.
+"""
 
 import functools
 
@@ -13,7 +17,8 @@ from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
-# The next constants are the numbers of columns. Each column holds a value that is summed over a sphere's contacts.
+# The next constants are the indices of columns in a table with a row for each sphere. Each column holds a value that is
+# summed over the sphere's contacts.
 CONTACTS: int = wp.constant(0)  # number of pairs in contact
 OVERLAP_SUM: int = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.
@@ -22,7 +27,7 @@ ELASTIC_ENERGY: int = wp.constant(3)  # energy of contact springs, walls include
 BOND_ENERGY: int = wp.constant(4)  # elastic energy of bonds [J]
 BONDED: int = wp.constant(5)  # number of bonded pairs
 VIRIAL: int = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
-BONDED_HYDRATED: int = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
+BONDED_HYDRATED: int = wp.constant(7)  # number of pairs bonded by stiff bonds (hydrated contacts)
 # DEPTH_MAX is the largest ratio of an overlap to its permitted overlap. Between two spheres, the permitted overlap is
 # reached when the larger sphere contains the smaller one, or when the distance of the centres is half that at first
 # touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
@@ -31,10 +36,11 @@ BROKEN_TENSION: int = wp.constant(9)  # number of bonds broken in tension since 
 BROKEN_SHEAR: int = wp.constant(10)  # number of bonds broken in shear since the start
 CONTACT_COLUMNS: int = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
-# Columns in which the largest value is computed instead of the sum.
+# Columns that are reduced to their largest value instead of their sum.
 CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))
 
-# The next constants are the columns of values that are summed over the bodies.
+# The next constants are the indices of columns in a table with a row for each body. The columns are summed over the
+# bodies.
 KINETIC: int = wp.constant(0)  # kinetic energy at the middle of the last step [J]
 # potential energy of gravity, relative to the origin, at the middle of the last step [J]
 POTENTIAL: int = wp.constant(1)
@@ -46,7 +52,7 @@ REACH: int = wp.constant(12)  # largest absolute coordinate of any body [m]
 BODY_COLUMNS: int = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
 
-# The next constants are the columns of values that are read from each wall.
+# The next constants are the indices of columns in a table with a row for each wall.
 IMPULSE: int = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
 FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m] of the contacts on the wall
 TURN: int = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
@@ -54,7 +60,7 @@ TRAVEL: int = wp.constant(16)  # displacement of the wall along its path [m]
 WORK: int = wp.constant(17)  # work done by the wall on the concrete [J]
 WALL_COLUMNS = 18
 
-# Number of partial sums of each column. It is fixed, so the order of summation depends only on the number of rows.
+# Number of partial sums of each column. It is fixed, so that the order of summation depends only on the number of rows.
 LANES = 256
 
 
@@ -62,8 +68,8 @@ LANES = 256
 def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
     """Return two kernels that reduce every column of an array to its sum or maximum.
 
-    The result is the maximum if the column's bit in `maxima` is set. The first kernel reduces the rows to LANES partial
-    results. The second kernel reduces these to one result.
+    Column c is reduced to its maximum if bit c of `maxima` is set. The first kernel reduces the rows to LANES partial
+    results, and the second kernel reduces these to one result.
     """
 
     @wp.kernel(module=module_of("columns"), enable_backward=False)
@@ -97,7 +103,7 @@ def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
 
 @functools.cache
 def wall_probe(scalar) -> wp.Kernel:
-    """Return the kernel over all walls that stores impulse, force, orientation, travel and work of each wall."""
+    """Return the kernel over walls that writes a row with each wall's impulse, force, orientation, travel and work."""
     Walls = array_structs(scalar).Walls
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -118,7 +124,7 @@ def wall_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def body_probe(scalar) -> wp.Kernel:
-    """Return the kernel over bodies of scene `s` that writes a row of measured values for each body.
+    """Return the kernel over the bodies of scene `s` that writes a row of measured values for each body.
 
     Rows are sorted by the bodies' permanent numbers.
     """
@@ -353,7 +359,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # Normal vector that points into the wall.
+            n = t.vec3()  # Unit normal that points into the wall.
             overlap = scalar(-1.0)
             towards = half_step
             known = slot < scenes.row[s].analytic
@@ -363,7 +369,8 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                 overlap = radius - distance
             else:
                 known = slots.wall[i, slot] >= 0
-                # A mesh contact stores the overlap at the start of the step, half a step before the wanted time.
+                # The energy is measured at the middle of the last step. A mesh contact stores the overlap at the start
+                # of the step, which is half a step earlier.
                 towards = -half_step
                 if known:
                     w = scenes.row[s].walls + slots.wall[i, slot]

@@ -13,9 +13,9 @@ from .structs import array_structs
 def rebuilding_kernels(scalar) -> SimpleNamespace:
     """Return two kernels of one thread each, for a scene that runs alone: ``needs_rebuild`` and ``fit``.
 
-    ``needs_rebuild`` decides if the device must rebuild the lists now. It leaves rebuilds with sorting, and scenes that
-    have failed, to the host. ``fit`` decides if the arrays have room for the new lists. If the arrays are too small,
-    the host rebuilds the lists.
+    ``needs_rebuild`` decides if the device must rebuild the lists now. The host handles failed scenes and rebuilds at
+    which bodies are sorted. ``fit`` decides if the arrays have room for the new lists. If not, the host rebuilds the
+    lists with larger arrays.
     """
     Scenes = array_structs(scalar).Scenes
 
@@ -34,9 +34,9 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     ):  # fmt: skip
         """Set `fits` to 1 if the results of a neighbour search fit into the arrays, else to 0.
 
-        `scanned` and `face_scanned` are running sums over the spheres, of the numbers of listed neighbours and of
-        listed mesh faces. The last element of each is the total number of entries. The arrays have space for `room` and
-        `face_room` entries. An empty `face_scanned` means that the scene has no meshes.
+        `scanned` contains running sums of the spheres' numbers of neighbours, and `face_scanned` those of the spheres'
+        numbers of nearby mesh faces. The last element of each is the total number of entries. The arrays have space for
+        `room` and `face_room` entries. An empty `face_scanned` means that the scene has no meshes.
         """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room

@@ -18,10 +18,10 @@ SQUARE_APART = """
     return wp::length_sq(a - b);
 #endif
 """
-"""Source of a function that returns the squared distance between two points.
+"""C++ source of a function that returns the squared distance between two points.
 
-Its intrinsics keep the GPU compiler from fusing multiply and add, so that the result is rounded the same way in every
-kernel.
+On a GPU it uses intrinsics that are never fused to multiply-add instructions, so that the result is rounded the same
+way in every kernel.
 """
 
 
@@ -75,11 +75,11 @@ def close_function(scalar):
 
 @functools.cache
 def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
-    """Return the functions that decide where to search for neighbours and which spheres are neighbours.
+    """Return functions that decide where to search for neighbours and which spheres are neighbours.
 
-    They are `query_of`, `padded_reach`, `is_neighbour` and `bonded_beyond_skin`. A bond may span a gap wider than the
-    skin. Half lists find such pairs by a wider search in the grid. Full lists take such pairs from the old list, with
-    the function `bonded_beyond_skin`.
+    They are `query_of`, `padded_reach`, `is_neighbour` and `bonded_beyond_skin`. Pairs whose bond spans a gap wider
+    than the skin need special treatment. For half lists, a wider search in the grid finds them. For full lists, they
+    are taken from the old list with the function `bonded_beyond_skin`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -117,7 +117,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.func
     def padded_reach(reach: scalar, middle: t.vec3) -> scalar:
-        """Return `reach` enlarged by a margin, because rounding errors of positions could hide a neighbour."""
+        """Return `reach` plus a margin for rounding errors of positions, which could otherwise hide a neighbour."""
         return reach + scalar(wp.static(rounding)) * wp.max(wp.abs(middle))
 
     @wp.func
@@ -127,8 +127,8 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     ) -> wp.bool:  # fmt: skip
         """Return True if spheres i and j belong in the list as a pair.
 
-        They belong if they are parts of different bodies of one scene and their gap is within the skin, or is spanned
-        by a bond.
+        They must belong to different bodies of one scene, and their gap must be smaller than the skin. In half lists, a
+        bond between them also suffices.
         """
         skin = scenes.row[query.s].skin
         close = is_close(query.x, query.radius, xyz(position_j), position_j[3], skin)

@@ -13,7 +13,8 @@ from .structs import array_structs, scene_struct
 def permute_kernels(scalar) -> dict[tuple[type, bool], wp.Kernel]:
     """Return the kernels that permute the rows of arrays: target[i] = source[order[i]].
 
-    The key of a kernel is its data type, and True for two-dimensional or False for one-dimensional arrays.
+    The result is a dictionary. Its keys consist of the data type of the array, and True for two-dimensional or False
+    for one-dimensional arrays.
     """
     t = types(scalar)
     module = module_of("permuting", scalar)
@@ -47,8 +48,8 @@ def permute_kernels(scalar) -> dict[tuple[type, bool], wp.Kernel]:
 def order_kernels(scalar) -> SimpleNamespace:
     """Return kernels that re-sort bodies and spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``, ``invert``.
 
-    Each scene keeps its range of rows. Within a scene to be sorted (`sort[s]`), bodies are ordered by the Morton code
-    of their cell. In the other scenes, bodies stay where they are.
+    Each scene keeps its range of rows in the arrays of the batch. If `sort[s]` is 1, the bodies of scene s are ordered
+    by the Morton code of their cell. Otherwise they keep their order.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -80,9 +81,10 @@ def order_kernels(scalar) -> SimpleNamespace:
         key: wp.array(dtype=wp.int64),
         value: wp.array(dtype=wp.int32),
     ):
-        """Compute the sort keys: the scene, then the Morton code of the body's cell.
+        """Compute the key by which each body is sorted: first the scene, then the Morton code of the body's cell.
 
-        The code counts cells from the scene's lowest cell, with 10 bits a direction; larger indices wrap around.
+        Cell indices are counted from the scene's lowest cell. The code uses 10 bits of the index along each axis, so
+        larger indices wrap around.
         """
         b = wp.tid()
         s = bodies.scene[b]

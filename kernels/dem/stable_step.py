@@ -2,18 +2,18 @@
 
 For each body, the 3x3 stiffness K and damping C of all its touching or bonded contacts are added up. The same is done
 for rotation about the centroid, from the lever arms of contacts and the moments of bonds; these matrices are rotated to
-principal axes and scaled by the moments of inertia. With k and c the largest absolute row sums, the step is the minimum
-over all bodies of
+principal axes and scaled by the moments of inertia. With k and c the largest absolute row sums of K and C, and m the
+body's mass, the step is the minimum over all bodies of
 
     dt = 2 m / (c + sqrt(c^2 + 4 m k)).
 
 This is half the stability limit of leapfrog for a body between fixed neighbours, with dashpots that use the velocity of
 half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For a body with one
-contact, dt equals the step of the program PFC, sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt takes all
-dashpots into account, unlike PFC's formula.
+contact, dt equals the step of the program PFC, sqrt(m/k) (sqrt(1 + beta^2) - beta), where beta is the contact's
+critical damping ratio. For several contacts, dt takes all dashpots into account, unlike PFC's formula.
 
-An automatic step obeys two more limits. The step resolves impacts that lose little energy finely enough that they gain
-none, and no sphere moves further in a step than a fraction LEAP of its radius.
+An automatic step obeys two more limits. First, the step must resolve impacts: time integration must not add energy to
+an impact that loses little. Second, no sphere may move further in a step than a fraction LEAP of its radius.
 """
 
 import functools
@@ -89,22 +89,22 @@ def begin_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def recording_functions(scalar):
-    """Return functions that record speeds and wall loads for the estimate of the stable step.
+    """Return functions that collect speeds and the stiffness of wall contacts for the stable step estimate.
 
-    The struct `Estimate` holds the records; each CPU thread writes to its own part of the arrays.
+    They use the struct `Estimate`, in whose arrays each CPU thread has its own part.
 
-    - `record_speed` records a speed in a thread's part.
-    - `add_wall_stiffness` adds the stiffness and damping of a contact to the load of a wall.
+    - `record_speed` updates the largest speed in a thread's part.
+    - `add_wall_stiffness` adds the stiffness and damping of a contact to the sums of a wall.
     - `fastest` returns the largest speed in a scene over all parts.
-    - `least` returns the smallest value over all parts of another array.
+    - `least` returns the smallest value in a scene over all parts of another array.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
 
     @wp.func
     def record_speed(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
-        # Reading the maximum first avoids nearly all atomic operations. The value that is read may be outdated, but it
-        # is never too high, so no new maximum is missed.
+        # Read the present maximum first, because this avoids nearly all atomic operations. The value may be outdated,
+        # but it is never too high, so no new maximum is missed.
         if wp.float64(speed) > estimate.fastest[part, s]:
             wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 
@@ -135,9 +135,9 @@ def recording_functions(scalar):
 
 @functools.cache
 def floor_function(scalar, pair_law, wall_law):
-    """Return the function `floor_of`, which computes the stiffness and damping that every stable step must allow for.
+    """Return `floor_of`, which computes a lower limit of the stiffness and damping that determine the stable step.
 
-    A body in free flight has no contact, but its step must already be stable for the next contact.
+    A body in free flight has no contact, but its time step must already be stable for the next contact.
     """
     t = types(scalar)
     Pair, pair_stiffness = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).stiffness
@@ -175,9 +175,9 @@ def floor_function(scalar, pair_law, wall_law):
     ):
         """Return stiffness and damping of the next contact of a body in flight, and the stiffness to be resolved.
 
-        The next contact is assumed to be the stiffest one with a sphere or wall of any material. `turn` is the body's
-        total response to a shear force (translation and rotation), divided by its translation alone; `tip` is this
-        ratio for a normal force.
+        The next contact is assumed to be the stiffest one with a sphere or wall of any material. A force at a contact
+        moves and rotates the body. `turn` is the resulting acceleration of the contact point under a shear force,
+        divided by the acceleration without rotation. `tip` is the same ratio for a normal force.
 
         The limit of the time step contains a reserve of a factor of two in stiffness, for neighbours that move in
         opposition. A body with a single contact does not need this reserve, so only half of the shear stiffness counts.
@@ -228,8 +228,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    # Compile without `fast_math` even on a GPU, because it flushes products of small bodies' moments of inertia to
-    # zero.
+    # Compile without `fast_math` even on a GPU, because `fast_math` flushes very small numbers to zero, such as
+    # products of the moments of inertia of small bodies.
     @wp.kernel(module="unique", enable_backward=False, module_options=contact_options(True))
     def reduce_step(
         # The next arguments are arrays of the model, which are constant during a run.
@@ -364,8 +364,8 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
             if subcycled.rounds[s] > 0:
                 # A sub-cycling round has the length h = step / rounds. It is stable for a mass m on a spring k with a
                 # dashpot c if k h^2 + c h <= m. The dashpot of a stiff bond is c = RELAXATION step k, so c h =
-                # RELAXATION rounds k h^2. With m / k = stable^2, it follows that h <= stable / sqrt(1 + RELAXATION
-                # rounds).
+                # RELAXATION rounds k h^2. Let `stable` be the stable step of the stiff pairs without dashpots, so that
+                # m / k = stable^2. It follows that h <= stable / sqrt(1 + RELAXATION rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
                 step = wp.min(wp.float64(SUBCYCLED_STEP_FRACTION) * step, stiff)

@@ -17,9 +17,9 @@ from .structs import array_structs
 def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
-    The force acts on the sphere that stores the contact, in its neighbour list or among its contacts with walls. It
-    includes the force of the bond. Shear springs and bonds are as the last step left them; gaps and velocities are the
-    current ones.
+    The force acts on the sphere whose neighbour list or wall slots contain the contact. It includes the force of the
+    bond. The forces of shear springs and bonds are those of the last step, while gaps and velocities are the current
+    ones.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -96,7 +96,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         radius = spheres.position[i][3]
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # Normal vector that points into the wall.
+            n = t.vec3()  # Unit normal that points into the wall.
             gap = scalar(1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
@@ -124,7 +124,8 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
 
 
 STRESSES: int = wp.constant(6)
-"""Number of stress components of a body: force times branch vector, in the order xx, yy, zz, xy, yz, zx."""
+"""Number of components of a body's stress sum: products of contact force and branch vector, in the order xx, yy, zz,
+xy, yz, zx."""
 
 
 @functools.cache

@@ -18,16 +18,17 @@ from .warps import group_functions
 def estimate_struct(scalar):
     """Return the struct `Estimate`, in whose arrays the sums for the stable step are collected.
 
-    The four columns of `sums` are the stiffness and the damping of translation, then the stiffness and the damping of
-    rotation. Each CPU thread has its own row of extreme values and wall loads, so the CPU needs no atomic operations.
+    The four columns of `sums` are stiffness and damping of translation, then stiffness and damping of rotation. In the
+    arrays of extreme values and of wall sums, each CPU thread has its own row, so that the CPU needs no atomic
+    operations.
     """
     vec6 = wp.types.vector(6, scalar)
 
     @wp.struct
     class Estimate:
         sums: wp.array2d(dtype=vec6)  # stiffness and damping per sphere, shape (spheres, 4); zero between estimates
-        # Stiffness [mN/m] and damping [mN s/m] of all contacts of a wall. Each CPU thread stores the sums over its
-        # contacts for each wall, shape (threads, walls, 2).
+        # Stiffness [mN/m] and damping [mN s/m] of all contacts of a wall, as integers. Each CPU thread stores the sums
+        # over its contacts for each wall, shape (threads, walls, 2).
         wall_load: wp.array3d(dtype=wp.int64)
         # Stable time step [s]. Each CPU thread stores the minimum over its bodies for each scene, shape (threads,
         # scenes).
@@ -66,16 +67,16 @@ def stiffness_functions(scalar):
 
     @wp.func
     def outer(n: t.vec3, kn: scalar, ks: scalar):
-        """Return the matrix of a spring with stiffness `kn` along the unit vector `n` and `ks` across it."""
+        """Return the matrix of a spring with stiffness `kn` along the unit vector `n` and `ks` perpendicular to it."""
         return (kn - ks) * squared(n) + times_unit(ks)
 
     @wp.func
     def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
-        """Return the rotational stiffness of a contact, which is at the vector `r` from the body's centroid.
+        """Return the rotational stiffness matrix of a contact, about the body's centroid.
 
-        The stiffness has two parts. One part is that of the contact's springs, which act at the end of the lever `r`.
-        The other part is the bond's own bending and torsion stiffness. The same formula gives the rotational damping of
-        dashpots.
+        `r` is the vector from the centroid to the contact. The stiffness has two parts. One part is that of the
+        contact's springs, which act at the end of the lever `r`. The other part is the bond's own bending and torsion
+        stiffness. The same formula gives the rotational damping of dashpots.
         """
         c = wp.cross(r, n)
         levers = times_unit(wp.length_sq(r)) - squared(r)
@@ -85,8 +86,8 @@ def stiffness_functions(scalar):
     def row_sum(m: t.mat33, scale: t.vec3):
         """Return the largest absolute row sum of the matrix with elements m[r, c] / sqrt(scale[r] scale[c]).
 
-        No eigenvalue of this matrix exceeds the sum. With masses or inertias as `scale`, it bounds the stiffness or
-        damping per mass.
+        No eigenvalue of this matrix exceeds the row sum. `scale` contains masses or moments of inertia, so the sum is
+        an upper bound of the stiffness per mass, or of the damping per mass.
         """
         largest = scalar(0.0)
         for r in range(3):
@@ -98,7 +99,10 @@ def stiffness_functions(scalar):
 
     @wp.func
     def stable(k: scalar, c: scalar):
-        """Return the stable step [s] for stiffness `k` and damping `c` per mass: the root of k dt^2 + c dt = 1."""
+        """Return the stable step dt [s], the positive root of k dt^2 + c dt = 1.
+
+        `k` is the stiffness per mass [1/s2], and `c` the damping per mass [1/s].
+        """
         return scalar(2.0) / (c + wp.sqrt(c * c + scalar(4.0) * k))
 
     return SimpleNamespace(outer=outer, turning=turning, full=full, row_sum=row_sum, stable=stable)

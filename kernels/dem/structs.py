@@ -103,7 +103,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # Parameters of each scene, and the indices at which the data of the scene begin in arrays that all scenes
         # share, shape (scenes,).
         row: wp.array(dtype=SceneRow)
-        clock: wp.array2d(dtype=wp.float64)  # simulated time, time step and others, shape (scenes, CLOCK)
+        # columns TIME to STABLE: simulated time, time step and others, shape (scenes, CLOCK)
+        clock: wp.array2d(dtype=wp.float64)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
         reference_velocity: wp.array(dtype=t.vec3)  # mean velocity of each scene when its lists were built [m/s]
 
@@ -111,7 +112,7 @@ def array_structs(scalar) -> SimpleNamespace:
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
         scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
-        shape: wp.array(dtype=wp.int32)  # index of each body's template in the state's clump templates
+        shape: wp.array(dtype=wp.int32)  # index of each body's shape in the state's table of clump templates
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
         mass: wp.array(dtype=scalar)  # body mass [kg]
@@ -122,7 +123,8 @@ def array_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=t.vec3)  # angular velocity in space axes, in the middle of the last step [rad/s]
         orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
-        # index of each body's first sphere, and an end marker per scene, shape (bodies + scenes,)
+        # Index of each body's first sphere. The indices of each scene end with the scene's total number of spheres.
+        # Shape (bodies + scenes,).
         first: wp.array(dtype=wp.int32)
 
     @wp.struct
@@ -136,19 +138,24 @@ def array_structs(scalar) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
         spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
         built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
-        clear: wp.array(dtype=t.vec4)  # centre at the last check of fixed walls, and distance from the nearest one [m]
+        # Centre of each sphere when its distance from fixed planes and pipes was last measured, and the distance from
+        # the nearest of them, reduced for rounding [m].
+        clear: wp.array(dtype=t.vec4)
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
         # Bit mask that marks neighbours of each sphere in contact in the last step. Bit k belongs to entry k of the
         # sphere's neighbour list; the mask covers the first BLOCK entries.
         touching: wp.array(dtype=wp.int32)
         dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start [J]
-        broken: wp.array(dtype=wp.vec2i)  # bonds broken since the start: in tension, in shear
+        broken: wp.array(dtype=wp.vec2i)  # number of bonds broken since the start, in tension and in shear
 
     @wp.struct
     class Slots:
-        touching: wp.array(dtype=wp.int32)  # bit mask of planes and pipes touched in the last step, shape (spheres,)
-        history: wp.array2d(dtype=t.vec3)  # contact history: slots of planes, pipes, then meshes, (spheres, slots)
+        # bit mask of the planes and pipes that each sphere touched in the last step, shape (spheres,)
+        touching: wp.array(dtype=wp.int32)
+        # Contact history of each slot, for spring laws the shear force [N], shape (spheres, slots). Slots for planes
+        # and pipes come first, then those for meshes.
+        history: wp.array2d(dtype=t.vec3)
         rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], (spheres, slots)
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
@@ -161,10 +168,14 @@ def array_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Pairs:
-        start: wp.array(dtype=wp.int32)  # first list entry of each sphere, and end markers, shape (spheres + scenes,)
+        # Index of each sphere's first list entry. The indices of each scene end with the scene's total number of list
+        # entries. Shape (spheres + scenes,).
+        start: wp.array(dtype=wp.int32)
         # index j of the neighbour, or -1 - j if j has the lower permanent number, shape (pairs,)
         other: wp.array(dtype=wp.int32)
-        history: wp.array(dtype=t.vec4)  # contact history, for springs the shear force [N], padded to four, (pairs,)
+        # Contact history of each pair, shape (pairs,). For spring laws it is the shear force [N], padded to four
+        # numbers.
+        history: wp.array(dtype=t.vec4)
         rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
@@ -175,7 +186,8 @@ def array_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Candidates:
-        # index of each sphere's first entry in `face`, and end markers, shape (spheres + scenes,)
+        # Index of each sphere's first entry in `face`. The indices of each scene end with the scene's total number of
+        # entries. Shape (spheres + scenes,).
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
@@ -205,7 +217,7 @@ def array_structs(scalar) -> SimpleNamespace:
         angular_impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact moment since the start [N m s]
         travel: wp.array(dtype=wp.float64)  # displacement along the wall's path since the start [m]
         work: wp.array(dtype=wp.float64)  # work done by the wall on the concrete since the start [J]
-        # meshes only: largest possible displacement of a corner since the lists were built [m]
+        # meshes only: largest possible displacement of a corner since the neighbour lists were built [m]
         moved: wp.array(dtype=wp.float64)
         # force and moment on each wall in this step, in fixed point, shape (threads, walls, 6)
         step_force: wp.array3d(dtype=wp.int64)
@@ -226,14 +238,16 @@ def links_struct(scalar):
 
     @wp.struct
     class Links:
-        # for each link: lower and higher sphere, list entry and twin entry, as indices in the scene; or -1: unused
+        # For each link: the sphere with the lower and that with the higher permanent number, and the list entries at
+        # both, as indices in the scene. All four are -1 if the link is unused. Shape (links,).
         link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
         # Bit masks that mark neighbours in contact, for the entries of a sphere's neighbour list after the first BLOCK
         # entries. Each sphere has EXTRA_MASKS integers.
         later_touching: wp.array(dtype=wp.int32)
-        # for each list entry, the index p of its link in the scene; at twin entries -1 - p
+        # For each list entry, the index p of its link in the scene if the entry is at the sphere with the lower
+        # permanent number. Otherwise -1 - p.
         end: wp.array(dtype=wp.int32)
         # Result of each link (pair of spheres) in this step. An array element holds a vector and a number. The lower
         # sphere of a pair is the one with the lower permanent number. Without bonds, rolling resistance and energy
@@ -247,12 +261,15 @@ def links_struct(scalar):
         # Near links, which are the listed pairs of spheres that may touch soon. Each one holds four indices in the
         # arrays of the batch: the two spheres, the pair's entry in the neighbour list, and the link.
         near: wp.array(dtype=wp.vec4i)
-        near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
+        # number of near links, then 1 if any scene must check all its links, else 0, shape (2,)
+        near_count: wp.array(dtype=wp.int32)
         # `near_list_exceeded` is 1 for a scene whose near links (listed pairs of spheres that may touch soon) may miss
         # a contact, for example because a sphere has moved far. Otherwise it is 0. Shape (scenes,).
         near_list_exceeded: wp.array(dtype=wp.int32)
-        near_position: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
-        near_time: wp.array(dtype=wp.float64)  # time from the list rebuild to the choice of near links [s], (scenes,)
+        # positions and radii of the spheres when near links were chosen [m], shape (spheres,)
+        near_position: wp.array(dtype=t.vec4)
+        # time from the list rebuild to the choice of near links [s], shape (scenes,)
+        near_time: wp.array(dtype=wp.float64)
 
     return Links
 
@@ -274,14 +291,18 @@ def subcycled_struct(scalar):
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
         lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
         higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
-        # indices of the pair's two bodies in this struct, then the two rows of `force` for the forces on these bodies
+        # Four indices of each pair: its two bodies in this struct, then the rows of `force` for the forces on these
+        # bodies.
         ends: wp.array(dtype=wp.vec4i)
-        lower_offset: wp.array(dtype=t.vec4)  # sphere of lower index: centre in the body's frame, radius [m]
-        higher_offset: wp.array(dtype=t.vec4)  # sphere of higher index: centre in the body's frame, radius [m]
+        # for the sphere with the lower permanent number: centre in the body's frame, and radius [m]
+        lower_offset: wp.array(dtype=t.vec4)
+        # for the sphere with the higher permanent number: centre in the body's frame, and radius [m]
+        higher_offset: wp.array(dtype=t.vec4)
         law: wp.array(dtype=wp.int32)  # index of the pair's contact parameters in `pair_parameters`
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
-        copy: wp.array(dtype=wp.int32)  # index of the second list entry that holds the pair, or -1
-        held: Pairs  # contact history and bond of each pair; copied to the neighbour list at the end of a step
+        # index of the pair's second entry in the neighbour list, or -1 if it has only one
+        copy: wp.array(dtype=wp.int32)
+        held: Pairs  # contact history and bond of each pair; the last round of a step copies them to the neighbour list
         # 1 while the bond holds; 0 once it is broken and the pair is an ordinary contact again
         active: wp.array(dtype=wp.int32)
         lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]
@@ -289,13 +310,15 @@ def subcycled_struct(scalar):
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
         body_number: wp.array(dtype=wp.int32)  # permanent number of each body
         place: wp.array(dtype=wp.int32)  # current index of each body in the batch's arrays of bodies
-        start: wp.array(dtype=wp.int32)  # first row of each body in `force`, and an end marker, shape (bodies + 1,)
-        # for each row of `force`: twice the index of its pair, plus 1 at the pair's higher sphere, shape (2 pairs,)
+        # index of each body's first row in `force`, followed by the number of rows, shape (bodies + 1,)
+        start: wp.array(dtype=wp.int32)
+        # For each row of `force`, the pair and the sphere to which it belongs: 2 p for the sphere of pair p with the
+        # lower permanent number, 2 p + 1 for the other one. Shape (2 pairs,).
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
-        # Position of each body's centroid in the middle of a time step [m]. The velocities are stored for the same
-        # moment.
+        # Position of each body's centroid in the middle of a time step [m]. The velocities below belong to the same
+        # time.
         position: wp.array(dtype=t.vec3)
         rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
         orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes

@@ -34,7 +34,8 @@ from .pairs import bonded_function, broken_function, pair_functions
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 SUBCYCLED_STEP_FRACTION = 0.5
-"""Largest step if stiff bonds are computed in several rounds per step, over the stable step of all other contacts."""
+"""Largest time step if stiff bonds are computed in several rounds per step, divided by the stable step of all other
+contacts."""
 RELAXATION = 0.01
 """Relaxation time of a stiff bond's dashpots (damping / stiffness), as a fraction of the time step."""
 
@@ -221,7 +222,7 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def apply_kick(subcycled: Subcycled, q: wp.int32, kick: scalar):
-        """Return velocity and angular momentum of body q after all forces have acted for the time `kick` [s]."""
+        """Return velocity and angular momentum of body q after all forces have acted on it for the time `kick` [s]."""
         total = subcycled.other_force[q]
         torque = subcycled.other_torque[q]
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
@@ -328,7 +329,8 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) 
         # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # The next arguments are the numbers of threads and of barrier participants, and sizes of the arrays.
+        # The next arguments are the number of threads, the number of blocks that meet at barriers, and the sizes of the
+        # arrays.
         threads: wp.int32,
         parties: wp.int32,
         body_count: wp.int32,

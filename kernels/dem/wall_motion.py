@@ -1,4 +1,4 @@
-"""Kernels that move walls, with a prescribed motion or driven by a force."""
+"""Kernels that move walls. The motion of a wall is either prescribed or driven by a force."""
 
 import functools
 
@@ -14,7 +14,10 @@ SPEED_LIMIT = 1.0e4  # Speed above which a scene fails [m/s], far above the spee
 
 @wp.func
 def ramped(time: wp.float64, ramp: wp.float64):
-    """Return the distance of a motion whose speed rises linearly to 1: the integral of min(time / ramp, 1)."""
+    """Return the distance travelled in `time` if the speed rises linearly from 0 to 1 and then stays 1.
+
+    The rise takes the time `ramp`. The distance is the integral of min(t / ramp, 1) from 0 to `time`.
+    """
     if time <= wp.float64(0.0):
         return wp.float64(0.0)
     if time < ramp:
@@ -24,7 +27,7 @@ def ramped(time: wp.float64, ramp: wp.float64):
 
 @wp.func
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
-    """Return the distance of a motion that consists of `stops` strokes, followed by motion at a constant speed of 1.
+    """Return the distance travelled in `time` with `stops` strokes, followed by motion at a constant speed of 1.
 
     Each stroke goes from rest to rest and is followed by a pause.
     """
@@ -98,7 +101,8 @@ def motion_functions(scalar, strokes: bool):
         direction = wp.normalize(wall.velocity)
         speed = wp.dot(walls.velocity_exact[w], direction)
         push_along = wall.drive_force + wp.dot(f, direction)
-        # A damper on the mean of old and new speed is stable for any damping (trapezoidal rule).
+        # Apply the damper to the mean of old and new speed (trapezoidal rule), which is stable however strong the
+        # damping is.
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
@@ -159,8 +163,8 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
         # The contact forces act from the middle of the previous step to the middle of the coming step. The wall's work
-        # on the concrete is therefore added in two parts. This line adds the work in the second half of the previous
-        # step, with the velocity of that step. The work in the first half of the coming step is added below.
+        # on the concrete is therefore added in two parts. Here, add the work in the second half of the previous step,
+        # with the velocity of that step. The work in the first half of the coming step is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

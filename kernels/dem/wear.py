@@ -1,4 +1,7 @@
-"""Wear of walls for each sphere and wall: work of sliding, energy loss of impacts, load times sliding distance."""
+"""Wear of walls by each sphere, as three quantities from which wear laws can be computed.
+
+They are the work of sliding, the energy loss of impacts, and the integral of the load over the sliding distance.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -19,11 +22,11 @@ def wear_functions(scalar, law) -> SimpleNamespace:
 
     @wp.func
     def contact_wear(p: Parameters, touch: Touch, f: t.vec3, lost: scalar, dt: scalar):
-        """Return three values of a contact in a step: sliding work [J], impact loss [J], load times distance [N m].
+        """Return the sliding work [J], impact loss [J], and load times sliding distance [N m] of a contact in a step.
 
-        The distance is the sliding distance. `f` is the contact force and `lost` the contact's total energy loss. The
-        split works for any contact law: the law is evaluated once more without sliding. The loss without sliding is due
-        to the impact, and the rest of `lost` is due to sliding.
+        `f` is the contact force [N] and `lost` the contact's total energy loss [J]. To split this loss, the contact law
+        is evaluated once more without sliding. The loss without sliding is due to the impact, and the rest of `lost` is
+        due to sliding. This works for any contact law.
         """
         n = touch.normal
         along = wp.dot(touch.velocity, n)

@@ -16,22 +16,22 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, row_place
 
 DEGREE = 4
-"""Degree of the Chebyshev iteration that solves the coarse equations; it applies the coarse matrix DEGREE - 1 times. A
-degree of 6 or 8 saves a third of the conjugate-gradient iterations for tall columns, but every iteration takes longer,
-so a GPU gains nothing."""
+"""Degree of the Chebyshev iteration that solves the coarse equations; it applies the coarse matrix DEGREE - 1 times. If
+the fluid forms a tall column, a degree of 6 or 8 saves a third of the conjugate-gradient iterations. Every iteration
+then takes longer, however, so a GPU gains nothing."""
 RATIO = 20.0
 """Ratio of the largest to the smallest eigenvalue for which the Chebyshev iteration is designed. The eigenvalues are
-those of the coarse matrix after each row has been divided by its diagonal element; they are at most 2."""
+those of the coarse matrix after each row has been divided by its diagonal element. None of them exceeds 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 """Centre (MIDDLE) and half-width (REACH) of the interval of eigenvalues for which the Chebyshev iteration is designed.
-The interval extends from 2 / RATIO to 2, where RATIO is the ratio of its ends."""
+This interval extends from 2 / RATIO to 2."""
 
 
 @functools.cache
 def slot_function(scalar, dimensions: int):
     """Build `slot_of`, which numbers the position of the cube `other` relative to the cube `own`.
 
-    The two cubes must be adjacent or equal. The possible positions are `own` itself and the cubes around it. In d
+    The two cubes must be adjacent or equal, so `other` is either `own` itself or one of the cubes around it. In d
     dimensions these are 3^d positions, with numbers from 0 to 3^d - 1; `own` has the middle number. The cubes of
     neighbouring particles are always adjacent or equal, because a cube is at least as wide as the reach of a particle.
     """
@@ -138,7 +138,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Add up the results of `pairs` over the particles of a cube to obtain a coefficient of the coarse matrix."""
+        """Add up the results of `pairs` over all particles of a cube, which gives one entry of the coarse matrix."""
         if flags[HALTED] != 0:
             return
         entry = wp.tid()
@@ -179,7 +179,7 @@ def lanes() -> wp.int32:
 
 @functools.cache
 def lane_sum(value):
-    """Build the function that sums a value over all lanes of a warp and returns the sum to each lane."""
+    """Build the function that sums a value over all lanes (threads) of a warp and returns the sum to each of them."""
     width = wp.types.type_size(value)
     each, one = (f"for (int c = 0; c < {width}; ++c) part[c]", "part[c]") if width > 1 else ("part", "part")
     snippet = SUMMED.replace("EACH +=", f"{each} +=").replace("EACH", one)
@@ -195,9 +195,9 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     """Build `load` and `sweep`, which solve the coarse equations approximately by Chebyshev iteration.
 
     `load` sums the residual over each cube and computes the first guess. Each call of `sweep` improves the solution by
-    one step (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm 12.1). All lanes of a warp call
-    these functions together and process every `by`-th cube from `first` on; a CPU thread counts as a warp with one
-    lane. The loops over cubes are inside the functions, because on a CPU each call copies the structs passed to it.
+    one step (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm 12.1). All threads of a warp call
+    these functions together. They process every `by`-th cube from `first` up to `end`; on a CPU, a warp is a single
+    thread. The loops over cubes are inside the functions, because on a CPU each call copies the structs passed to it.
     """
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix
@@ -227,10 +227,11 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
         first: wp.int32, end: wp.int32, by: wp.int32, lane: wp.int32, abreast: wp.int32, old: wp.int32, before: scalar,
         matrix: Matrix, system: Solve,
     ) -> scalar:  # fmt: skip
-        """Make one step of the Chebyshev iteration, and return the factor that the next step needs.
+        """Make one step of the Chebyshev iteration, and return the step's coefficient.
 
-        `before` is the factor that the previous step returned. The array `lift` holds two solutions, one in each half.
-        The step reads the solution that begins at index `old`, and writes the improved solution to the other half.
+        `before` is the coefficient that the previous step returned. The array `lift` has room for two solutions, one in
+        each half. The step reads the solution that begins at index `old`, and writes the improved solution to the other
+        half.
         """
         count = matrix.coarse.count
         now = scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)

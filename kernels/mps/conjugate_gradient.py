@@ -36,8 +36,8 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     - `inner`: inner product of two values.
     - `divided`: residual divided by the diagonal coefficient of the row (the preconditioner).
     - `share`: preconditioned residual of a rigid grain.
-    - `bounded`: row of the matrix product with boundary conditions. For velocities the condition is the `drag` along
-      the wall, for scalars the value zero at the free surface.
+    - `bounded`: the row's product with the unknowns, corrected for boundary conditions. For velocities, it adds the
+      resistance of the wall (`drag`) to motion along the wall. For scalars, it returns zero at the free surface.
 
     The namespace also holds `value`, the type of an unknown, and `Solve`, the struct of the solver's working arrays.
     """
@@ -86,8 +86,9 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
     """Build the functions that a CPU thread applies to a range of rows, or of rigid grains, in a solve.
 
     `begin` computes the first search direction of each row. `update` changes solution and residual by a step along the
-    search direction. `share` computes the preconditioned residual of rigid grains. Each function returns its
-    contributions to two inner products: the residual with the preconditioned residual, and the residual with itself.
+    search direction. `share` computes the preconditioned residual of rigid grains. Each function returns the part of
+    two inner products that comes from its rows: of the residual with the preconditioned residual, and of the residual
+    with itself.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -123,7 +124,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 
     @wp.func
     def share(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve, z: wp.array(dtype=value)):
-        """Store the preconditioned residual in `z` for the particles of the grains from number `first` up to `end`."""
+        """Store the preconditioned residual in `z` for all particles of the rigid grains `first` to `end` - 1."""
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if wp.static(rigid):
@@ -140,8 +141,8 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     """Build the CPU kernel that does a whole solve and adds the solution to `x`; each host thread launches it once.
 
-    The rows are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and `workers`
-    threads take part.
+    The rows are divided into `parts` chunks. A host thread processes the chunks `lower` to `upper` - 1. `workers` is
+    the number of host threads, which wait for each other at barriers.
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
@@ -171,7 +172,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),

@@ -157,7 +157,8 @@ def quadratic_law(scalar) -> SimpleNamespace:
 
     @wp.func
     def rate(k: scalar, n: scalar, c: scalar, over: scalar) -> scalar:
-        # This form of the quadratic equation's root subtracts no nearly equal numbers, which would lose digits.
+        # The usual form of the quadratic equation's root loses digits, because it subtracts nearly equal numbers. This
+        # equivalent form adds them.
         return scalar(2.0) * over / (k + wp.sqrt(k * k + scalar(4.0) * c * over))
 
     @wp.func

@@ -15,7 +15,11 @@ from .structs import array_structs, flow_struct, mps_types, row_place
 
 @functools.cache
 def list_kernels(scalar, dimensions: int, serial: bool):
-    """Build the kernels `place` (writes the points of the hash grid) and `search` (fills all neighbour lists)."""
+    """Build the kernels `place` and `search` for a rebuild of the neighbour lists.
+
+    `place` writes the positions of the particles to the points of the hash grid, and `search` fills all neighbour
+    lists.
+    """
     t = mps_types(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -47,7 +51,7 @@ def list_kernels(scalar, dimensions: int, serial: bool):
         near_reach: scalar,
         whole_reach: scalar,
         grid: wp.uint64,
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         points: wp.array(dtype=wp.vec3f),
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
@@ -77,8 +81,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # Number of neighbours over capacity, in per mille, for the fullest of the particle's three lists. If a list is
-        # too short, the host computes a sufficient capacity from the maximum of this number over all particles.
+        # Number of neighbours divided by capacity, in per mille, for the fullest of the particle's three lists. If a
+        # list is too short, the host computes a sufficient capacity from the maximum of this number over all particles.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

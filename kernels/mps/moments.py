@@ -19,9 +19,9 @@ BENEATH = {2: 0.2, 3: 0.15}
 """Minimum mean depth of the neighbours below a particle at the free surface, by number of dimensions.
 
 The mean depth is minus the first moment of the neighbours' weights along the pipe. It is divided by the spacing and by
-the sum of weights of a full lattice. In two and three dimensions, it is 0.33 and 0.28 for a particle in the surface of
-a lattice. It is 0.17 and 0.08 for a particle below a hole inside the fluid that is as large as one particle. Such a
-hole is no free surface.
+the sum of weights of a full lattice. A particle in the surface of a lattice has a mean depth of 0.33 in two dimensions
+and 0.28 in three. A particle below a hole inside the fluid, as large as one particle, has 0.17 and 0.08. Such a hole is
+no free surface.
 """
 
 
@@ -153,8 +153,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
                     # The velocity profile is continued behind the wall with its slope at the wall. The viscous force
-                    # per volume due to a wall particle is then proportional to the wall stress. The term added here is
-                    # the factor of proportionality.
+                    # per volume due to a wall particle is then proportional to the wall stress. Add the factor of
+                    # proportionality.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
@@ -162,7 +162,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
     def open_above(i: wp.int32, flow: FlowConstants, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
         """Return 1 if no fluid neighbour lies within 45 degrees of the upward direction of a particle, else 0.
 
-        A particle below a hole inside the fluid is not at a free surface: it has fluid on the other side of the hole.
+        This tells a free surface from a hole inside the fluid: a particle below a hole has fluid above it, on the other
+        side of the hole.
         """
         x = position[i]
         for k in range(lists.near_count[i]):
@@ -203,7 +204,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
         # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particle_position: wp.array(dtype=t.vec),
         particle_velocity: wp.array(dtype=t.vec),
@@ -239,7 +240,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
             # the normal equations, which leaves one equation for the change of the particle's own pressure (Schur
             # complement).
             bent = back * m.first
-            own = flow.cutoff / flow.spacing  # Weight of the particle's own pressure in the least-squares fit.
+            # Weight with which the particle's own pressure enters the least-squares fit.
+            own = flow.cutoff / flow.spacing
             weight = own + m.number - wp.dot(m.first, bent)
             forward = scalar(0.0)
             if weight > scalar(0.1) * own:
@@ -253,8 +255,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
             apparent, tangent = apparent_viscosity(flow, rate_of(m.shear * back))
             if wp.static(two_phase):
                 if i < matrix.grain_rows:
-                    # The distance between wall and particle is shortened for a grain, because only the mortar in
-                    # between is sheared. The grain's surface lies half a spacing before the centre of its particle.
+                    # Use the distance between the wall and the surface of a grain, because only the mortar in between
+                    # is sheared. The surface of a grain lies half a spacing outside the centre of its particle.
                     m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
             # The compliance is the velocity difference between wall and particle, divided by the wall stress tau. The

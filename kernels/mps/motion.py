@@ -13,10 +13,10 @@ CROWDED = wp.constant(0.95)
 
 @functools.cache
 def shift_kernel(scalar, dimensions: int, serial: bool):
-    """Build the kernel that computes extra displacements of the particles, which change no velocities.
+    """Build the kernel that computes displacements of the particles in addition to those by their velocities.
 
     These displacements move particles out of crowded regions, down the gradient of a potential, and push close pairs
-    apart.
+    apart. They change no velocities.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -32,7 +32,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
         # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
@@ -83,7 +83,7 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
         # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, of which this kernel changes only the flags `fields.event_flags`.
+        # The next arguments hold the state of the flow, of which this kernel only changes `fields.event_flags`.
         flags: wp.array(dtype=wp.int32),
         fields: Fields,
         # The next arguments are arrays that this kernel reads and writes.

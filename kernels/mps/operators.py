@@ -17,19 +17,19 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
-"""Damping of the pressure at walls. For particles closer to a wall than NEARER spacings, the diagonal of the pressure
-equation is multiplied by DAMPED.
+"""Damping of the pressure at walls: the distance in spacings below which it acts, and its factor.
 
-The damping is needed because a pressure increment acts on itself. It changes the particle's velocity, and with it the
-velocity that is continued behind the wall; both change the particle's own divergence. Very close to the wall, this
-response exceeds twice the undamped diagonal, and the pressure would oscillate from step to step. In the initial lattice
-the outermost particles are half a spacing from the wall, so they are not damped.
+For particles closer to a wall than NEARER spacings, the diagonal of the pressure equation is multiplied by DAMPED.
+Without this damping, the pressure would oscillate from step to step. A pressure increment changes the particle's
+velocity, and with it the velocity that is continued behind the wall. Both change the divergence at the particle itself.
+Very close to the wall, this response exceeds twice the response that the undamped diagonal describes. In the initial
+lattice the outermost particles are half a spacing from the wall, so they are not damped.
 """
 
 
 @functools.cache
 def wall_law_function(scalar, dimensions: int, slip_law: str):
-    """Build `wall_force`, the law of the slip layer between the wall and a particle beside the wall."""
+    """Build `wall_force`, which computes the force of the slip layer between the wall and a particle beside it."""
     if slip_law != BINGHAM:
         return other_wall_law_function(scalar, dimensions, slip_law)
     t = mps_types(scalar, dimensions)
@@ -41,13 +41,14 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
         """Return `force` plus the force of the slip layer, the layer's resistance, and the wall's stress [Pa].
 
         The slip law is Eq. 8 of Xu, Li & Jiang 2021. Forces are per volume [N/m3]. `area` is the wall's area divided by
-        the particle's volume [1/m]. `compliance` is the velocity difference between particle and wall, divided by the
-        wall's stress. The resistance is the derivative of the layer's braking force with respect to the particle's
-        velocity [kg/m3/s].
+        the particle's volume [1/m]. `compliance` is the velocity difference due to shear between particle and wall,
+        divided by the wall's stress [m/s/Pa]. The resistance is the derivative of the layer's braking force with
+        respect to the particle's velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
-        # The slip velocity at the wall is smaller than the particle's velocity, by the compliance times the stress.
+        # The concrete between wall and particle is sheared. The slip velocity is therefore the particle's velocity
+        # minus `compliance` times the stress.
         n = f.outward(x)
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
@@ -67,7 +68,7 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
 
 @functools.cache
 def other_wall_law_function(scalar, dimensions: int, slip_law: str):
-    """Build `wall_force` for a slip layer whose stress is not a linear function of the slip velocity."""
+    """Build `wall_force` for a slip layer whose stress above the yield stress is not linear in the slip velocity."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
@@ -84,7 +85,7 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
         n = f.outward(x)
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
-        stress = speed / compliance  # The layer sticks, because its stress is below its yield stress.
+        stress = speed / compliance  # Stress if the layer sticks, so that all of the speed is due to shear.
         eased = compliance
         if stress > flow.slip_yield:
             low = flow.slip_yield
@@ -138,7 +139,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
         # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
@@ -171,7 +172,8 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
                 if wp.static(two_phase):
                     # Between a particle of a rigid grain and a particle of mortar, only half of the distance is mortar
                     # that can be sheared, which doubles the coefficient `c`. The coefficient is also doubled between
-                    # particles of two different grains. It is zero within a grain, because nothing is sheared there.
+                    # particles of two different grains. Within one grain nothing is sheared, so the coefficient is
+                    # zero.
                     if i < matrix.grain_rows:
                         if j >= matrix.grain_rows:
                             c = laplacian * scalar(2.0) * other
@@ -205,9 +207,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
 def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """Build the kernel that sets up the equations of the pressure increment.
 
-    The right-hand side is -density / dt times the divergence of the velocities; this density is the reference density.
-    The matrix is minus the Laplacian. In two-phase flows, the coefficient of a pair is multiplied by the reference
-    density over the mean density of the pair.
+    The right-hand side is -density / dt times the divergence of the velocities, where `density` is the reference
+    density. The matrix is minus the Laplacian. In two-phase flows, the coefficient of a pair is multiplied by the
+    reference density and divided by the mean density of the pair.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -225,7 +227,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
@@ -302,7 +304,7 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,

@@ -21,13 +21,14 @@ from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, solver_functions
 from .structs import array_structs
 
 RESIDENT = 3
-"""Number of blocks that fit on a multiprocessor at once; the launch bounds limit a thread to 85 registers for this."""
+"""Number of blocks that fit on a multiprocessor at once. The launch bounds of the kernels therefore limit a thread to
+85 registers."""
 WIDE, SMALL = 1024, 40_000
 """A linear system with at most SMALL matrix entries is solved by a single block of WIDE threads."""
 
 
 def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
-    """Return the numbers of threads per block and of blocks of a solve, when `abreast` solves share the device."""
+    """Return the number of threads per block, and the number of blocks, if `abreast` solves share the device."""
     if rows * near_capacity <= SMALL:
         return WIDE, 1
     room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1
@@ -36,7 +37,7 @@ def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tupl
 
 @functools.cache
 def sum_functions(width: int) -> SimpleNamespace:
-    """Build `accumulate` and `total_of`, which form sums over all threads of all blocks, with `width` threads each.
+    """Build `accumulate` and `total_of`, which sum a value over all threads of all blocks; a block has `width` threads.
 
     Each thread first passes its contributions to `accumulate`; after a barrier, `total_of` returns the total.
     """
@@ -47,11 +48,11 @@ def sum_functions(width: int) -> SimpleNamespace:
     def accumulate(
         thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
     ) -> wp.float64:
-        """Take a thread's contribution `own` to a sum, and return the amount that the thread itself must add up.
+        """Add a thread's contribution `own` to a sum that `total_of` completes after a barrier.
 
-        If there is only one block, nothing is stored and the result is `own`. Each thread adds up its results, and
-        `total_of` sums them. If there are several blocks, the result is 0. The contributions of the threads of a block
-        are then summed, and their sum is stored in `partial`.
+        If there are several blocks, the contributions of a block's threads are summed and stored in `partial`, and the
+        result is 0. If there is only one block, nothing is stored and the result is `own`. Each thread adds up its
+        results of this function and passes the sum to `total_of`.
         """
         if wp.static(alone):
             return own
@@ -61,7 +62,7 @@ def sum_functions(width: int) -> SimpleNamespace:
 
     @wp.func
     def total_of(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
-        """Return the sum over all threads of all blocks, which must have met at a barrier before."""
+        """Return the sum over all threads of all blocks; all blocks must have met at a barrier after `accumulate`."""
         if wp.static(alone):
             whole = wp.tile_sum(wp.tile(own))
             return whole[0]
@@ -75,9 +76,9 @@ def sum_functions(width: int) -> SimpleNamespace:
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
-    Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin`, `update`
-    and `share` return the contributions of their row to the inner products of r with z and of r with itself; the row of
-    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p.
+    Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin` and `update`
+    return the contributions of one row to the inner products of r with z and of r with itself, and `share` returns
+    those of one grain. `multiply` returns the row's contribution to the inner product of p with A p.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -104,9 +105,9 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     ) -> wp.float64:
         """Compute the new search direction of row `i`, and this row of the matrix times the search directions.
 
-        The array `direction` contains the previous search directions, from index `old` on. The function computes the
-        new directions of the neighbours itself from their previous ones. No barrier is therefore needed before the
-        product.
+        `old` is the index in the array `direction` at which the previous search directions begin. The function computes
+        the new directions of the neighbouring rows itself from their previous ones. No barrier is therefore needed
+        before the product.
         """
         if i >= count:
             return wp.float64(0.0)
@@ -172,7 +173,7 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
         # The next arguments are the number of blocks, and the barrier at which the blocks wait for each other.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),

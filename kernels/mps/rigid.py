@@ -1,9 +1,9 @@
 """Rigid groups of particles, which are the grains of coarse aggregate.
 
-The viscous solve admits only rigid motions of a grain: its unknowns are a velocity and a spin, its loads a resultant
-force and a moment. The pressure then accelerates the grain's particles as if they were fluid. Afterwards the particles
-get the rigid motion that has the same momentum and angular momentum (passively moving solids, Koshizuka, Nobe & Oka
-1998). Their positions follow from stored offsets, so that a grain never changes its shape.
+The viscous solve admits only rigid motions of a grain. Its unknowns for a grain are a velocity and a spin, and its
+loads are a resultant force and a moment. The pressure then accelerates the grain's particles as if they were fluid.
+Afterwards the particles get the rigid motion that has the same momentum and angular momentum (passively moving solids,
+Koshizuka, Nobe & Oka 1998). Their positions follow from stored offsets, so that a grain never changes its shape.
 """
 
 import functools
@@ -87,7 +87,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def inverted(inertia: mat33) -> mat33:
-        """Return the inverse of an inertia matrix; in two dimensions only the entry of rotation about y is inverted."""
+        """Return the inverse of an inertia matrix; in two dimensions, only the entry for rotation about y is set."""
         inverse = mat33()
         if wp.static(flat):
             if inertia[1, 1] > scalar(0.0):
@@ -138,7 +138,7 @@ def bodies_kernel(scalar, dimensions: int):
     """Build the kernel that computes centre, inverse inertia and mobilities of each grain for the viscous solve.
 
     It runs with one thread per grain. The mobilities of a grain are its velocity per force and its spin per moment.
-    They account for the diagonal of the solve's matrix only.
+    They are computed from the diagonal of the solve's matrix only, because they serve as a preconditioner.
     """
     mat33 = types(scalar).mat33
     body = body_functions(scalar, dimensions)

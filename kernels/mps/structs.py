@@ -100,8 +100,10 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Fields:
         pair_weight: wp.array(dtype=scalar)  # Weight over squared distance, for each entry of the list `near` [1/m2].
-        fluid_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of the fluid neighbours [1/m2], shape (n,).
-        all_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
+        # Inverse of each particle's moment matrix of its fluid neighbours [1/m2], shape (n,).
+        fluid_inverse: wp.array(dtype=t.mat)
+        # Inverse of each particle's moment matrix of all neighbours, walls included [1/m2].
+        all_inverse: wp.array(dtype=t.mat)
         inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
         wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
         wall_scale: wp.array(dtype=wp.float64)  # Factor on `wall_weight` that gives the true wall area, shape (1,).
@@ -110,7 +112,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
-        potential: wp.array(dtype=scalar)  # Potential whose gradient moves particles out of crowded regions [m2].
+        # Potential whose negative gradient moves particles out of crowded regions [m2], shape (n,).
+        potential: wp.array(dtype=scalar)
         extra_displacement: wp.array(dtype=t.vec)  # Displacement in this step not caused by velocity [m], shape (n,).
         position_at_build: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
         # Two flags, shape (2,): index 0 is 1 if the neighbour lists are stale, index 1 is 1 if a particle is lost.
@@ -118,15 +121,16 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Grains:
-        # First particle of each grain, followed by the end of the last grain, shape (grains + 1,).
+        # Index of each grain's first particle, followed by the number of particles in all grains, shape (grains + 1,).
         first: wp.array(dtype=wp.int32)
         offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
         middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, corrected in the next step [m].
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
         inverse_inertia: wp.array(dtype=mat33)  # Inverse inertia of a grain about `centre` for unit masses [1/m2].
-        mobility: wp.array(dtype=scalar)  # Velocity of a grain per force, for the matrix's diagonal (preconditioner).
-        # Spin of each grain caused by a unit moment, for the matrix's diagonal (preconditioner).
+        # Velocity of each grain per unit force, computed from the diagonal of the matrix (preconditioner).
+        mobility: wp.array(dtype=scalar)
+        # Spin of each grain per unit moment, computed from the diagonal of the matrix (preconditioner).
         spin_mobility: wp.array(dtype=mat33)
         step: wp.array(dtype=t.vec)  # Displacement of each grain in this step [m], shape (grains,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each grain [rad/s], shape (grains,).
@@ -136,8 +140,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Coarse:
         count: wp.int32  # Number of cubes of the coarse grid.
         wide: wp.int32  # Number of cubes across the pipe, at least 3.
-        of: wp.array(dtype=wp.int32)  # Cube of each particle, shape (n,).
-        # Index of each cube's first particle in `member`, followed by the end of the last cube, shape (count + 1,).
+        of: wp.array(dtype=wp.int32)  # Index of the cube that contains each particle, shape (n,).
+        # Index of each cube's first particle in `member`, followed by the number of particles, shape (count + 1,).
         first: wp.array(dtype=wp.int32)
         member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
         # Numbers of the cubes around each cube, -1 where there is none, shape (3^d * count,).
@@ -156,7 +160,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         near_count: wp.array(dtype=wp.int32)  # Number of entries in each row of the matrix, shape (n,).
         near: wp.array(dtype=wp.int32)  # Column of each entry of the matrix, shape (n * near_capacity,).
         coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of the matrix, shape (n * near_capacity,).
-        diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
+        diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix without the resistance of walls, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
         free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
@@ -176,7 +180,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
             # Difference between the last two iterates of the coarse solution, shape (cubes,).
             change: wp.array(dtype=value)
-            inner: wp.array(dtype=wp.float64)  # Product of each cube's `load` and its coarse solution, shape (cubes,).
+            # Inner product of each cube's `load` and its coarse solution, shape (cubes,).
+            inner: wp.array(dtype=wp.float64)
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
             outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).

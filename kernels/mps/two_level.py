@@ -1,8 +1,8 @@
 """Conjugate gradients whose preconditioner contains the coarse grid of `coarse.py`; a whole solve is one kernel.
 
-The structure is that of `conjugate_gradient.py` and `resident_solver.py`, whose preconditioner is the diagonal of the
-matrix alone. On a CPU every thread processes some chunks of rows. On a GPU the blocks stay resident and meet at
-barriers.
+The structure is that of `conjugate_gradient.py` (CPU) and `resident_solver.py` (GPU), in which the preconditioner is
+only the diagonal of the matrix. On a CPU every thread processes some chunks of rows. On a GPU the blocks stay resident
+and meet at barriers.
 """
 
 import functools
@@ -76,7 +76,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         """Compute the new search direction of each row from the preconditioned residual and the old direction.
 
         The preconditioned residual is the sum of two terms: the residual divided by the diagonal, which is stored in
-        `product`, and the coarse solution.
+        `product`, and the coarse solution, which begins at index `old` in `lift`.
         """
         for i in range(first, end):
             now = system.product[i]
@@ -102,7 +102,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
@@ -276,7 +276,7 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
         # The next arguments are the number of blocks, and the barrier at which the blocks wait for each other.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The next arguments are the state, which this kernel only reads.
+        # The next arguments hold the state of the flow, which this kernel only reads.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),

@@ -1,12 +1,13 @@
 """Rigid aggregates on the staggered grid of a flow: faces that move with them, and the mortar fraction of samples.
 
 The grid stores one velocity component at each cell face. A face whose centre lies in an aggregate moves with the
-aggregate. With the velocity V and the spin w of the aggregate, and the vector d from its centre to the face, the face's
-velocity is the component of V + w x d along the face's axis, not an unknown. With P, the matrix that maps V and w to
-face velocities, the viscous matrix A of all faces becomes P^T A P. The drag follows from this, without a drag law.
+aggregate, so its velocity is not an unknown. With the velocity V and the spin w of the aggregate, and the vector d from
+its centre to the face, the face's velocity is the component of V + w x d along the face's axis. With P, the matrix that
+maps V and w to face velocities, the viscous matrix A of all faces becomes P^T A P. The drag on aggregates follows from
+this, without a drag law.
 
-Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). Comments on array shapes
-call the number of aggregates n, and the number of cells, including a frame around the grid, `slots`.
+Strain rates belong to samples. A sample is a cell (for stretching) or a cell edge (for shear). In comments on array
+shapes, n is the number of aggregates, and `slots` the number of cells, including a frame around the grid.
 
 The grid is filled with mortar everywhere, also inside aggregates. An aggregate adds the difference between its own mass
 and that of the mortar in its place, so its weight in mortar does not depend on how the grid resolves its surface.
@@ -58,8 +59,8 @@ def body_structs(scalar) -> SimpleNamespace:
         # of shape (3 slots,).
         claims: wp.array(dtype=wp.int32)
         owner: wp.array(dtype=wp.int32)
-        # For each free face: the number of adjacent cells whose other faces all move with one aggregate, and 1 + the
-        # index of that aggregate. Both have the shape (3 slots,).
+        # For each face that moves with no aggregate: the number of adjacent cells whose other faces all move with one
+        # aggregate, and 1 + the index of that aggregate (0 if there is none). Both have the shape (3 slots,).
         closing: wp.array(dtype=wp.int32)
         closer: wp.array(dtype=wp.int32)
         # 1 for cells in narrow gaps between two aggregates, or between an aggregate and a wall, whose faces must not
@@ -101,7 +102,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return the vector `d` between two points; in a periodic pipe, the vector to the nearest copy."""
+        """Return the vector `d` from one point to another or, in a periodic pipe, to the other's nearest copy."""
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)
@@ -115,7 +116,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carried(velocity: vec, spin: vec, d: vec, axis: wp.int32) -> scalar:
-        """Return the component along `axis` of a rigid body's velocity at the distance `d` from its centre."""
+        """Return the component along `axis` of a rigid body's velocity at the point `d`, relative to its centre."""
         return (velocity + wp.cross(spin, d))[axis]
 
     @wp.func
@@ -162,7 +163,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
                 for k in range(3):
                     x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
                     size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                    # Extent of the small box along the normal of the aggregate's surface.
+                    # Length of the small box, measured along the normal of the aggregate's surface.
                     extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
                     sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
         return sum / scalar(27.0)
@@ -207,8 +208,10 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels that find the faces and samples that aggregates cover.
 
     - `clear` deletes the results of the previous step, with one task per sample.
-    - `claim` marks covered faces and adds up the filled fractions of samples, with one task per aggregate.
-    - `collect` lists the faces of each aggregate, with one task per aggregate, after the kernels of `release_kernels`.
+    - `claim` marks covered faces and adds up the fractions of samples that aggregates fill, with one task per
+      aggregate.
+    - `collect` lists the faces of each aggregate, with one task per aggregate. It runs after the kernels of
+      `release_kernels`.
     """
     whole = mps_types(scalar, 3).whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -265,7 +268,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
         b = wp.tid()
         count = wp.int32(0)
         low, high = f.box(g, bodies, b)
-        # The faces of an axis follow one another, in the order in which they are stored.
+        # List the faces axis by axis, in the order in which arrays of faces store them.
         for axis in range(3):
             for k in range(low[2], high[2] + 1):
                 for j in range(low[1], high[1] + 1):
@@ -282,7 +285,7 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 for j in range(low[1], high[1] + 1):
                     for i in range(low[0], high[0] + 1):
                         r = places.at(g, whole(i, j, k)) + axis * g.slots
-                        # A face that two aggregates cover partly belongs to neither of them.
+                        # If two aggregates cover parts of a face, list the face for neither of them.
                         if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
                             cover.faces[cover.first[b] + count] = r
                             cover.part[cover.first[b] + count] = scalar(cover.covered[r]) / scalar(FULL)
@@ -297,8 +300,8 @@ def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels that decide which faces in narrow gaps between aggregates and walls move with an aggregate.
 
-    `close`, `share` and `release` run with one task per cell, and `shut` with one task per face. The order is `close`,
-    `shut`, `share`, `release`.
+    They are launched in the order `close`, `shut`, `share`, `release`. `shut` runs with one task per face, the others
+    with one task per cell.
     """
     Grid = grid_parameters_struct(scalar, 3)
     Cover = body_structs(scalar).Cover
@@ -350,8 +353,8 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def share(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
         """Find the cells that would prevent two aggregates, or an aggregate and a wall, from moving apart.
 
-        Such a cell has faces of two different aggregates, or a face whose centre lies in two aggregates, or all its
-        faces belong to an aggregate and to walls.
+        In such a cell, two faces move with different aggregates, or the centre of a face lies in two aggregates, or
+        each face moves with an aggregate or belongs to a wall.
         """
         if flags[HALTED] != 0:
             return

@@ -27,11 +27,12 @@ from .bodies import FULL, body_structs
 from .vectors import range_functions, share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Weight of the divergence in the norm of residuals: pressure per viscosity and divergence."""
+"""Factor of the viscosity in the weight of a cell's net inflow, which makes this inflow comparable with forces in the
+norm of residuals. The weight is (density width^2 / dt + COMPRESSION viscosity) / volume."""
 YIELDING = wp.constant(0.4)
-"""Factor of the local part of the preconditioner's pressure. This part depends on the cell's own net inflow alone; it
-is the inflow times this factor / (D a^-1 D^T), where a is the diagonal of the viscous matrix. It was fitted to the
-number of iterations in eight flows."""
+"""Factor of the part of the preconditioner's pressure that depends on the cell's own net inflow alone. This part is the
+inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal of the viscous
+matrix. The factor was chosen by the number of iterations in eight flows."""
 
 
 @functools.cache
@@ -117,7 +118,7 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels of the pressure in the preconditioner, with one task per cell.
 
     - `resist` sets the matrix of the preconditioner's pressure solve.
-    - `request` sets the right-hand side of this pressure solve, whose solution removes the net inflow of the residual.
+    - `request` sets the right-hand side of this solve, so that its solution removes the net inflow of the residual.
     - `press` computes the pressure of the preconditioner, which is the solution of that pressure solve plus a multiple
       of the net inflow (Cahouet & Chabard 1988).
     """
@@ -136,10 +137,10 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         """Set a cell's row of the matrix `pressures` of the pressure solve, and its entry of `yielding`.
 
         A pressure gradient that changes slowly in space accelerates mortar, and drives it past aggregates and walls.
-        The resistance of a face is therefore its inertia plus the part `drag` of its viscous resistance, the rest of
-        the diagonal of the viscous matrix. `yielding` is the pressure per net inflow if all other velocities are
-        fixed, times YIELDING. It is 0 for cells all faces of which move with aggregates, as their pressure has no
-        effect.
+        The resistance of a face to this motion is its inertia plus a part of its viscous resistance. The viscous
+        resistance is the diagonal of the viscous matrix without inertia, and `drag` is the part that counts. `yielding`
+        is YIELDING times the pressure per net inflow if the velocities of all other faces are fixed. It is 0 if all
+        faces of the cell move with aggregates, because the cell's pressure then has no effect.
         """
         if flags[HALTED] != 0:
             return
@@ -201,7 +202,10 @@ def cell_weight_function(scalar, of: GridKind):
 
     @wp.func
     def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32) -> scalar:
-        """Return the weight of a cell's net inflow in inner products: the pressure that removes a unit of inflow."""
+        """Return the weight of a cell's net inflow in inner products.
+
+        The weight is about the pressure that removes a unit of inflow [Pa s/m3].
+        """
         inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
         return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))
 
@@ -210,14 +214,15 @@ def cell_weight_function(scalar, of: GridKind):
 
 @functools.cache
 def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that make search directions orthogonal.
+    """Build the kernels that make search directions orthogonal to each other.
 
-    They run with `tasks` tasks for faces and cells and one more task for each aggregate. Partial sums of the inner
-    product number k begin at index k times the number of tasks. `many` holds `count` vectors one after the other.
+    They run with `tasks` tasks for faces and cells and one more task for each aggregate. `many` holds `count` vectors
+    one after the other.
 
     - `weigh` multiplies a vector by the weights of the inner product of two vectors.
-    - `products` computes partial sums of the inner products of a weighted vector and each of several vectors.
-    - `combine` subtracts multiples of several vectors from a vector.
+    - `products` computes partial sums of the inner products of a weighted vector and each vector of `many`. The partial
+      sums of the inner product number k begin at index k times the number of tasks.
+    - `combine` subtracts a multiple of each vector of `many` from a vector.
     """
     Grid = grid_parameters_struct(scalar, 3)
     Bodies, Fields = body_structs(scalar).Bodies, grid_structs(scalar, 3).Fields
@@ -296,9 +301,9 @@ def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that change the solution, with `tasks` tasks and one more task for each aggregate.
 
-    - `advance` adds a multiple of a search direction to the solution, and subtracts that of its effect from the
-      residual. It then computes partial sums of two squared norms: of the residual, and of the flow's momentum, with
-      which residuals are compared.
+    - `advance` adds a search direction times `factor` to the solution, and subtracts the product of matrix and
+      direction (`effect`) times `factor` from the residual. It then computes partial sums of two squared norms: that of
+      the residual, and that of the flow's momentum, with which the residual is compared.
     - `finish` adds the solution to the velocities and pressures of the flow.
     """
     Grid = grid_parameters_struct(scalar, 3)

@@ -45,9 +45,9 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def weigh(
         g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, pairs: Pairs, opens: wp.int32, excess: scalar
     ):  # fmt: skip
-        """Compute the mass and weight that aggregates add to the mortar.
+        """Compute the mass and weight that each aggregate adds to those of the mortar in its place.
 
-        Aggregates that have left the box entirely also lose their neighbours.
+        The neighbours of aggregates that have left the box entirely are deleted.
         """
         if flags[HALTED] != 0:
             return

@@ -1,4 +1,4 @@
-"""Search for the neighbours of aggregates: other aggregates, sides of the room and other walls."""
+"""Search for the neighbours of aggregates: other aggregates, sides of the simulated box, and other walls."""
 
 import functools
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from .pairs import CAPACITY, LOOKED_AT, WALL, pair_functions, pair_struct
 
 @functools.cache
 def wall_gap_function(scalar, of: GridKind):
-    """Build the function that returns the distance of a point from the nearest wall, its gradient, and the wall."""
+    """Build the function that returns a point's distance from the nearest wall, its gradient, and the wall's number."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -105,7 +105,8 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `locate` and `find`, each with one task per aggregate.
 
     - `locate` copies the centres of the aggregates to the points of the hash grid.
-    - `find` finds the neighbours of each aggregate. `span` is the largest distance of the centres of neighbours.
+    - `find` finds the neighbours of each aggregate. `span` is the largest distance between the centres of neighbours
+      [m].
     """
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)
@@ -146,8 +147,9 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 g, pairs, b, k, o, n, away - (radius + bodies.radius[o]), approach, scalar(0.0), reduced, radius,
                 cutoff, roughness, dt, longest,
             )  # fmt: skip
-        # Neighbours also include the sides of the room that are walls or planes of symmetry. A plane of symmetry acts
-        # like the mirror image of the aggregate: half the reduced radius, and twice the gap and the speed of approach.
+        # Neighbours also include the sides of the box that are walls or planes of symmetry. Beyond a plane of symmetry
+        # lies the mirror image of the aggregate. Its reduced radius is half that of a wall, and the gap and the speed
+        # of approach to it are twice those to the plane.
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2
@@ -163,8 +165,8 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
                         part * roughness, dt, longest,
                     )  # fmt: skip
-        # Other walls are looked for at the centre and at six points of the surface, because the distance of the grid is
-        # that from the nearest wall, which may be a side of the room.
+        # Look for other walls at the centre of the aggregate and at six points of its surface. The distances stored on
+        # the grid are those from the nearest wall, which at the centre may be a side of the box.
         for probe in range(7):
             e = vec()
             if probe > 0:

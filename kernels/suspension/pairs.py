@@ -22,7 +22,7 @@ CAPACITY = wp.constant(48)
 WALL = wp.constant(-1)
 """Value that is stored instead of a neighbour's index if the neighbour is a wall."""
 NEW = wp.constant(2)
-"""Mark of a neighbour that the last coupled solve has brought into contact."""
+"""Value of `touching` for a contact that the last coupled solve has found; older contacts have the value 1."""
 HOLD = wp.constant(300.0)
 """Resistance of a contact to approach, divided by the resistance of the aggregate to motion by drag and inertia.
 
@@ -46,7 +46,7 @@ def pair_struct(scalar):
         normal: wp.array(dtype=vec3)  # Unit vector towards the neighbour.
         gap: wp.array(dtype=scalar)  # Gap at the start of the step, negative for an overlap [m].
         rough: wp.array(dtype=scalar)  # Gap below which the neighbours touch [m].
-        still: wp.array(dtype=scalar)  # Velocity of a wall along the normal [m/s]; 0 for an aggregate.
+        still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is an aggregate.
         lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
         # 1 if aggregate and neighbour touch in this step, NEW if the last solve has found this contact, otherwise 0.
@@ -104,8 +104,8 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         pairs.lubrication[place] = lubrication
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
-        # The contact force would slow down two aggregates that separate faster than it removes their overlap, so these
-        # do not count as touching.
+        # A contact force removes an overlap within the time `longest`. It would slow down two aggregates that separate
+        # faster than this, so they do not count as touching.
         parting = gap < rough and -approach * longest > rough - gap
         pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
@@ -158,7 +158,8 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
       remove an overlap within the time `longest`, the maximum time step. In a shorter step, removing the whole overlap
       would fling the aggregates apart.
     - `touch` finds pairs that would overlap at the end of the step, and marks them as touching.
-    - `stiffen` adds the forces of these new contacts to the effects of `count` changes of the velocities.
+    - `stiffen` adds the forces of these new contacts to `effect`, the products of the matrix with the `count` vectors
+      of `change`.
     """
     vec = mps_types(scalar, 3).vec
     Fields = grid_structs(scalar, 3).Fields

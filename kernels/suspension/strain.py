@@ -28,9 +28,9 @@ LEAST = wp.constant(0.1)
 def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `rates` and `viscosity`, which compute the apparent viscosities of cells and of edges.
 
-    They replace the kernels of `kernels/mps/grid/forces.py` on grids with aggregates. Each of them also stores the
-    viscosity divided by the mortar fraction of the sample in `cut`, for the viscous matrix. `rates` runs first. Both
-    run with one task per cell.
+    They replace the kernels of `kernels/mps/grid/forces.py` on grids with aggregates. For the viscous matrix, each of
+    them also stores the viscosity divided by the mortar fraction of the sample in `cut`. `rates` runs first. Both run
+    with one task per cell.
     """
     dims, pairs = 3, 3
     Grid = grid_parameters_struct(scalar, dims)
@@ -69,7 +69,10 @@ def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def around(g: Grid, mesh: Fields, geometry: Geometry, cover: Cover, c: whole, pair: wp.int32) -> scalar:
-        """Return the mean square of the mortar's shear rates at a cell's edges, for one pair of axes [1/s2]."""
+        """Return the mean of the squared shear rates of the mortar at a cell's edges [1/s2].
+
+        `pair` is the pair of axes in whose plane the shear is measured; only edges in concrete count.
+        """
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):

@@ -1,4 +1,7 @@
-"""Vectors of the coupled equations of mortar and aggregates, the distribution of their entries over tasks, and sums."""
+"""Vectors of the coupled equations of mortar and aggregates, and functions for them.
+
+The functions distribute the entries of vectors over tasks, and compute inner products and multiples.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -23,10 +26,10 @@ def vector_struct(scalar):
 
     @wp.struct
     class Vector:
-        faces: wp.array(dtype=scalar)  # Velocity of or force on each face, shape (3 slots,).
-        linear: wp.array(dtype=vec3)  # Velocity of or force on each aggregate, shape (n,).
-        angular: wp.array(dtype=vec3)  # Spin of or torque on each aggregate, shape (n,).
-        cells: wp.array(dtype=scalar)  # Pressure of or net inflow into each cell, shape (slots,).
+        faces: wp.array(dtype=scalar)  # Velocity of each face, or the force on it, shape (3 slots,).
+        linear: wp.array(dtype=vec3)  # Velocity of each aggregate, or the force on it, shape (n,).
+        angular: wp.array(dtype=vec3)  # Spin of each aggregate, or the torque on it, shape (n,).
+        cells: wp.array(dtype=scalar)  # Pressure in each cell, or the net inflow into it, shape (slots,).
 
     return Vector
 
@@ -61,7 +64,8 @@ def share_functions(serial: bool) -> SimpleNamespace:
 def sum_kernel(serial: bool):
     """Build the kernel that adds up the `count` partial sums of each of several inner products.
 
-    The first sum is stored at the index `slot`. The kernel runs with one task for each sum, or one block on a GPU.
+    `slot` is the index at which the first inner product is stored. The kernel runs with one task for each inner product
+    on a CPU, and with one block for each on a GPU.
     """
 
     @wp.kernel(enable_backward=False, module="unique")

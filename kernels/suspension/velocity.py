@@ -49,8 +49,9 @@ RESULTANT = """
     }
     return sum;
 """
-"""C++ sources for the faces `first` to `end` - 1 of the list `faces`, which all move with one aggregate. The faces of
-an axis have the indices from axis * slots on."""
+"""C++ sources of two functions for the faces that move with one aggregate. GIVE sets the velocities of the faces, and
+RESULTANT adds up the forces on them and their torques. The faces are the entries `first` to `end` - 1 of the list
+`faces`; those of an axis have numbers from axis * slots on."""
 
 
 @functools.cache
@@ -109,7 +110,8 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     - `begin` computes the first search direction.
     - `turn` computes the next search direction.
     - `multiply` computes the product of the viscous matrix A and a direction on all faces, with `tasks` tasks.
-    - `gather` adds up these products on the faces of each aggregate, with one task per aggregate.
+    - `gather` computes the product for each aggregate, with one task per aggregate. It adds up the products on the
+      aggregate's faces, and adds the terms of its own inertia and of its neighbours.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
@@ -251,7 +253,10 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def shift(first: wp.int32, sums: wp.array(dtype=wp.float64)):
-        """Move the inner products of this iteration to where the next iteration expects them, with one task."""
+        """Store the inner product r.z of this iteration where the next iteration reads it, with one task.
+
+        If `first` is not 0, store it as the inner product at the start of the solve (RZ_FIRST) instead.
+        """
         if first != 0:
             sums[RZ_FIRST] = sums[RZ]
         else:
@@ -307,7 +312,8 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
             force += e
             torque += wp.cross(cover.lever[place], e)
             if k >= cover.count[b]:
-                # The force on this face already contains the whole pressure force, so subtract the covered part.
+                # The force on this face contains the pressure force on its whole area, so subtract that on the covered
+                # part.
                 result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
         result.linear[b] = result.linear[b] + factor * force
         result.angular[b] = result.angular[b] + factor * torque
@@ -316,7 +322,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def blend(g: Grid, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
         """Replace the mortar velocities in `flow` by the mean velocities of partly covered faces.
 
-        The mean of the velocities of mortar and aggregate is weighted by the area of the face that each of them has.
+        The mean is that of mortar and aggregate, weighted with the fractions of the face's area that they cover.
         """
         b = wp.tid()
         for k in range(cover.count[b], cover.touched[b]):

@@ -15,7 +15,7 @@ from .cells import DT, LAST, OPEN, GridKind, grid_parameters_struct, grid_struct
 from .places import grid_functions
 
 CLEAR = wp.constant(0.02)
-"""Minimum distance of particles from a wall, divided by the width of a cell."""
+"""Minimum distance of particles from a wall that cuts cells, divided by the width of a cell."""
 
 
 @functools.cache
@@ -36,8 +36,9 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def corner(g: Grid, base: whole, s: vec, n: wp.int32):
         """Return one corner of a grid cell, with its weight in linear interpolation and the gradient of this weight.
 
-        The corner is returned as its indices. `base` holds the indices of the lowest corner, and `n` is the number of
-        the wanted corner. `s` is the position at which to interpolate, from 0 to 1 along each axis of the cell.
+        `base` holds the grid indices of the cell's lowest corner, and `n` is the number of the wanted corner, from 0 to
+        2^axes - 1. `s` is the position at which to interpolate, from 0 to 1 along each axis of the cell. The corner is
+        returned as its grid indices.
         """
         c = whole()
         part = vec()
@@ -131,8 +132,9 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Integer division would round a negative number upwards. Add two half cells, the width of the frame
-                # around the grid, before the division, and subtract one cell afterwards.
+                # Divide the index of a half cell by two to get the index of its cell. Integer division would round
+                # negative indices upwards. The lowest index is -2, so add 2 before the division and subtract 1
+                # afterwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]
@@ -205,7 +207,8 @@ def advect_kernel(scalar, of: GridKind):
                 there = here
         after = x + dt * (there - moving)
         if wp.static(not of.periodic):
-            # Move the particle with the mean of the previous and the new velocity.
+            # Particles move with the mean of the grid's previous and new velocity, so subtract half of the velocity's
+            # change.
             after -= scalar(0.5) * dt * (here - before)
             aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += dt * aside
@@ -224,7 +227,8 @@ def advect_kernel(scalar, of: GridKind):
         if wp.static(of.cut and not of.periodic):
             gone = leaves(g, mesh, after)
         if gone and geometry.inlet.shape[0] > 0:
-            # Choose a pseudo-random position of the inlet, so that particles spread over it.
+            # The particle has left the grid and enters it again. Choose a pseudo-random position of the inlet, so that
+            # particles spread over the inlet.
             turn = wp.uint32(p) * wp.uint32(7919) + wp.uint32(flags[STEPS]) * wp.uint32(104729)
             place = wp.int32(turn % wp.uint32(geometry.inlet.shape[0]))
             particles.velocity[p] = g.inflow

@@ -18,8 +18,8 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the Bingham law: viscosity for a given shear rate, and shear rate for a given stress.
 
     `apparent` follows the regularised law. `rate_of` replaces the inverse of this law by two straight lines, one below
-    and one above the yield stress; `rate_slope` is its derivative, `rate_integral` and `double_integral` are its
-    integrals.
+    and one above the yield stress. `rate_slope` is the derivative of `rate_of`, `rate_integral` its integral over the
+    stress, and `double_integral` the integral of `rate_integral`.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
 
@@ -64,7 +64,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def double_integral(g: Grid, stress: scalar) -> scalar:
-        """Return the second integral of the shear rate from 0 to `stress`, with the sign of the stress."""
+        """Return the integral of `rate_integral` from 0 to `stress`; it has the same sign as `stress`."""
         size = wp.abs(stress)
         over = wp.max(size - g.yield_stress, scalar(0.0))
         below = wp.min(size, g.yield_stress)
@@ -102,13 +102,14 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
         `rate` is the difference of the cells' mean velocities divided by the distance of the cells' centres [1/s].
         `change` is the amount by which the shear stress changes from one side of a cell to the opposite side [Pa]. If
-        the edge of a plug lies in the cells, `rate` is larger than the shear rate at the corner.
+        the edge of a plug (a region below the yield stress) lies in the cells, `rate` is larger than the shear rate at
+        the corner.
         """
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):
             return viscosity
-        # First estimate of the shear stress at the corner where the two cells meet. It holds if no edge of a plug lies
-        # inside these cells. Two straight lines approximate the relation of shear rate and stress.
+        # Estimate the shear stress at the corner where the two cells meet. Approximate the relation of shear rate and
+        # stress by two straight lines, and assume that no edge of a plug lies inside the cells.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),
@@ -138,8 +139,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
         """Return the mean velocity of a cell at a wall minus the velocity at the wall, and its derivative.
 
-        Both velocities are those of the concrete. The derivative is with respect to `stress`, the shear stress at the
-        wall. The stress falls linearly from the wall to the cell's opposite side, where it is `inner`.
+        Both velocities are those of the concrete along the wall, so slip is not included. The derivative is with
+        respect to `stress`, the shear stress at the wall. From there, the stress falls linearly to `inner` at the
+        cell's opposite side.
         """
         # The stress varies linearly across the cell, from `stress` at the wall to `inner`. The difference is `change`.
         # Where the stress is tau, the velocity relative to the wall is u = width / change * (F(stress) - F(tau)). Here
@@ -167,8 +169,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         are rings about an axis. Newton's method solves for the stress. It starts above the solution, where the function
         is convex.
         """
-        # Start from an upper bound of the wall stress. It is the smaller of two stresses: the stress at which slip
-        # alone would give the speed, and (with a margin) the stress at which shear alone would give it.
+        # Start from an upper bound of the wall stress. Either slip alone or shear alone would need a larger stress to
+        # give the whole speed than both together. Use the smaller of these two stresses, with a margin for the one of
+        # shear.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

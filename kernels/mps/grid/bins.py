@@ -15,8 +15,8 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which together sort particles into cells.
 
     A step launches them in this order. All cells share one list of particles, in which each cell reserves as many
-    places as it has particles. The order of the cells in the list differs from run to run, but results do not depend on
-    it.
+    entries as it has particles. The order in which cells reserve their entries differs from run to run, but results do
+    not depend on it.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

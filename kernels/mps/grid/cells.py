@@ -28,9 +28,9 @@ from ..structs import mps_types
 
 # Value of `solid` for a cell that concrete may fill; any other value is the number that identifies a wall.
 OPEN = wp.constant(0)
-SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
-GATE = wp.constant(3)  # Number of the wall that opens at a given time.
-# The following constants are kinds of faces. The exception is ROUGH, which is a further value of `solid`.
+SMOOTH = wp.constant(2)  # Value of `solid` for the frictionless wall, which is an axis or a plane of symmetry.
+GATE = wp.constant(3)  # Value of `solid` for the gate, a wall that opens at given times.
+# The constants AIR, LIQUID, FIXED, INSIDE and GHOST are the kinds of cell faces. ROUGH is another value of `solid`.
 AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
 FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity normal to it.
@@ -62,7 +62,8 @@ def item(task: wp.int32, worker: wp.int32, workers: wp.int32) -> wp.int32:
     """Return the number of the cell, face or particle that a task processes.
 
     Items are divided into strips of `STRIP` items, and the strips are dealt out to `workers` threads in turn, so that
-    all threads get about as much concrete. `worker` is the number of the thread. On a GPU there is one worker.
+    all threads get about the same amount of concrete. `worker` is the number of the thread. On a GPU there is one
+    worker.
     """
     return (task / STRIP * workers + worker) * STRIP + task % STRIP
 
@@ -129,7 +130,8 @@ def grid_parameters_struct(scalar, dimensions: int):
         regularisation: scalar  # Regularisation time beta of the law [s].
         volume: scalar  # Mean volume of a particle, per metre of depth or per radian in two dimensions.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
-        resistance: wp.float64  # Derivative of the wall force per volume with respect to the mean velocity [kg/m3/s].
+        # Derivative of the wall's braking force per volume with respect to the mean velocity [kg/m3/s].
+        resistance: wp.float64
 
     return Grid
 
@@ -153,7 +155,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Fields:
         solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
-        particle_density: wp.array(dtype=scalar)  # Density of particles at a cell's centre, 1 if full, shape (slots,).
+        # Density of particles around each cell's centre, divided by that in full cells, shape (slots,).
+        particle_density: wp.array(dtype=scalar)
         fill: wp.array(dtype=scalar)  # Fraction of a cell's open volume that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
@@ -168,7 +171,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
         start: wp.array(dtype=scalar)  # Velocity across each face before the forces of the step act [m/s].
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
-        wall_area: wp.array(dtype=scalar)  # Area of a pipe's wall along each face; 0 for faces away from walls.
+        wall_area: wp.array(dtype=scalar)  # Area of the pipe's wall along each face; 0 for faces away from walls.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
@@ -210,8 +213,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # axes, which gives four quarters. Shape (slots * pairs * 4,), in which the position along the pair's first axis
         # varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        # Volume around a cell's centre that is free of wall, shape (slots,). It is weighted with the same function of
-        # the distance from the centre as the particles.
+        # Volume around each cell's centre that is free of wall, shape (slots,). Each part of it is weighted with the
+        # function of the distance from the centre that also weights particles.
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
         inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.
@@ -226,10 +229,12 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Walls:
-        velocity: wp.array(dtype=t.vec)  # Velocity of each wall [m/s], indexed by its number; index 0 is unused.
+        # Velocity of each wall [m/s], indexed by the number of the wall; index 0 is unused.
+        velocity: wp.array(dtype=t.vec)
         spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; in plane flow about y.
         pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].
-        slip_viscosity: wp.array(dtype=scalar)  # Viscous constant of a wall's slip layer [Pa s/m]; < 0 if frictionless.
+        # Viscous constant of each wall's slip layer [Pa s/m]; negative if the wall is frictionless.
+        slip_viscosity: wp.array(dtype=scalar)
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
         slip_index: wp.array(dtype=scalar)  # Flow index of a wall's slip layer.
         slip_quadratic: wp.array(dtype=scalar)  # Coefficient of the squared velocity of a wall's slip layer [Pa s2/m2].

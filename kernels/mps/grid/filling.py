@@ -19,8 +19,9 @@ if its free surface coincides with the sides of cells (at 1 mm/s in a test with 
 def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions that convert the particle density at a cell's centre to the cell's fill fraction.
 
-    `level` applies to a cell at a free surface, and `lies` to a cell with a film of concrete that lies on a wall.
-    `film` returns which of the two cases applies. `behind` corrects the particle density beside walls.
+    `level` and `lies` return the fill fraction: `level` for a cell at a free surface, `lies` for a thin film of
+    concrete on a wall. `film` decides which of the two cases applies. `behind` corrects the particle density beside
+    walls.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -76,8 +77,9 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     def behind(g: Grid, mesh: Fields, c: whole, d: vec) -> scalar:
         """Return the part of a particle's weight that falls on neighbouring wall cells.
 
-        The caller adds this part to the weight in the particle's own cell. Otherwise concrete that lies on a wall would
-        count only half. `d` is the vector from the cell's centre to the particle.
+        The weight of a particle is distributed over the cells around it. No concrete is in wall cells, so the caller
+        adds their part to the particle's own cell. Otherwise concrete that lies on a wall would count only half. `d` is
+        the vector from the cell's centre to the particle.
         """
         sum = scalar(0.0)
         for n in range(1, corners):

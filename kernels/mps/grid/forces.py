@@ -1,8 +1,8 @@
 """Viscous forces, pressure and weight on the faces of a grid, and the matrix of the implicit solve for velocities.
 
 The viscous forces result from stretch in cells and shear at edges. They are derivatives of a single dissipation
-function. The matrix is therefore symmetric, and every force has its reaction on the neighbouring faces, however the
-viscosity varies in space.
+function, however the viscosity varies in space. The matrix is therefore symmetric, and every force on a face has an
+opposite force on neighbouring faces.
 """
 
 import functools
@@ -85,9 +85,10 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def change(g: Grid, mesh: Fields, c: whole, axis: wp.int32) -> scalar:
-        """Return by how much the shear stress at a corner changes over one cell along an axis, in two dimensions.
+        """Return by how much the shear stress at a corner changes over one cell along an axis [Pa], in two dimensions.
 
-        The stress is smoothed across this axis, so that oscillations from cell to cell do not amplify themselves.
+        The stress is averaged over three neighbouring corners across this axis, so that oscillations from cell to cell
+        do not amplify themselves.
         """
         sum = scalar(0.0)
         for n in range(3):
@@ -98,7 +99,7 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def around(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
-        """Return the mean square of the shear rates at a cell's edges in concrete, for one pair of axes [1/s2]."""
+        """Return the mean of the squared shear rates over those edges of a cell that lie in concrete [1/s2]."""
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):
@@ -272,8 +273,8 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
             if within:
                 edge_rate, edge_volume = f.shear(g, mesh, geometry, c, 0)
                 if edge_volume > scalar(0.0):
-                    # Store the mean of the edge's previous and present shear stress. It affects only the viscosity and
-                    # wall stress of the next step. With the present stress alone, the flow would oscillate.
+                    # Store the mean of the edge's previous and present shear stress. It is used only for viscosity and
+                    # wall stress in the next step. With the present stress alone, the flow would oscillate.
                     mesh.stress[number] = scalar(0.5) * (mesh.stress[number] + edge_rate * mesh.in_corner[number])
         for axis in range(dims):
             r = number + axis * g.slots
@@ -305,7 +306,8 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
                             diagonal += grows
                             other = coupled
                         if b == axis:
-                            # Force on the face due to the stretch of the cell on this side of it.
+                            # A face has a cell on either side along its own axis. Add the force due to the stretch of
+                            # the cell on this `side`.
                             along = g.width[axis]
                             cell = f.moved(c, axis, side - 1)
                             o = f.at(g, cell)
@@ -330,7 +332,8 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
                                         own += both * half * half
                                 diagonal += own
                         elif wp.static(not of.cut) or f.reached(g, f.moved(c, b, side)):
-                            # Force due to the shear at the edge on this side of the face.
+                            # Along axis b, a face has an edge on either side. Add the force due to the shear at the
+                            # edge on this `side`.
                             across = g.width[b]
                             edge = f.moved(c, b, side)
                             pair = axis + b - 1

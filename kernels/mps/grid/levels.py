@@ -20,12 +20,14 @@ from ..structs import row_place
 from .cells import item
 
 DAMPING = wp.constant(1.8)
-"""Largest eigenvalue of the matrix times the smoothing factors. Smoothing reduces any error if it is below 2."""
+"""Upper limit of the eigenvalues of the matrix times the smoothing factors. Below 2, a smoothing step reduces every
+error."""
 SINGULAR = wp.constant(1.0e-4)
-"""Ratio of a coarse row's diagonal to the sum of its finer rows' diagonals below which the row is left out.
+"""Lower limit of a coarse row's diagonal, divided by the sum of the diagonals of its finer rows.
 
-Only the pressure in a closed space that is full of concrete reaches this ratio. There the matrix is singular, because a
-constant pressure exerts no net force.
+Rows with a smaller ratio get a diagonal of 0, so that smoothing leaves them unchanged. Only the pressure in a closed
+space that is full of concrete has such a row. There the matrix is singular, because a constant pressure exerts no net
+force.
 """
 
 
@@ -33,7 +35,7 @@ constant pressure exerts no net force.
 def system_structs(scalar) -> SimpleNamespace:
     """Build the structs `Matrix`, which holds the matrices of all levels, and `Solve`, the working arrays of a solve.
 
-    Below, n is the number of rows of all levels, and m the number of rows of the finest level.
+    In the shapes of the arrays, n is the number of rows of all levels, and m the number of rows of the finest level.
     """
 
     @wp.struct
@@ -48,13 +50,16 @@ def system_structs(scalar) -> SimpleNamespace:
         near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row, shape (n,).
         near: wp.array(dtype=wp.int32)  # Column of each off-diagonal entry, shape (n * near_capacity,).
         coefficient: wp.array(dtype=scalar)  # Value of each off-diagonal entry times -1, shape (n * near_capacity,).
-        smoothing: wp.array(dtype=scalar)  # Change of an unknown per residual in a smoothing step, shape (n,).
+        # Change of an unknown divided by its residual, in a smoothing step, shape (n,).
+        smoothing: wp.array(dtype=scalar)
         parent: wp.array(dtype=wp.int32)  # Row of the next coarser level that contains a row, or -1, shape (n,).
-        child: wp.array(dtype=wp.int32)  # Rows that form a row of a coarser level, or -1, shape ((n - m) * children,).
-        first: wp.array(dtype=wp.int32)  # First row of each level, and n, shape (levels + 1,).
+        # Rows of the finer level that form each coarser row; unused entries are -1, shape ((n - m) * children,).
+        child: wp.array(dtype=wp.int32)
+        first: wp.array(dtype=wp.int32)  # Index of each level's first row, followed by n, shape (levels + 1,).
         before: wp.array(dtype=wp.int32)  # Number of rows without an unknown before each row, shape (n,); GPU only.
         used: wp.array(dtype=wp.int32)  # Rows with an unknown, in increasing order, shape (n,).
-        begin: wp.array(dtype=wp.int32)  # Index in `used` at which each level begins, and the end, shape (levels + 1,).
+        # Index in `used` of each level's first entry, followed by the number of entries, shape (levels + 1,).
+        begin: wp.array(dtype=wp.int32)
         # Operations of the multigrid cycle, four numbers each, see `multigrid.py`, shape (4 * operations,).
         cycle: wp.array(dtype=wp.int32)
 

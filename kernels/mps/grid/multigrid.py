@@ -28,8 +28,9 @@ PROLONG = wp.constant(2)
 OVERCORRECTION = 1.4
 """Factor by which coarse corrections are multiplied.
 
-Corrections that are constant over several cells are too small, because their jumps between these groups of cells cost
-too much energy (Braess 1995)."""
+A coarse correction is constant over groups of cells and jumps between them. The jumps add energy, so the energy norm of
+the error is minimal for a correction that is too small (Braess 1995).
+"""
 FEW = {"cpu": 256, "gpu": 256}
 """Maximum number of rows of a coarser level that the first thread or block processes alone."""
 
@@ -45,7 +46,7 @@ FAMILY_SUM = """
 
 @functools.cache
 def family_sum_function(scalar):
-    """Build the function that adds up the values of `members` neighbouring GPU threads; on a CPU there is only one."""
+    """Build the function that sums a value over `members` neighbouring GPU threads; a CPU thread gets its own value."""
 
     @wp.func_native(FAMILY_SUM)
     def family_sum(part: scalar, members: wp.int32) -> scalar: ...
@@ -105,8 +106,8 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
     ):  # fmt: skip
         """Compute the right-hand sides of coarser rows, and apply the first smoothing step to a solution of zero.
 
-        On a GPU, each thread computes the residual of one finer row. The threads that belong to the same coarser row
-        then add up their residuals.
+        On a GPU, each thread computes the residual of one finer row. The threads whose rows belong to the same coarser
+        row then add up their residuals.
         """
         abreast = wp.where(lanes() > 1, matrix.children, 1)
         for n in range(thread, ((end - begin) * abreast + lanes() - 1) / lanes() * lanes(), by):
@@ -173,7 +174,7 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
 
     @wp.func
     def is_few(matrix: Matrix, turn: wp.int32) -> wp.bool:
-        """Return whether operation number `turn` of the cycle is left to the first thread or block."""
+        """Return whether the first thread or block alone performs operation number `turn` of the cycle."""
         level = target(matrix, turn)
         few = wp.static(FEW["cpu"] if serial else FEW["gpu"])
         return level > 0 and matrix.begin[level + 1] - matrix.begin[level] <= few

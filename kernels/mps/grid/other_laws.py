@@ -14,16 +14,17 @@ from .bingham import bingham_functions
 from .cells import GridKind, grid_parameters_struct
 
 MARGIN = wp.constant(4.0)
-"""Factor by which an estimate of the wall stress is multiplied to obtain an upper bound for its computation."""
+"""Factor by which an estimate of the wall stress is multiplied to obtain an upper bound for the search of this
+stress."""
 
 
 @functools.cache
 def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
     """Build functions of a flow law: viscosity as a function of the shear rate, and rate as a function of the stress.
 
-    `apparent` returns the apparent viscosity of the regularised law. `sums` uses a law that is a straight line below
-    the yield stress. For a stress of at least zero, `sums` returns the shear rate, and the first and second integral of
-    the rate over the stress from 0 on.
+    `apparent` returns the apparent viscosity of the regularised law. `sums` replaces the law below the yield stress by
+    a straight line. For a stress of at least zero, it returns the shear rate, the integral of the rate over the stress
+    from 0, and the integral of that integral.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     h = law_functions(scalar, law)
@@ -50,7 +51,7 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
         """Return the shear rate at a `stress` of at least zero, and the first and second integral of the rate.
 
         Both integrals run over the stress from 0 to `stress`. `stiff` is the viscosity of concrete below the yield
-        stress.
+        stress [Pa s].
         """
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)
@@ -112,12 +113,13 @@ def edge_function(scalar, dimensions: int, law: str):
             return viscosity
         if over >= change:
             # The stress differs by `change` over each of the two cells. The mean rate over the cells is nearly the rate
-            # at the corner's stress s plus a correction: change^2 / 12 times the second derivative of the rate with
-            # respect to the stress.
+            # at the corner's stress s, plus change^2 / 12 times the second derivative of the rate with respect to the
+            # stress. Therefore s is lower than the estimate by change^2 / 12 times `bend`, the ratio of second to first
+            # derivative.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # Within the two cells beside this corner, the plug ends or the pipe has its middle. Find the corner's stress s
-        # by Newton's method between two bounds. The mean shear rate over both cells must equal `rate`.
+        # Here the edge of a plug or the middle of the pipe lies in the two cells. Find the corner's stress s by
+        # Newton's method between two bounds. The mean shear rate over both cells must equal `rate`.
         low = scalar(0.0)
         high = plain + change
         s = plain

@@ -57,9 +57,10 @@ class Pace:
 
 @functools.cache
 def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that measure the rms speed of the concrete, and how many cells per second it crosses at most.
+    """Build the kernels that measure the speed of the concrete.
 
-    A CPU runs the kernel `speeds`, a GPU the kernel `sums` followed by `speeds_of_sums`.
+    They compute the root mean square (rms) speed, and the largest number of cells that concrete crosses per second. A
+    CPU runs the kernel `speeds`, a GPU the kernel `sums` followed by `speeds_of_sums`.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -150,9 +151,10 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
         pace: Pace, clock: wp.array(dtype=wp.float64), viscous: wp.array(dtype=wp.float64),
         pressure: wp.array(dtype=wp.float64), crowding: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """Set the next time step, and the residual norms at which the solves stop, which depend on the time step.
+        """Set the next time step, and the residual norms at which the solves stop.
 
-        If the time left before the end time is shorter than four wanted time steps, it is divided into equal steps.
+        If the time left before the end time is shorter than four wanted time steps, it is divided into equal steps. The
+        norms are inversely proportional to the time step, or to its square for the solve that disperses particles.
         """
         left = clock[UNTIL] - clock[NOW]
         dt = clock[WANTED]

@@ -67,7 +67,8 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     flux = area * mesh.velocity[r]
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
-                        # Through the closed part of the face, a moving wall carries its own volume into the cell.
+                        # A moving wall closes a part of the face. Through this part it carries its own volume into the
+                        # cell.
                         if wall > ROUGH:
                             x = f.face_middle(g, face, axis)
                             flux += (f.face_area(g, face, axis) - area) * f.wall_speed(walls, wall, x, axis)
@@ -100,7 +101,8 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         for axis in range(dims):
             r = number + axis * g.slots
             kind = mesh.kind[r]
-            # Update the stress of the walls to the velocity after the viscous solve.
+            # The shear stress of the walls was computed for the velocity before the viscous solve. Update it, with its
+            # derivative, to the velocity after this solve.
             if wp.static(not of.cut) and kind == LIQUID:
                 mesh.traction[r] = mesh.traction[r] + mesh.traction_slope[r] * (mesh.velocity[r] - mesh.start[r])
             if kind == LIQUID:
@@ -133,9 +135,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
-        """Return by how much a cell's particle density is below 1 because the cell and those around it are not full.
+        """Return how far below 1 a cell's particle density is because the cell and those around it are not full.
 
-        Concrete is assumed to be spread evenly within each cell.
+        A density of 1 is that in full cells. Concrete is assumed to be spread evenly within each cell.
         """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):
@@ -146,8 +148,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 by = rest % 3 - 1
                 rest = rest / 3
                 o[b] = c[b] + by
-                # A particle is shared among cells by a linear weight. Along each axis, 3/4 of the weight's integral lie
-                # in the cell itself and 1/8 in each of the two neighbouring cells.
+                # The density at the cell's centre is a sum over particles, with a weight that falls linearly to zero at
+                # a distance of one cell. Along each axis, 3/4 of the weight's integral lie in the cell itself and 1/8
+                # in each of the two neighbouring cells.
                 part *= wp.where(by == 0, scalar(0.75), scalar(0.125))
             near = f.at(g, o)
             if mesh.solid[near] == OPEN:
@@ -169,8 +172,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if mesh.liquid[number] != 0:
             excess = mesh.particle_density[number] - scalar(1.0)
             if excess < scalar(0.0):
-                # Near a free surface a lack of particles is normal, because some cells are partly filled. Only a lack
-                # that exceeds this normal lack is corrected.
+                # Near a free surface the particle density is below 1 because some cells are partly filled. Only a lack
+                # of particles that exceeds this expected lack is corrected.
                 excess = wp.where(mesh.fill[number] < scalar(1.0), scalar(0.0), excess + missing(g, mesh, c))
                 excess = wp.min(excess, scalar(0.0))
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))

@@ -24,8 +24,8 @@ from .multigrid import cycle_functions
 def resident_functions(scalar, width: int) -> SimpleNamespace:
     """Build the functions by which a GPU thread processes its rows in a solve; a block has `width` threads.
 
-    `precondition` applies the preconditioner. Each of the other functions processes the row at position `k` of the list
-    of rows.
+    `precondition` applies the preconditioner. Each of the other functions processes one row: the row at position `k` in
+    the list of rows with unknowns.
     """
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -134,14 +134,14 @@ def resident_multigrid(scalar, width: int = BLOCK):
         maximum: wp.int32,
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The matrix is only read.
+        # The kernel only reads the matrix.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=scalar),
     ):
-        # The comment in `serial_multigrid` explains the names of the inner products, such as `rz`.
+        # A comment in `serial_multigrid.py` explains the names of the inner products, such as `rz`.
         thread = wp.tid()
         lane = thread % width
         block = thread / width

@@ -23,7 +23,8 @@ from .multigrid import cycle_functions
 def serial_functions(scalar) -> SimpleNamespace:
     """Build the functions by which a CPU thread processes its rows in a solve.
 
-    `precondition` applies the preconditioner. Each of the other functions processes a range of the list of rows.
+    `precondition` applies the preconditioner. Each of the other functions processes a range of the list of rows with
+    unknowns.
     """
     structs = system_structs(scalar)
     Matrix, Solve = structs.Matrix, structs.Solve
@@ -81,7 +82,7 @@ def serial_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def multiply(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve) -> wp.float64:
-        """Multiply the matrix by the search direction, and return the inner product of direction and product."""
+        """Multiply the matrix by the search direction, and return the inner product of the direction and the result."""
         pq = wp.float64(0.0)
         for k in range(first, end):
             i = matrix.used[k]
@@ -152,7 +153,7 @@ def serial_multigrid(scalar):
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The matrix is only read.
+        # The kernel only reads the matrix.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),

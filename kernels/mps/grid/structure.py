@@ -45,10 +45,10 @@ def break_kernel(scalar, of: GridKind):
 
     @wp.func
     def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
-        """Return the yield stress that recovery adds in a step, less what breaks down again in the same step.
+        """Return the yield stress that structure built up in this step adds [Pa].
 
-        The recovery has the given `rate`. The result does not include the structure from earlier steps, which the
-        breakdown reduces by the factor exp(-broken).
+        Structure builds up at the given `rate` [Pa/s], and a part of it breaks down again within the step. The result
+        does not include structure from earlier steps, which the breakdown reduces by the factor exp(-`broken`).
         """
         if broken > scalar(1.0e-3):
             return rate * dt * (scalar(1.0) - wp.exp(-broken)) / broken

@@ -236,8 +236,8 @@ def extend_kernel(scalar, of: GridKind):
             after[r] = value
             known_after[r] = good
             if final != 0 and good != 0 and mesh.kind[r] == AIR:
-                # Store the extended velocity of this face in the air. Concrete may reach the face before a particle is
-                # near enough to give the face a velocity.
+                # Store the extended velocity of this face in the air, because concrete may reach the face before a
+                # particle is near enough to determine its velocity.
                 mesh.velocity[r] = value
 
     return extend

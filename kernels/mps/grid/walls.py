@@ -13,9 +13,10 @@ from .places import grid_functions
 from .structure import with_gain_function
 
 SLOW = wp.constant(1.0e-6)
-"""Slip velocity below which a slip layer that is not linear counts as linear [m/s]."""
+"""Slip velocity below which the viscous stress of a nonlinear slip layer is smoothed to be nearly linear [m/s]."""
 STICKY = wp.constant(20.0)
-"""Maximum stiffness of a slip layer to which concrete sticks, relative to the shear stiffness of a cell of concrete."""
+"""Stiffness of a slip layer to which concrete sticks, relative to the shear stiffness of a cell of concrete. It limits
+the stiffness of all slip layers, because sticking without any slip would need an infinite one."""
 
 
 @functools.cache
@@ -68,8 +69,8 @@ def side_kernel(scalar, of: GridKind):
                             at_wall = f.moved(c, 1 - axis, side)
                             if wp.static(of.axial):
                                 if axis == 1:
-                                    # A ring about the axis has more of its area on the outer side, which changes the
-                                    # mean velocity of the cell.
+                                    # Cells are rings about the axis. A ring has more of its volume on the outer side,
+                                    # which changes the mean velocity of the cell.
                                     outer = wp.where(side == 1, scalar(1.0), scalar(-1.0))
                                     radius = f.side_weight(g, at_wall)
                                     ring -= outer * width / (scalar(6.0) * radius - outer * scalar(3.0) * width)
@@ -117,7 +118,8 @@ def wall_kernel(scalar, of: GridKind):
     def aside(g: Grid, mesh: Fields, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
         """Return the velocity component along the axis `other` at the centre of a face that is perpendicular to `axis`.
 
-        It is the mean of the component over the surrounding faces with concrete.
+        The grid does not store this component at the face. The result is its mean over the surrounding faces with
+        concrete.
         """
         sum = scalar(0.0)
         count = scalar(0.0)
@@ -182,8 +184,8 @@ def wall_kernel(scalar, of: GridKind):
                             low = f.at(g, f.moved(out, axis, -1))
                             wall = geometry.surface[own + axis * g.slots]
                             if walls.slip_viscosity[wall] >= scalar(0.0):
-                                # The derivative of the distance from the wall along axis b equals the component of the
-                                # wall's unit normal along this axis.
+                                # `share` is the derivative of the distance from the wall along axis b. It equals the
+                                # component of the wall's unit normal along this axis.
                                 share = wp.min(wp.abs(near - far) / g.width[b], scalar(1.0))
                                 area = share * weight(g, c, axis, b) * f.block(g) / g.width[b]
                                 area *= scalar(0.5) * (mesh.fill[own] + mesh.fill[low])
