@@ -93,7 +93,7 @@ class Study:
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the means and standard deviations of the quantities over the seeds, a row per set of varied values."""
+        """Return one row for each set of varied values: means and standard deviations of quantities over the seeds."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)

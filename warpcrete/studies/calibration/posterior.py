@@ -22,7 +22,8 @@ import numpy as np
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
-"""Number of points in the unit cube that are compared; the best of them become the walkers' starting points."""
+"""Number of points of the unit cube at which the posterior density is evaluated. The points with the highest density
+become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
 """Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
@@ -31,7 +32,7 @@ UNIFORM_DEVIATION = 1 / np.sqrt(12)
 
 
 class Emulator:
-    """Gaussian process that predicts one quantity: a linear trend, a smooth remainder, and noise."""
+    """Gaussian process that predicts one quantity as a linear trend, a smooth deviation from it, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
         """Fit a Gaussian process to `values`, shape (n,), at `points` of the unit cube, shape (n, free).
@@ -47,13 +48,15 @@ class Emulator:
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
         self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
-        # The fit warns if a parameter of the covariance function ends at its bound, which does no harm here.
+        # The fit warns if a parameter of the covariance function reaches the bound of its allowed range. Suppress this
+        # warning, because the fitted function is valid at the bound, too.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.process.fit(points - 0.5, (values - self.middle) / self.scale)
         fitted: Any = self.process.kernel_
         self.scatter = self.scale * float(np.sqrt(fitted.k2.noise_level))
-        """Standard deviation of single runs about the mean over seeds."""
+        """Standard deviation of the results of single runs about the mean over many seeds, in the unit of the
+        quantity."""
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the predicted mean over seeds at points of the unit cube, and the prediction's standard deviation.
@@ -167,7 +170,11 @@ def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
 
 
 def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the estimated probability that runs at these points succeed, judged by nearby runs."""
+    """Return the logarithm of the probability that runs at these points succeed, estimated from previous runs nearby.
+
+    `at` are the points of the unit cube, shape (m, free), `points` those of previous runs, shape (n, free), and `sound`
+    is True for the previous runs that succeeded, shape (n,).
+    """
     if sound.all():
         return np.zeros(len(at))
     near = np.exp(-0.5 * ((at[:, None] - points[None]) ** 2).sum(-1) / FAILURE_RADIUS**2)
@@ -190,10 +197,10 @@ def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, st
 
 
 def insensitive_targets(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
-    """Return the predicted range of each target that the free parameters hardly change.
+    """Return the targets on which the free parameters have hardly any effect, each with its predicted range.
 
-    A target is included if its range is narrower than a fifth of the target's uncertainty, or than the scatter between
-    seeds.
+    The range reaches from the lowest to the highest prediction within the parameter ranges. A target is included if
+    this range is narrower than a fifth of the target's uncertainty, or narrower than the scatter between seeds.
     """
     spans: dict[Any, tuple[float, float]] = {target: found.span(target) for target in targets}
     return {

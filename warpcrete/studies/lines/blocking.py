@@ -62,7 +62,7 @@ class BlockingProbability:
     failed: int
     """Number of runs that ended with an error, and do not count."""
     short: int
-    """Number of runs that were not blocked, but ended while part of the concrete stood still."""
+    """Number of runs that were not blocked, but at whose end part of the concrete stood still."""
     stones: int
     """Number of stones in the first simulation; the others have other random packings."""
     stone: float

@@ -1,4 +1,7 @@
-"""Slip layer and bend factor of a trial line, fitted to pressures that were measured at several places and flows."""
+"""Fit of the slip layer and of the friction factor of bends to pressures measured along a trial line.
+
+The pressures were measured at several places, at one or more flows.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +38,10 @@ DEPENDENT = 1e-3
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
 """Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
-factor of bends. A fit with a constant that does not exceed its limit is refused as impossible."""
+friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Smallest fitted values that differ from zero: yield stress of the slip layer [Pa] (index 1) and friction factor of
-bends (index 2). The measured points cannot distinguish a smaller value from zero; the constant then gets its default
-value."""
+"""Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
+and friction factor of bends (index 2). Such a constant gets its default value."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -68,7 +70,8 @@ class FittedConstant:
     high: float
     unit: str
     fitted: bool
-    """True if the points determine the constant. Otherwise it keeps the value that it had before the fit."""
+    """True if the measured pressures determine the constant. Otherwise the constant keeps the value that it had before
+    the fit."""
 
     @property
     def text(self) -> str:
@@ -192,7 +195,7 @@ def _is_free(part: Part) -> bool:
 
 
 class _Model:
-    """Pressure at the taps as a function of slip viscosity, slip yield and the factor of bends."""
+    """Pressures at the taps (places of gauges) as functions of slip viscosity, slip yield stress and bend factor."""
 
     def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap], bends: bool = True) -> None:
         self.concrete, self.taps = concrete, taps
@@ -283,7 +286,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     found = _least_squares(model, measured, start, free)
     for place, value in ((2, 1.0), (1, 0.0)):
         if place in free and found[place] < NOTHING[place]:
-            # The points cannot distinguish this constant from zero. Give it a default value, and fit the others again.
+            # The measured pressures cannot distinguish this constant from zero. Give it its default value, and fit the
+            # other constants again.
             free.remove(place)
             start[place] = value
             if place == 2:
@@ -319,10 +323,10 @@ def _metre(line: PipeLine) -> PipeLine:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the first constants of `free`, as many as the measured points determine.
+    """Return the first constants of `free`, as many as the measured pressures determine.
 
-    `slopes` are the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). The
-    last constant is dropped as long as the columns of `slopes` are linearly dependent.
+    `slopes` holds the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). As
+    long as the columns of `slopes` are linearly dependent, the last constant is dropped together with its column.
     """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)

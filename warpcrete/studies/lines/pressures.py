@@ -46,7 +46,8 @@ class Loss:
         """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
 
         The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
-        outside these limits, it replaces the nearer one. Without a range, both limits equal the computed friction.
+        below the lower limit or above the upper limit, it is returned instead of that limit. Without a range, both
+        limits equal the computed friction.
         """
         if self.range is None:
             return self.friction
@@ -134,8 +135,8 @@ class LinePressures:
         """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
 
         With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
-        `flow`, it is the pressure for restarting at that flow at once. Straight pipe follows from the closed form, and
-        fittings keep the ratio of their friction to that of straight pipe.
+        `flow`, it is the pressure for restarting at that flow at once. The friction of straight pipe follows from the
+        closed form. The friction of fittings is that of straight pipe, multiplied by the same ratio as before the stop.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"
@@ -184,7 +185,7 @@ class LinePressures:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressures at the line's start and its parts' ends [Pa], if `concrete` fills the line."""
+        """Return the pressures [Pa] at the line's start and at its parts' ends if `concrete` fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory

@@ -133,7 +133,7 @@ class LineResult(LinePressures):
 
     @property
     def band_text(self) -> str:
-        """Sentences for the user that split the uncertainty of the line's pressure by its causes."""
+        """Sentences for the user on how much each cause contributes to the uncertainty of the line's pressure."""
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def remarks(self) -> list[str]:
@@ -250,7 +250,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
 
 
 def _span(band: Band) -> str:
-    """Return a pressure with its band in bar."""
+    """Return a pressure and the ends of its uncertainty band as text, in bar."""
     return f"{band.value / 1e5:.4g} ({band.low / 1e5:.3g} to {band.high / 1e5:.3g})"
 
 

@@ -55,7 +55,7 @@ def write(found: Reproduction) -> None:
 
 
 def _plain(result: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numbers in the contents of a result.json, in SI units."""
+    """Return all numbers in the contents of a result.json, in SI units; entries that are not numbers are left out."""
     found = {}
     for name, entry in result.items():
         if isinstance(entry, dict) and "value" in entry and isinstance(entry["value"], int | float):
@@ -208,9 +208,10 @@ def _row(found: Reproduction, row: Row) -> Iterator[str]:
 
 
 def _verdict(errors: list[float], count: int) -> str:
-    """Return a verdict in words on the pressures of `count` planned runs, whose relative `errors` are given.
+    """Return a sentence that says whether the simulated pressures agree with the closed form.
 
-    The pressures hold if every error is below 3 %.
+    They agree if every relative error in `errors` is below 3 %. If runs are missing, so that there are fewer than
+    `count` errors, the pressures are not judged.
     """
     if len(errors) < count:
         return f"Not judged: {count - len(errors)} of {count} runs are missing."

@@ -114,7 +114,7 @@ def _frames(simulation: Any) -> dict[str, float]:
 
 
 def _cached(scene: Any, device: Any, threads: int) -> Path:
-    """Return the cache file for a scene with these versions of the software, this device and this thread count."""
+    """Return the cache file for a scene; other versions of the software, devices and thread counts have other files."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     version = provenance(device, "float32", 0)
     key = fingerprint((scene, version.get("warpcrete"), version.get("warp"), version.get("device_name"),
@@ -131,7 +131,10 @@ def _read(path: Path) -> Forecast | None:
 
 
 def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
-    """Return savings from a trade-off record and the time step's limits, and the source of the record."""
+    """Return the known savings, and the source of the trade-off record from which their errors come.
+
+    The savings come from this record and from the forecast, which says what limits the time step.
+    """
     found = list(_time_step_savings(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
     found += _knob_savings(record.get("points", []), _knobs_of(scene))
@@ -166,10 +169,11 @@ def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Sav
 
 
 def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
-    """Yield the time saved by removing or weakening whatever limits the step: a kind of bond, or the dashpots."""
+    """Yield savings from removing or weakening the bonds or dashpots that limit the time step."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
     if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
-        # The user chose the time step, so the run would not become faster without bonds or dashpots.
+        # The user chose the time step. The forecast can tell nothing about savings, because without bonds or dashpots
+        # the step would stay the same.
         return
     rest = 1.0 - sum(forecast.parts.get(part, 0.0) for part in ("steps", "settling")) / forecast.wall_time
     for name, limit in forecast.limits.items():

@@ -59,7 +59,10 @@ def table(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """Return a sentence on how many runs took place at the same time, or an empty text if runs were made one by one."""
+    """Return a sentence that states how many runs took place at the same time.
+
+    The text is empty if the runs were made one after the other.
+    """
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""

@@ -1,4 +1,4 @@
-"""Test of the rules against blocking on measured concretes, some of which blocked."""
+"""Comparison of the rules against blocking with measured concretes, some of which blocked."""
 
 from __future__ import annotations
 

@@ -17,7 +17,8 @@ STYLES = (
     (False, True, {"marker": "s", "color": rgb(RUN), "label": "simulated as a flow"}),
 )
 """Markers of the three groups of cases in the figure. Each entry has three elements: True if the cases are held out
-(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib."""
+(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib. The first element is
+ignored for simulated cases."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
 """Displayed unit for each kind of measurement: the factor from the SI unit to this unit, and its name. Kinds that are
 not listed are shown in SI units."""
