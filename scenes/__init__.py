@@ -100,7 +100,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _listing() -> str:
-    """Return the names of all scene functions with their titles, one line each."""
+    """Return one line for each scene, with the name of its function and its title."""
     return "\n".join(f"    {name.replace('-', '_'):12s} {title}" for name, title in _TITLES.items())
 
 

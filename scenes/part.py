@@ -121,7 +121,7 @@ def scene(parameters: PartParameters) -> PartScene:
 
 @dataclass(frozen=True)
 class _PipeCourse:
-    """Course and width of the pipe, as arguments of :class:`PartScene`."""
+    """Axis, inner radii and wall of the pipe, as arguments of :class:`PartScene`."""
 
     axis: Axis
     bores: Bores
@@ -206,7 +206,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
 
 
 def _line(given: PartParameters) -> _PipeCourse:
-    """Return the course of the pipe for a whole line, which a file or a name gives."""
+    """Return the course of the pipe for a whole line, which is given by the name of the line or by its file."""
     assert given.line is not None
     line = read_line(given.line)
     check_straight_ends(line, given.line)
@@ -229,8 +229,8 @@ def _line(given: PartParameters) -> _PipeCourse:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, a straight stretch lies between
-    # bend and taper.
+    # Without a bend, the pipe consists of a straight stretch, the taper and another straight stretch. With a bend, the
+    # taper comes behind the bend, and there are straight stretches before, between and behind them.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(
@@ -279,7 +279,10 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
 
 
 def _variants(given: PartParameters) -> dict[str, dict[str, float]]:
-    """Return variants of a flow, as changes of its parameters, with half and twice the flow, or another concrete."""
+    """Return variants of a flow for the tests of a trade-off study, by description; each holds the changed parameters.
+
+    Half or twice the flow is pumped, or the slip layer has half or twice the viscosity.
+    """
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
     found = {}
     for name, value in (("flow", given.flow), ("slip_viscosity", concrete.slip_viscosity)):

@@ -24,7 +24,8 @@ from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 STEPS = 2000
-ENERGY = 0.1  # Largest acceptable energy gain without work, relative to the energy scale of the instability check.
+# Largest acceptable gain of energy to which no work corresponds, relative to the energy scale of the instability check.
+ENERGY = 0.1
 RADIUS = 0.03
 AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
@@ -37,9 +38,10 @@ class Outcome:
     stopped: str
     """Message of the error that stopped the run; empty if the run was completed."""
     deepest: float
-    """Largest overlap, divided by the overlap at which a sphere lies completely inside its contact partner."""
+    """Largest overlap, divided by the overlap at which a sphere lies completely inside the sphere or wall that it
+    touches."""
     growth: float
-    """Energy gained without work, divided by the energy scale that the check for instability uses."""
+    """Largest gain of energy to which no work corresponds, divided by the energy scale of the check for instability."""
     steps: int
     expected_outcome: str = ""
     """Required result of the run: "run" if it must be completed, otherwise a regular expression that the message of the
@@ -188,7 +190,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """Return the scene with its first `count` bodies all moved to the position of the body after them."""
+    """Return the scene with its first `count` bodies all moved to the position of the body that follows them."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]

@@ -40,10 +40,14 @@ TEST_5_SPIN = np.array([
 
 
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
-    """Let spheres hit a plane without touching each other, and return their final velocities and spins."""
+    """Simulate impacts of spheres on a plane, and return their velocities [m/s] and spins [rad/s] after the impacts.
+
+    The spheres lie so far apart that they do not touch each other. Each result has the shape (spheres, 3).
+    """
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
-    # The spheres start in touch with the plane: in single precision, overlaps are less accurate far from the origin.
+    # Let the spheres touch the plane at the start, near the origin, because in single precision overlaps are less
+    # accurate far from the origin.
     positions = np.stack([np.zeros(count), (np.arange(count) - count / 2) * 4 * radius, np.full(count, radius)], 1)
     dt = _duration(law, radius, density, np.abs(velocities[:, 2]).max()) / steps_per_contact
     scene = Scene(
@@ -79,7 +83,8 @@ def elastic(device, precision) -> list[Row]:
         ("2, aluminium sphere on a plane", alloy, 0.1, 2699.0, 0.2, True, 11.37e3, 49.7e-6, 731e-6),
     ):
         found = _peak(law, radius, density, speed, plane, device, precision)
-        # The published values have three to four digits, and single precision resolves the overlap to about 1e-4.
+        # The tolerances allow for published values of only three to four digits, and for single precision, which
+        # resolves the overlap to about 1e-4 of its value.
         rows += [
             Row(f"test {name}: peak force", found[0], force, 2e-3, "N"),
             Row(f"test {name}: peak overlap", found[1], overlap, 2e-3, "m"),
@@ -171,7 +176,9 @@ def oblique(device, precision) -> list[Row]:
     rebound = np.degrees(np.arctan2(velocity[:, 0] - radius * spin[:, 1], velocity[:, 2]))
     OBLIQUE.curves.update(angle=TEST_4[:, 0], tangential=tangential, spin=turning, rebound=rebound)
     rows = []
-    steep = TEST_4[:, 0] < 15  # Steep impacts stick, so they depend most on how the law unloads the shear spring.
+    # Contacts stick in steep impacts. The result then depends on how the law unloads the shear spring, so steep impacts
+    # have a tolerance of their own.
+    steep = TEST_4[:, 0] < 15
     for name, ours, published, allowed_steep, allowed in (
         ("tangential restitution", tangential, TEST_4[:, 1], 0.1, 0.012),
         ("rebound angle", rebound, TEST_4[:, 3], 0.02, 0.015),
@@ -191,8 +198,8 @@ def oblique(device, precision) -> list[Row]:
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
-    # The tangential impulse of friction changes velocity and spin in a fixed ratio. The overlap shortens the lever arm
-    # by 0.3 %.
+    # The tangential impulse of friction changes velocity and spin in a fixed ratio, from which the exact spin follows.
+    # The tolerance allows for the overlap, which shortens the lever arm of friction by 0.3 %.
     exact = -2.5 * (velocities[:, 0] - velocity[:, 0]) / radius
     rows.append(
         _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
@@ -210,9 +217,9 @@ def oblique(device, precision) -> list[Row]:
 def normalised(device, precision) -> list[Row]:
     """Compare impacts of steel at constant normal speed with the published normalised curves (test 5).
 
-    The published curves belong to a tangential stiffness of half that of a rigid plane, and to a shear force that stays
-    constant while the normal load decreases. The same settings are used here. The closed form for full slip holds for
-    all settings.
+    The published curves hold for a tangential stiffness of half that of a rigid plane, and for a shear force that stays
+    constant while the normal load decreases. The simulations therefore use these settings. The closed form for full
+    slip holds for all settings.
     """
     radius, normal, friction = 0.01, 5.0, 0.3
     unit = friction * normal
@@ -246,15 +253,16 @@ def spinning(device, precision) -> list[Row]:
     The spheres hit a plane, an equal sphere, and a large heavy sphere.
     """
     radius, normal, friction, e = 0.1, 0.2, 0.4, 0.5
-    rates = np.array([8.0, 12.0, 24.0])  # Full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s.
+    # All these spheres slip, because full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s
+    rates = np.array([8.0, 12.0, 24.0])
     rows = []
     law = HertzMindlin.of(70e9, 0.33, rigid_partner=True, friction=friction, restitution=e)
     velocities = np.tile([0.0, 0.0, -normal], (len(rates), 1))
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm of friction is the distance of the plane from the sphere's centre. It is 0.05 % shorter than the
-    # sphere's radius, because the sphere overlaps with the plane.
+    # The tolerances allow for the lever arm of friction, the distance of the plane from the sphere's centre. It is 0.05
+    # % shorter than the sphere's radius, because the sphere overlaps with the plane.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )
