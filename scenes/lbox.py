@@ -142,7 +142,7 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
-    # Coarser cells would miss bars, or hardly resolve the opening
+    # Coarser cells would miss bars, or hardly resolve the opening.
     coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
     return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
 

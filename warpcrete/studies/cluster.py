@@ -92,9 +92,9 @@ class Cluster:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def device(self, wanted: str | None) -> str | None:
-        """Return the name of a device as a worker knows it.
+        """Return the name of a device for use on a worker: a GPU has no number, because a worker sees only one.
 
-        A SLURM job has a GPU only if one was requested, so its default device is the CPU.
+        If `wanted` is None, the result is the CPU on SLURM, because a SLURM job has a GPU only if one was requested.
         """
         return "cpu" if wanted is None and self._scheduler == "slurm" else unnumbered(wanted)
 
@@ -222,7 +222,10 @@ def open_cluster(
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Hide the caller's script from Dask, whose worker processes would otherwise run it at every start."""
+    """Hide the caller's script from Dask within a `with` block.
+
+    Without this, every worker process that Dask starts would run the script.
+    """
     main = vars(sys.modules["__main__"])
     hidden = {name: main.pop(name) for name in ("__file__", "__spec__") if name in main}
     main["__spec__"] = None

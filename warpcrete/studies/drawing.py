@@ -21,11 +21,11 @@ ACROSS = 3  # maximum number of panels in a row of the figure
 
 
 def draw(study: Any) -> Any:
-    """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter.
+    """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
-    Quantities of the same unit share a panel. Each quantity has its own marker, and each set of values of the other
-    varied parameters its own colour. Numeric values are joined by lines; words are placed side by side.
-    Marks at the bottom show values of the parameter with a failed case or a failed check.
+    Error bars show the scatter between seeds. Quantities of the same unit share a panel. Each quantity has its own
+    marker, and each set of values of the other varied parameters its own colour. Points of a numeric parameter are
+    joined by lines. Marks at the bottom show values of the parameter at which a case or a check failed.
     """
     from matplotlib.figure import Figure
 

@@ -139,7 +139,7 @@ class Study:
         return dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""
+        """Return a Matplotlib figure of each compared quantity as a function of each varied parameter."""
         return draw(self)
 
     def _repr_html_(self) -> str:

@@ -195,7 +195,10 @@ def _answer(answers: Any, message: Any) -> None:
 
 
 def _outcome(function: tuple[str, str], arguments: tuple[Any, ...], stop_requested: Callable[[], bool]) -> Any:
-    """Return the result of a function, named by its module and name, or the exception that it raises."""
+    """Return the result of a function that is named by its module and name, or the exception that it raises.
+
+    The function receives `stop_requested` as its last argument.
+    """
     try:
         return getattr(importlib.import_module(function[0]), function[1])(*arguments, stop_requested)
     except Exception as error:

@@ -101,7 +101,7 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
 
 
 def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = STEPS) -> Outcome:
-    """Run a scene for a number of steps with regular checks for instability, and return its result."""
+    """Run a scene for a number of steps, check for instability twenty times on the way, and return the outcome."""
     simulation = ElementSimulation(scene, device=device, precision=precision)
     stopped = ""
     try:

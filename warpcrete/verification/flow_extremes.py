@@ -96,7 +96,7 @@ def column(
 
 
 def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: str, steps: int = STEPS) -> FlowOutcome:
-    """Run a flow for a number of steps with regular checks for instability, and return its result."""
+    """Run a flow for a number of steps, measure it and check for instability in between, and return the outcome."""
     stopped, refused = "", False
     top = math.nan
     rows: list[dict[str, float]] = []

@@ -63,7 +63,7 @@ def _sheared(dimensions: int, device: str, precision: str) -> list[Row]:
 
 
 def _rows(name: str, scene: FluidScene, device: str, precision: str) -> list[Row]:
-    """Run a sheared flow; return the errors of its wall stress, velocity profile and balance of forces."""
+    """Run a sheared flow; compare its wall stress, velocity profile and balance of forces with theory."""
     result = FluidSimulation(scene, device=device, precision=precision).run().result
     return [
         Row(f"{name}: wall's stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],

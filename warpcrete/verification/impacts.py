@@ -253,7 +253,7 @@ def spinning(device, precision) -> list[Row]:
     The spheres hit a plane, an equal sphere, and a large heavy sphere.
     """
     radius, normal, friction, e = 0.1, 0.2, 0.4, 0.5
-    # All these spheres slip, because full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s
+    # All these spheres slip, because full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s.
     rates = np.array([8.0, 12.0, 24.0])
     rows = []
     law = HertzMindlin.of(70e9, 0.33, rigid_partner=True, friction=friction, restitution=e)

@@ -226,7 +226,10 @@ def run_round(
 
 
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Return a progress callback for one study, which reports the progress of the whole calibration to `tell`."""
+    """Return a progress callback for the parameter study of one scene in a round of a calibration.
+
+    The callback converts the progress of this study into that of the whole calibration, and reports it to `tell`.
+    """
     groups = len(task.groups)
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:

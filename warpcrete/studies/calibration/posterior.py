@@ -35,7 +35,7 @@ class Emulator:
     """Gaussian process that predicts one quantity as a linear trend, a smooth deviation from it, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
-        """Fit a Gaussian process to `values`, shape (n,), at `points` of the unit cube, shape (n, free).
+        """Fit a Gaussian process to `values`, shape (n,), at `points` with coordinates from 0 to 1, shape (n, free).
 
         The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
         compared with `least` are therefore treated as negligible.
@@ -59,9 +59,9 @@ class Emulator:
         quantity."""
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the predicted mean over seeds at points of the unit cube, and the prediction's standard deviation.
+        """Return the predicted mean over many seeds, and the standard deviation of this prediction, both of shape (n,).
 
-        Both results have the shape (n,).
+        `points` holds the free parameters, each scaled to 0 to 1 over its range, shape (n, free).
         """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -76,17 +76,17 @@ class Posterior:
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
-    value."""
+    """Emulators by target. Every fitted target has one. A held-out target has one if enough runs yielded its value."""
     samples: np.ndarray
     """Samples of the posterior of the free parameters, each scaled to 0 to 1 over its range, shape (samples, free)."""
     best: np.ndarray
     """Likeliest values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
 
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
-        """Return the mean and standard deviation of a target's quantity; NaN without an emulator.
+        """Return the mean and standard deviation of the predictions for a target's quantity; NaN without an emulator.
 
-        Both are taken over the posterior samples, or over `points` of the unit cube, shape (n, free).
+        Both are taken over `points`, by default over the posterior samples. Points have the shape (n, free) and hold
+        the free parameters, each scaled to 0 to 1 over its range.
         """
         if target not in self.emulators:
             return math.nan, math.nan
@@ -94,7 +94,10 @@ class Posterior:
         return float(mean.mean()), float(np.sqrt(mean.var() + (deviation**2).mean()))
 
     def emulator_error_ratio(self, target: Target) -> float:
-        """Return the emulator's root-mean-square error over the posterior, divided by the target's uncertainty."""
+        """Return the emulator's standard error divided by the target's uncertainty.
+
+        The standard error is the root mean square over the posterior samples.
+        """
         return float(np.sqrt((self.emulators[target](self.samples)[1] ** 2).mean()) / target.uncertainty)
 
     def span(self, target: Target) -> tuple[float, float]:
@@ -118,10 +121,11 @@ class Posterior:
 
 
 def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int) -> Posterior:
-    """Compute the posterior from runs at `points` of the unit cube, shape (n, free).
+    """Compute the posterior from runs at `points`, shape (n, free).
 
-    `values` holds each target's results, shape (n,), with NaN for failed runs. Every fitted target needs at least three
-    finite values. `seed` makes the sampling reproducible.
+    The coordinates of a point are the free parameters, each scaled to 0 to 1 over its range. `values` holds the results
+    of these runs for each target, shape (n,), with NaN for failed runs. Every fitted target needs at least three finite
+    values. `seed` makes the sampling reproducible.
     """
     import emcee
     from scipy.optimize import minimize

@@ -36,7 +36,7 @@ refused, because the values contradict each other."""
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """Parameter that a calibration searches for, with its range."""
+    """Parameter whose value a calibration determines within a range."""
 
     name: str
     low: float
@@ -120,7 +120,7 @@ class Task:
         return [target for target in self.targets if not target.held_out]
 
     def values(self, units: Sequence[float]) -> dict[str, float]:
-        """Return the values of the free parameters, by name, at a point of the unit cube."""
+        """Return the values of the free parameters, by name, from their positions in their ranges (0 to 1)."""
         return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
 
     def places(self, values: Mapping[str, float]) -> np.ndarray:
@@ -155,9 +155,9 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
 @names_from_file()
 def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
-    """Build the task from a mapping, the contents of a file of targets; paths are relative to `folder`.
+    """Build the task of a calibration from a mapping with the contents of a file of targets.
 
-    Raises :class:`SceneError` for any mistake in the mapping.
+    Paths in the mapping are relative to `folder`. Raises :class:`SceneError` for any mistake in the mapping.
     """
     for key in raw:
         if key not in KEYS:

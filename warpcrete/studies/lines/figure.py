@@ -14,7 +14,7 @@ MIN_STRIPE = 0.004
 
 
 def draw(result: LinePressures) -> Any:
-    """Return a Matplotlib figure of the pressure along a line, with its band and the closed form."""
+    """Return a Matplotlib figure of the pressure along a line, with its uncertainty band and the closed form."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4.2), layout="constrained")

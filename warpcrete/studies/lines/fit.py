@@ -105,7 +105,7 @@ class LineFit:
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 
     def deviations(self) -> np.ndarray:
-        """Return the fitted pressures minus the measured ones [Pa], shape (taps,)."""
+        """Return the pressures of the fit minus the measured ones [Pa], shape (taps,)."""
         return np.array(self.pressures) - [tap.pressure for tap in self.taps]
 
     def concrete(self, concrete: Concrete) -> Concrete:
@@ -228,7 +228,10 @@ class _Model:
             self.rises.append(rise)
 
     def pressures(self, constants: np.ndarray) -> np.ndarray:
-        """Return the pressures at the taps [Pa], shape (taps,)."""
+        """Return the pressures at the taps (places of gauges) [Pa] for given constants, shape (taps,).
+
+        The constants are the slip viscosity [Pa s/m], the slip yield stress [Pa] and the factor of bends.
+        """
         concrete = replace(self.concrete, slip_viscosity=float(constants[0]), slip_yield=float(constants[1]))
         found = []
         for tap, metres, rise in zip(self.taps, self.metres, self.rises, strict=True):
@@ -240,7 +243,10 @@ class _Model:
         return np.array(found)
 
     def sensitivities(self, constants: np.ndarray, free: Sequence[int]) -> np.ndarray:
-        """Return the derivatives of the pressures with respect to the free constants, shape (taps, free)."""
+        """Return the derivatives of the pressures at the taps with respect to some constants, shape (taps, free).
+
+        `free` holds the indices of these constants in `constants`.
+        """
         here, steps = self.pressures(constants), (1e-4 * constants[0], max(1e-4 * constants[1], 1e-3), 1e-3)
         columns = []
         for place in free:
@@ -306,8 +312,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
         value, wide = float(found[place]), float(widths.get(place, 0.0))
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths))  # fmt: skip
-    # The errors of the slip layer's two constants are correlated. The error of a straight pipe's friction therefore
-    # follows from their covariance matrix.
+    # The errors of the slip layer's two constants are correlated. Therefore, calculate the error of the friction in
+    # straight pipe from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]

@@ -36,7 +36,7 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of the friction of a part due to the error of the part's model, divided by that of straight pipe.
+        """Range of a part's friction due to the error of its model, relative to the friction of straight pipe.
 
         The value is None for parts without such an error, such as straight pipe.
         """
@@ -98,7 +98,7 @@ class LinePressures:
         return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
 
     def band(self) -> Band:
-        """Return the pressure at the start of the line [Pa], its uncertainty band, and each cause's share of it."""
+        """Return the pressure at the line's start [Pa] with its uncertainty band and the contribution of each cause."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:

@@ -84,7 +84,7 @@ class LineResult(LinePressures):
         return columns, units
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of the pressure along the line, with its band and the closed form."""
+        """Return a Matplotlib figure of the pressure along the line, with its uncertainty band and the closed form."""
         return draw(self)
 
     @property
@@ -113,7 +113,7 @@ class LineResult(LinePressures):
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
-        """Return the pressure of the line by this result, and by each rule of practice, both split by kind of part."""
+        """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
         ours: dict[str, float] = {}
         for x in self.losses:
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight

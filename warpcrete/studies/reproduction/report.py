@@ -166,7 +166,7 @@ def _with_scatter(values: list[float]) -> str:
 
 
 def _pipelines(found: Reproduction) -> Iterator[str]:
-    """Yield a table with the pressures of whole pipelines, line by line.
+    """Yield the lines of a table with the pressures of whole pipelines.
 
     Eq. 13 of Zhan et al. (2019) computes these pressures from the final pressures of the simulated vertical and
     horizontal pipe (units A and B).

@@ -140,7 +140,7 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
 def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
     """Return the studies of those cases of Zhan et al. 2019 that have no result yet, the most expensive studies last.
 
-    A study is a group, a scene and the parameters of its cases.
+    A study is a tuple with the name of a group of runs, the name of a scene, and the parameters of its cases.
     """
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
@@ -174,7 +174,7 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[s
 def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
     """Return the studies of those cases of Xu, Li & Jiang 2021 that have no result yet.
 
-    A study is a group, a scene and the parameters of its cases.
+    A study is a tuple with the name of a group of runs, the name of a scene, and the parameters of its cases.
     """
     studies = []
     for group, cases in xu_cases(reproduction.quick).items():

@@ -95,9 +95,9 @@ def explain(
 
 
 def _frames(simulation: Any) -> dict[str, float]:
-    """Return the mean wall time of a frame for each default recorder [s].
+    """Return the mean wall time that each default recorder needs for one frame [s].
 
-    The time includes a frame's share of the work at the end of a run.
+    The time includes a share of the recorder's work at the end of a run.
     """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
@@ -142,7 +142,7 @@ def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -
 
 
 def _knobs_of(scene: Any) -> set[str]:
-    """Return the names of a scene's accuracy knobs that recommended settings may change."""
+    """Return the names of those accuracy parameters of a scene that recommended settings may change."""
     module = modules().get(scene.name)
     given = arguments_of(scene)
     if module is None or not given:

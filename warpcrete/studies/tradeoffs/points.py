@@ -101,12 +101,12 @@ class Setting:
 
 @dataclass(frozen=True)
 class Promise:
-    """The cheapest setting found for a wanted error, and its test with fresh seeds."""
+    """The cheapest setting found for a wanted error, and the result of its test with new random seeds."""
 
     target: float
     point: Setting | None
     found: Error | None = None
-    """Error with fresh seeds; None if the scene has no seeds or the time ran out."""
+    """Error in runs with new random seeds; None if the scene has no seeds or the time ran out."""
     carried: dict[str, Error | None] = field(default_factory=dict)
     """Largest error in each variant of the scene; None if the run of the variant failed.
 

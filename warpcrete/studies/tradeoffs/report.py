@@ -220,7 +220,7 @@ def draw(trade: Trade) -> Any:
 
 
 def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: str) -> None:
-    """Draw a group of settings, such as those that vary one knob, with their confidence intervals."""
+    """Draw a group of settings, such as those that vary one accuracy parameter, with their confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]

@@ -108,7 +108,7 @@ class Trade:
 
     @property
     def reference(self) -> Setting | None:
-        """Reference setting with all knobs as fine as the budget allowed; None if a closed form is the reference."""
+        """Reference setting, with all accuracy parameters as fine as the budget allowed; None with a closed form."""
         return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property

@@ -1,4 +1,4 @@
-"""Figure of predictions over measurements on logarithmic axes, with the uncertainty bands of the predictions."""
+"""Figure of predicted against measured values on logarithmic axes, with the uncertainty bands of the predictions."""
 
 from __future__ import annotations
 
