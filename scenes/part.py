@@ -41,7 +41,8 @@ from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Sectio
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
-"""Largest relative deviation of the simulated from the theoretical pressure gradient in the straight stretches."""
+"""Largest relative deviation of the simulated from the theoretical pressure gradient that a valid run may have in its
+straight stretches."""
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 

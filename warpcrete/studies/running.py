@@ -226,7 +226,10 @@ def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) 
 
 
 def _plain(outcome: Any) -> Any:
-    """Return an outcome in a form that can be sent to another process."""
+    """Return an outcome in a form that can be sent to another process.
+
+    A run is replaced by the contents of its result.json, an exception is kept, and anything else becomes None.
+    """
     if isinstance(outcome, Run):
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None

@@ -186,7 +186,11 @@ def _continue(
     tell = progress or (lambda phase, fraction, figures: None)
 
     def store_outcome(case: Case, outcome: Any) -> None:
-        """Store the outcome of a case; only an instability or an invalid scene counts as its final failure."""
+        """Store the outcome of a case.
+
+        A failure is final if the simulation was unstable or the scene invalid. After any other failure, the case runs
+        again when the study is resumed.
+        """
         if isinstance(outcome, Run | dict):
             result = outcome.result if isinstance(outcome, Run) else outcome
             if result.get("finished"):

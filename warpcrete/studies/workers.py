@@ -66,7 +66,7 @@ class WorkerPool:
                 worker.send(STOP)
 
     def run(self, *job: Any) -> Any:
-        """Run a job, a function and its arguments, in a worker process; return its result or the exception it raised.
+        """Run a job (a function and its arguments) in a worker process; return its result or the exception it raised.
 
         Raises :class:`WorkerDied` if the worker process ends during the job, and :class:`NoWorker` if none can be
         started.
@@ -154,7 +154,7 @@ class _Worker:
 
 
 def serve() -> None:
-    """Run the jobs that arrive on standard input and write the answers to standard output, until the parent ends."""
+    """Run jobs from standard input and write the answers to standard output until the parent process ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # redirect printed text to stderr, because stdout carries the answers
     warn_in_one_line()

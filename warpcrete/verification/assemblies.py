@@ -155,8 +155,7 @@ def janssen(device, precision) -> list[Row]:
     top = float(np.sort(run.bodies.position[:, 2])[-30:].mean())
     bottom = float(np.sort(run.bodies.position[:, 2])[:30].mean())
     filled = top - bottom
-    # K is the mean stress on the wall over the mean vertical stress. The mean vertical stress follows from Janssen's
-    # profile.
+    # K is the mean stress on the wall, divided by the mean vertical stress that follows from Janssen's profile.
     wall = normal / (2 * math.pi * radius * filled)
     area = math.pi * radius**2
     mean_vertical = _mean_vertical(weight, floor, area)
@@ -207,7 +206,10 @@ class _WallGauge(Recorder):
 
 
 def repose(device, precision) -> list[Row]:
-    """Check that heaps of spheres that collapse on a rough floor are steeper with higher friction."""
+    """Check that columns of spheres collapse into steeper heaps if the friction between the spheres is higher.
+
+    The heaps lie on a rough floor.
+    """
     angles = []
     values = (0.05, 0.2, 0.6)
     rough = Contact(effective_modulus=1e5, friction=1.0, shear_damping_ratio=0.3, dashpot="slip-cut")

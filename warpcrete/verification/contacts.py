@@ -147,8 +147,8 @@ def stick_slip(device, precision) -> list[Row]:
     size = RADIUS / shape.radii[0]
     contact = Contact(effective_modulus=modulus, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut")
     smooth = replace(contact, friction=0.0, normal_damping_ratio=0.0, shear_damping_ratio=0.0)
-    # Radius [m] of the anchor: the sphere to which the sled's spring is attached. It is too heavy to move and so small
-    # that it touches neither plate.
+    # Radius [m] of the anchor, which is the sphere to which the sled's spring is attached. The anchor is too heavy to
+    # move, and so small that it touches neither plate.
     small = 0.5 * RADIUS
     spring = Bonds(effective_modulus=1e4, tensile_strength=1e12, cohesion=1e12, gap=2e-5)
     depth = press / 5 / (modulus * math.pi * RADIUS)

@@ -65,8 +65,8 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
     """Return the scene of a cup that holds spheres of two sizes under a loaded plate.
 
-    `ratio` is the size of the large spheres over that of the small spheres, and `load` is the pressure of the plate
-    [Pa].
+    `ratio` is the size of the large spheres divided by that of the small spheres, and `load` is the pressure of the
+    plate [Pa].
     """
     random = np.random.default_rng(0)
     large = 0.012

@@ -74,7 +74,10 @@ def _duration(law: HertzMindlin, radius: float, density: float, speed: float) ->
 
 
 def elastic(device, precision) -> list[Row]:
-    """Compare peak force, peak overlap and duration of elastic normal impacts with tests 1 and 2."""
+    """Compare peak force, peak overlap and duration of elastic normal impacts with published values.
+
+    These are tests 1 and 2 of Chung & Ooi (2011).
+    """
     rows = []
     glass = HertzMindlin.of(48e9, 0.2, friction=0.35, restitution=1.0)
     alloy = HertzMindlin.of(70e9, 0.3, rigid_partner=True, friction=0.0, restitution=1.0)
@@ -128,7 +131,10 @@ def _peak(law, radius, density, speed, plane, device, precision):
 
 
 def restitution(device, precision) -> list[Row]:
-    """Compare rebound over impact speed with the restitution coefficient, for Hertz-Mindlin and linear law (test 3)."""
+    """Compare the ratio of rebound speed to impact speed with the given restitution coefficient.
+
+    This is test 3 of Chung & Ooi (2011), with the Hertz-Mindlin law and with the linear law.
+    """
     rows = []
     wanted = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     for name in ("Hertz-Mindlin", "linear"):
@@ -165,7 +171,7 @@ def _linear_rebound(law: Contact, device, precision) -> float:
 
 
 def oblique(device, precision) -> list[Row]:
-    """Compare oblique impacts of aluminium oxide at constant speed with the published curves (test 4)."""
+    """Compare oblique impacts of aluminium oxide at constant speed with published curves (Chung & Ooi 2011, test 4)."""
     radius, speed = 2.5e-3, 3.9
     law = HertzMindlin.of(380e9, 0.23, rigid_partner=True, friction=0.092, restitution=0.98)
     angle = np.radians(TEST_4[:, 0])
@@ -215,7 +221,7 @@ def oblique(device, precision) -> list[Row]:
 
 
 def normalised(device, precision) -> list[Row]:
-    """Compare impacts of steel at constant normal speed with the published normalised curves (test 5).
+    """Compare impacts of steel at constant normal speed with published normalised curves (Chung & Ooi 2011, test 5).
 
     The published curves hold for a tangential stiffness of half that of a rigid plane, and for a shear force that stays
     constant while the normal load decreases. The simulations therefore use these settings. The closed form for full
@@ -248,7 +254,7 @@ def normalised(device, precision) -> list[Row]:
 
 
 def spinning(device, precision) -> list[Row]:
-    """Compare impacts of spinning spheres with the closed form for full slip (tests 6 to 8).
+    """Compare impacts of spinning spheres with the closed form for full slip (Chung & Ooi 2011, tests 6 to 8).
 
     The spheres hit a plane, an equal sphere, and a large heavy sphere.
     """

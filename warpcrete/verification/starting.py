@@ -76,7 +76,7 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
 def worst(
     dimensions: int, number: float, layer: float, longest: float, error: float, end: float, device: str, precision: str
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the largest rms error of the velocity profile and the largest error in any cell, at any time.
+    """Return the largest rms error of the velocity profile over all compared times, and the largest error in any cell.
 
     Errors are relative to the mean velocity of the steady flow.
     """
@@ -93,8 +93,8 @@ def worst(
     times = np.linspace(0, end, SAMPLES + 1)[1:]
     across = layout.cells[0] if dimensions == 3 else layout.cells[0] // 2
     exact = profiles(scene, force, across * FINER, times, EXACT_STEP_RATIO * end).reshape(SAMPLES, across, FINER)
-    # In a pipe, the cells of the one-dimensional solution are rings. Average it over the rings that correspond to one
-    # cell of the grid, because velocities on the grid are such means.
+    # In a pipe, the cells of the one-dimensional solution are rings. Average the solution over the rings that
+    # correspond to one cell of the grid, because velocities on the grid are such means.
     weight = (np.arange(across * FINER) + 0.5).reshape(across, FINER) if dimensions == 3 else np.ones((across, FINER))
     exact = (exact * weight).sum(-1) / weight.sum(-1)
     rms, largest = 0.0, 0.0

@@ -32,7 +32,7 @@ SEEDS = 3
 
 @dataclass(frozen=True)
 class Core:
-    """Mean values in the core of a sheared suspension."""
+    """Mean values in the core of a sheared suspension, which is the middle part of the simulated box."""
 
     stress: float
     """Shear stress, divided by the viscosity of the mortar [1/s]."""
@@ -76,7 +76,7 @@ def suspension(
 
 
 def core_of(flow: SuspensionFlow) -> Core:
-    """Return the mean values in the core of a suspension at the end of the last step."""
+    """Return the mean values in the core (middle part) of a suspension at the end of the last step."""
     layout, inner = flow.state.layout, (slice(1, -1),) * 3
     wide, deep, long = layout.room.cells
     middle = slice(deep // 4, deep - deep // 4)
@@ -100,7 +100,7 @@ def velocity_area(long: int, middle: slice, width: float) -> float:
 
 
 def mean_core(cores: list[Core]) -> Core:
-    """Return the mean stress, shear rate and fraction of several cores."""
+    """Return the mean stress, shear rate and volume fraction over the cores of several suspensions."""
     return Core(*(float(np.mean([getattr(c, name) for c in cores])) for name in ("stress", "rate", "fraction")))
 
 

@@ -170,7 +170,10 @@ def _continue(
 
 
 def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
-    """Run rounds of simulations until the posterior is settled or no trials are left, then verification runs."""
+    """Run rounds of simulations, followed by verification runs of the likeliest parameters.
+
+    The rounds end when the posterior is settled or no trials are left.
+    """
     settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
     place = 0
@@ -321,8 +324,8 @@ def _next_round(
 ) -> dict[str, Any] | None:
     """Return the next round as a mapping with the entries `units`, `seeds` and `proof`, or None if no round is left.
 
-    `units` holds the parameter sets as points of the unit cube, and `seeds` one seed for each set. `proof` is True if
-    the round verifies the likeliest parameters. `left` is the number of trials that may still run.
+    `units` holds the parameter sets, each parameter scaled to 0 to 1 over its range, and `seeds` one seed for each set.
+    `proof` is True if the round verifies the likeliest parameters. `left` is the number of trials that may still run.
     """
     begun = settings["seed"] + len(calibration.trials)
     if calibration.posterior is not None and (calibration.settled or left <= 0):
@@ -345,9 +348,10 @@ def _next_round(
 def _first_points(
     calibration: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> list[list[float]]:
-    """Return the points of the first round: an estimate from closed forms, if there are any, then a Sobol sequence.
+    """Return the parameter sets of the first round, with each parameter scaled to 0 to 1 over its range.
 
-    A Sobol sequence fills the unit cube evenly.
+    The first set is an estimate from closed forms, if there are any. The others form a Sobol sequence, which fills the
+    parameter ranges evenly.
     """
     from scipy.stats import qmc
 
@@ -360,10 +364,11 @@ def _first_points(
 
 
 def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return the points of the next round: a quarter proposed by Optuna, the others taken from the posterior.
+    """Return the parameter sets of the next round: a quarter proposed by Optuna, the others taken from the posterior.
 
-    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
-    all points so far, with distances scaled by the posterior's standard deviations.
+    Each parameter is scaled to 0 to 1 over its range. The first set from the posterior is its maximum. Every further
+    one is the posterior sample that is farthest from all sets so far; distances are scaled by the posterior's standard
+    deviations.
     """
     assert calibration.posterior is not None
     random = np.random.default_rng(seed)
@@ -380,7 +385,7 @@ def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[f
 
 
 def _optuna_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return `count` points of the unit cube that the optimiser Optuna proposes.
+    """Return `count` parameter sets that the optimiser Optuna proposes, each parameter scaled to 0 to 1 over its range.
 
     Optuna receives all trials so far, and treats failed trials as infeasible.
     """

@@ -26,7 +26,8 @@ START_CANDIDATES = 2048
 become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
+"""Distance from a failed run over which it lowers the estimated probability that other runs succeed. Parameters are
+scaled to 0 to 1 over their ranges."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 

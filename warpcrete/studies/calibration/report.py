@@ -195,7 +195,7 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
 
 
 def _title(field: Field) -> str:
-    """Return the name of a parameter with its unit, as an axis states it."""
+    """Return the name of a parameter with its unit, for the label of an axis."""
     return field.name.replace("_", " ") + (f" [{field.unit.strip()}]" if field.unit else "")
 
 

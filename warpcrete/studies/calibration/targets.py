@@ -102,7 +102,8 @@ class Task:
     """Measured targets and free parameters of a calibration."""
 
     base: str | None
-    """Concrete (name or file) that provides all properties that are not free; None: each scene's own concrete."""
+    """Concrete (name or file) that provides all properties that are not free. If None, each scene keeps its own
+    concrete."""
     free: tuple[FreeParameter, ...]
     targets: tuple[Target, ...]
 
@@ -124,7 +125,7 @@ class Task:
         return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
 
     def places(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the point of the unit cube that stands for given values of the free parameters, shape (free,)."""
+        """Return the positions of values of the free parameters in their ranges (0 to 1), shape (free,)."""
         return np.array([free.place(values[free.name]) for free in self.free])
 
     def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:

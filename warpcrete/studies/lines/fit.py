@@ -113,7 +113,7 @@ class LineFit:
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its band.
+        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its uncertainty band.
 
         The result maps the cause of uncertainty, 'slip layer', to this pair. After a fit there is no other cause.
         """
@@ -220,7 +220,8 @@ class _Model:
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
                 # A bend whose factor is fitted counts as straight pipe here, because the fit later multiplies its
-                # friction by the factor. All other parts have the same friction as in a prediction.
+                # friction by the factor. All other parts have the same friction as in the calculation of a line without
+                # a fit.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise

@@ -89,8 +89,8 @@ def _is_uncertain(part: Part) -> bool:
 def library_factor(part: Part) -> float:
     """Return the friction of a bend or reducer, divided by that of straight pipe of the same length and bores.
 
-    The factor is interpolated between those of simulated flows through bends and reducers of other sharpness. The
-    result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
+    The factor is interpolated between the factors of bends or reducers that were simulated with different sharpness.
+    The result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
     """
     if part.factor is not None:
         return 1.0

@@ -51,7 +51,7 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the path of each run of the given scene in `folder`, together with True if the run is complete."""
+    """Yield the path of each run of the given scene in `folder`, and whether the run is complete."""
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():

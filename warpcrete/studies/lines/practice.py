@@ -117,7 +117,7 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
 def practice_lines(ours: PracticeRow, rows: list[PracticeRow]) -> list[str]:
     """Return a table of pressures [bar] as lines of Markdown, followed by what each rule assumes.
 
-    The table has one row for each rule and for this result, and one column for each kind of part.
+    The table has one row for each rule and one for the program's result. It has one column for each kind of part.
     """
     kinds = [kind for kind in GROUPS if any(kind in row.pressures for row in (ours, *rows))]
     found = [f"| | pressure [bar] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]

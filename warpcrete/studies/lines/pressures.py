@@ -167,10 +167,11 @@ class LinePressures:
         return combined(value, ends)
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends of all parts along the pump line [m] and the pressures there [Pa], shape (parts + 1,).
+        """Return the positions of the line's start and of the ends of its parts [m], and the pressures there [Pa].
 
-        The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
-        where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
+        Both results have the shape (parts + 1,). The function `of` gives the pressure loss of a part from its
+        :class:`Loss`. The pressure never falls below zero: where concrete runs down faster than it is pumped, the
+        column breaks and transmits no tension.
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
         found = [0.0]

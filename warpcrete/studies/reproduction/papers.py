@@ -192,7 +192,7 @@ XU_CONCRETES = ("no1", "no2", "no3")
 XU_FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6)
 """Flow rates in the study of Xu, Li & Jiang 2021 [m3/s]."""
 XU_REFERENCE = 1500e-6
-"""Flow rate at which the other parameters are varied [m3/s]."""
+"""Flow rate in the study of Xu, Li & Jiang 2021 at which parameters other than the flow are varied [m3/s]."""
 XU_SPACINGS = (20e-3, 10e-3, 5e-3)
 """Particle spacings in the resolution study of Xu, Li & Jiang 2021 [m]."""
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)

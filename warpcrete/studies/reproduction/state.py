@@ -24,7 +24,8 @@ class Reproduction:
     seeds: int
     device: str | None
     columns: tuple[str, ...] = ()
-    """Concretes and open assumptions to run; an empty tuple stands for all of them."""
+    """Columns of the report whose runs are made: concretes, and assumptions that the paper leaves open. An empty tuple
+    stands for all of them."""
     rows: tuple[str, ...] = ()
     """Groups of runs to make in each column of the report. The group `units` stands for the runs of the pipe units, and
     the name of a parameter for the runs in which it varies. An empty tuple stands for all groups."""

@@ -70,10 +70,10 @@ def explain(
 ) -> Explanation:
     """Forecast memory, time step and wall time of a scene on a device, from measurements of a few seconds.
 
-    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study. The
-    errors that this study measured are listed with the savings in time. The default is the most similar shipped record.
-    With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene before its
-    first step.
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
+    measured errors are listed with the savings in time. By default, these errors come from the most similar record that
+    is shipped with the package. With `cache`, results are kept in the user's cache folder. Raises the same errors as a
+    run of the scene before its first step.
     """
     found = find_device(device)
     threads = checked_threads(threads)
@@ -114,7 +114,10 @@ def _frames(simulation: Any) -> dict[str, float]:
 
 
 def _cached(scene: Any, device: Any, threads: int) -> Path:
-    """Return the cache file for a scene; other versions of the software, devices and thread counts have other files."""
+    """Return the path of the cache file for the forecast of a scene.
+
+    Its name depends on the scene, the versions of the software, the device, and the number of threads.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     version = provenance(device, "float32", 0)
     key = fingerprint((scene, version.get("warpcrete"), version.get("warp"), version.get("device_name"),

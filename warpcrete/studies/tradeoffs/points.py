@@ -23,7 +23,7 @@ a setting that is repeated in a variant of the scene."""
 
 @dataclass
 class Setting:
-    """One setting of the scene and the results of its runs."""
+    """One choice of values for the accuracy parameters of a scene, and the results of its runs."""
 
     origin: str
     """Origin of the setting. If only one accuracy parameter (knob) differs from the scene as given, this is the knob's

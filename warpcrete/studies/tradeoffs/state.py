@@ -108,7 +108,10 @@ class Trade:
 
     @property
     def reference(self) -> Setting | None:
-        """Reference setting, with all accuracy parameters as fine as the budget allowed; None with a closed form."""
+        """Reference setting, in which all accuracy parameters are as fine as the budget allowed.
+
+        The value is None if a closed form serves as the reference.
+        """
         return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property
@@ -137,7 +140,11 @@ class Trade:
         return {name: level.key or level.label for name, level in chosen.items()}
 
     def point(self, origin: str, levels: Mapping[str, int]) -> Setting:
-        """Return the setting with these levels, by knob name; create it unless one with equal parameters exists."""
+        """Return the setting with the given levels; create it unless a setting with equal parameters exists.
+
+        `levels` holds the index of a level (value) for each knob (accuracy parameter) that differs from the scene as
+        given.
+        """
         changes: dict[str, Any] = {}
         converted: dict[str, tuple[float, float]] = {}
         for knob in self.knobs:
@@ -339,8 +346,8 @@ class Trade:
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
                 self._store_outcome(point, seed, outcome)
-            # Drop the results of all seeds after the first failed one. Otherwise it would depend on the order in which
-            # the runs end which seeds have a result.
+            # Drop the results of all seeds after the first failed one. Otherwise the set of seeds with a result would
+            # depend on the order in which the runs end.
             if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 

@@ -279,7 +279,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
-    """Change one accuracy knob at a time, and run the scene with each of its levels.
+    """Change one accuracy parameter at a time, and run the scene with each of its possible values.
 
     Settings with a low expected cost run first.
     """
@@ -332,7 +332,10 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
 
 
 def _run_combinations(trade: Trade, tell: Tell) -> None:
-    """Run, for each wanted error, the cheapest combination of knob levels whose expected error is within it."""
+    """Run, for each wanted error, the cheapest combination of parameter values whose expected error is small enough.
+
+    Only accuracy parameters are changed, and each has a few possible values.
+    """
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
         for knob in trade.chosen_knobs

@@ -24,8 +24,8 @@ SCATTER_KEYS = ("concretes", "from", "to")
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""Number n of groups of cases, one of which is held out, so that 1/n of the groups are held out. The cases of a
-held-out group are not used to fit any constant."""
+"""Reciprocal of the fraction of groups of cases that are held out. The cases of a held-out group are not used to fit
+any constant."""
 FITTED = {
     "slump": ("yeh-2007",),
     "fitting": ("park-2020", "calibe"),
@@ -57,9 +57,10 @@ class Case:
     measured: tuple[float, ...]
     """Measured values in the SI unit of the case's kind."""
     concretes: int = 1
-    """Number of concretes of which the measured value is the mean."""
+    """Number of concretes over which the measured value is a mean."""
     ends: tuple[float, float] | None = None
-    """Smallest and largest value of these concretes, in the SI unit of the case's kind; None for a single concrete."""
+    """Smallest and largest measured value of the concretes behind a mean, in the SI unit of the case's kind; None if
+    the case is a single concrete."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
@@ -159,7 +160,7 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
 
 
 def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, float] | None]:
-    """Return the number of concretes behind a mean, with their smallest and largest value in `unit`."""
+    """Return the number of concretes over which a mean was taken, and their smallest and largest value in `unit`."""
     if not given:
         return 1, None
     for key in given:

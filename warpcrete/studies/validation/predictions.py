@@ -89,7 +89,7 @@ def _ratio(case: Case) -> list[Band]:
 
 
 def _line(case: Case) -> list[Band]:
-    """Predict the friction of a whole line [Pa]: its pressure at the pump less that due to the concrete's weight."""
+    """Predict the friction of a whole line [Pa]: its pressure at the pump minus that due to the concrete's weight."""
     mix = mix_of_case(case)
     line = _line_of(case)
     found = []

@@ -26,7 +26,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Summary:
-    """Statistics of the comparisons of one kind."""
+    """Statistics of the comparisons of one kind of measurement."""
 
     kind: str
     chosen: str
@@ -86,7 +86,7 @@ class Validation:
         return found
 
     def table(self) -> str:
-        """Return the statistics and the cases as Markdown."""
+        """Return tables of the statistics and of the cases as Markdown."""
         lines = [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), ""]
         lines += markdown(CASE_COLUMNS, [_case_cells(each) for each in self.comparisons])
         lines += ["", *self.blocking_lines(), ""] if self.blocking else []
@@ -125,7 +125,7 @@ class Validation:
         }  # fmt: skip
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of predicted over measured values with their bands."""
+        """Return a Matplotlib figure of predicted against measured values, with the uncertainty bands."""
         return draw(self.comparisons)
 
     def write(self, folder: Path) -> None:
