@@ -58,7 +58,7 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return the scene of discrete elements in a file that also holds a flow, as a module like those of other scenes.
+    """Return a module, like those of other scenes, for the discrete element scene in a file that also holds a flow.
 
     The module can be imported as NAME_dem, because worker processes of studies import scenes by name.
     """

@@ -280,9 +280,10 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
 
 
 def _variants(given: PartParameters) -> dict[str, dict[str, float]]:
-    """Return variants of a flow for the tests of a trade-off study, by description; each holds the changed parameters.
+    """Return variants of the scene for the tests of a trade-off study.
 
-    Half or twice the flow is pumped, or the slip layer has half or twice the viscosity.
+    The keys describe the variants, and the values are the changed parameters: half or twice the flow, or half or twice
+    the viscosity of the slip layer.
     """
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
     found = {}

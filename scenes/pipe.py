@@ -237,7 +237,7 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
 
 
 def _stations(given: PipeParameters, axis: Axis) -> Stations:
-    """Return the slices in which stresses are measured, from the piston's start to the final front of the concrete.
+    """Return the slices in which stresses are measured, from the piston's start to the concrete's front at the end.
 
     A slice is half as long as the pipe is wide, or longer in a long pipe.
     """

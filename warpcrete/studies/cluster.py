@@ -92,7 +92,7 @@ class Cluster:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def device(self, wanted: str | None) -> str | None:
-        """Return the name of a device for use on a worker: a GPU has no number, because a worker sees only one.
+        """Return the name of a device for use on a worker, without the GPU number, because a worker sees only one GPU.
 
         If `wanted` is None, the result is the CPU on SLURM, because a SLURM job has a GPU only if one was requested.
         """

@@ -122,7 +122,7 @@ class _Worker:
             self._process.stdin.flush()
 
     def receive(self) -> Any:
-        """Wait for an answer and return it; raise :class:`WorkerDied` if the worker has ended."""
+        """Wait for the worker's answer and return it; raise :class:`WorkerDied` if the worker has ended."""
         assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)

@@ -32,7 +32,7 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 
 def cases() -> list[Case]:
-    """Return all cases in the order of the table."""
+    """Return all verification cases, in the order in which the table of results lists them."""
     modules = (
         impacts,
         contacts,

@@ -174,8 +174,8 @@ def _mean_vertical(weight: float, floor: float, area: float) -> float:
 
     The profile is determined by the weight of the spheres and the load on the floor [N].
     """
-    # Janssen's profile is F(m) = m_s (1 - exp(-m/m_s)). Find m_s such that F(weight) equals the load on the floor, then
-    # average F over the height.
+    # Janssen's profile of the vertical force is F(m) = m_s (1 - exp(-m/m_s)), where m is the weight of the spheres
+    # above. Find m_s such that F(weight) equals the load on the floor, then average F over the height.
     low, high = 1e-3 * weight, 1e3 * weight
     limit = low
     for _ in range(200):

@@ -147,8 +147,7 @@ def breakage(device, precision) -> list[Row]:
                 "torsion": twisting * rate, "shear under tension": shear * speed}[label]  # fmt: skip
         if label == "shear under tension":
             # The normal stress sigma and the shear stress tau both increase in proportion to the displacement. The
-            # shear strength c - sigma tan(phi) therefore decreases while tau increases, and the bond breaks where they
-            # meet.
+            # shear strength c - sigma tan(phi) therefore decreases. The bond breaks when tau reaches this strength.
             slope = 0.3 * normal / shear * math.tan(math.radians(angle))
             expected = cohesion * area / (1 + slope)
         dt = 5e-4 * expected / step

@@ -42,7 +42,7 @@ class Row:
 
     @property
     def passed(self) -> bool:
-        """Return whether the error is within the tolerance; NaN never is."""
+        """Return whether the error is within the tolerance; the result is False if the error is NaN."""
         return self.error <= self.tolerance
 
 

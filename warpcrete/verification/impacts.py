@@ -182,8 +182,8 @@ def oblique(device, precision) -> list[Row]:
     rebound = np.degrees(np.arctan2(velocity[:, 0] - radius * spin[:, 1], velocity[:, 2]))
     OBLIQUE.curves.update(angle=TEST_4[:, 0], tangential=tangential, spin=turning, rebound=rebound)
     rows = []
-    # Contacts stick in steep impacts. The result then depends on how the law unloads the shear spring, so steep impacts
-    # have a tolerance of their own.
+    # At incident angles below 15 degrees the contacts stick. The result then depends on how the law unloads the shear
+    # spring, so these impacts have a tolerance of their own.
     steep = TEST_4[:, 0] < 15
     for name, ours, published, allowed_steep, allowed in (
         ("tangential restitution", tangential, TEST_4[:, 1], 0.1, 0.012),
@@ -249,7 +249,8 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-        )  # The tolerance is larger here, because the overlap shortens the lever arm of friction.
+        # The tolerance allows for the overlap, which shortens the lever arm of friction; the closed form neglects it.
+        )
     return rows
 
 

@@ -35,15 +35,15 @@ class Core:
     """Mean values in the core of a sheared suspension, which is the middle part of the simulated box."""
 
     stress: float
-    """Shear stress, divided by the viscosity of the mortar [1/s]."""
+    """Mean shear stress in the core, divided by the viscosity of the mortar [1/s]."""
     rate: float
-    """Shear rate [1/s]."""
+    """Mean shear rate in the core [1/s]."""
     fraction: float
-    """Volume fraction of the spheres."""
+    """Volume fraction of the spheres in the core."""
 
     @property
     def viscosity(self) -> float:
-        """Viscosity divided by that of the mortar."""
+        """Viscosity of the suspension, divided by that of the mortar."""
         return self.stress / self.rate
 
 
@@ -95,7 +95,7 @@ def core_of(flow: SuspensionFlow) -> Core:
 
 
 def velocity_area(long: int, middle: slice, width: float) -> float:
-    """Return the area of that part of a wall that lies beside the core [m2]."""
+    """Return the area of that part of a wall that lies beside the core (middle part) of the box [m2]."""
     return long * (middle.stop - middle.start) * width**2
 
 
@@ -105,7 +105,7 @@ def mean_core(cores: list[Core]) -> Core:
 
 
 def random_structure(fraction: float, seed: int, device: str, precision: str, across: int = 4, wide: int = 8) -> Core:
-    """Return the mean values in the core of a suspension of spheres at random places after a single time step.
+    """Return the mean values in the core (middle part) of a suspension of randomly placed spheres after one time step.
 
     Within this step the flow hardly changes the places of the spheres.
     """
@@ -115,7 +115,7 @@ def random_structure(fraction: float, seed: int, device: str, precision: str, ac
 
 
 def sheared_structure(fraction: float, seed: int, device: str, precision: str) -> tuple[Core, float]:
-    """Return the mean values in the core of a suspension, averaged over shear strains from 1 to 2.
+    """Return the mean values in the core (middle part) of a suspension, averaged over shear strains from 1 to 2.
 
     The second result is the part of the spheres' volume in which they overlap at the end.
     """

@@ -22,8 +22,8 @@ import numpy as np
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
-"""Number of points of the unit cube at which the posterior density is evaluated. The points with the highest density
-become the walkers' starting points."""
+"""Number of parameter sets at which the posterior density is evaluated. Those with the highest density become the
+starting points of the walkers that sample the posterior."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
 """Distance from a failed run over which it lowers the estimated probability that other runs succeed. Parameters are
@@ -177,8 +177,9 @@ def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
 def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """Return the logarithm of the probability that runs at these points succeed, estimated from previous runs nearby.
 
-    `at` are the points of the unit cube, shape (m, free), `points` those of previous runs, shape (n, free), and `sound`
-    is True for the previous runs that succeeded, shape (n,).
+    `at` are the points, shape (m, free), and `points` those of previous runs, shape (n, free). Their coordinates are
+    the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs that succeeded,
+    shape (n,).
     """
     if sound.all():
         return np.zeros(len(at))

@@ -13,8 +13,8 @@ from ...methods import method_of
 from .targets import Target, Task
 
 START_CANDIDATES = 32
-"""Number of points in the unit cube of parameter ranges at which the closed forms are compared with the targets. The
-number is small because the closed form of a funnel takes a quarter of a second."""
+"""Number of parameter sets for which the closed forms are compared with the targets. The number is small because the
+closed form of a funnel takes a quarter of a second."""
 
 
 def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float]]:

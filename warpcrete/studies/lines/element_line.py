@@ -151,7 +151,7 @@ class ElementLine:
         return [sum(each.is_blocked(part) for each in self.packed) for part in self.line.parts]
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of line-dem.json."""
+        """Return the contents of the file line-dem.json: the pressure of the line and the results for its parts."""
         return {
             "line": self.line.name,
             "concrete": self.concrete,

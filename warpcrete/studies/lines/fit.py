@@ -57,7 +57,7 @@ class Tap:
     flow: float
     """Volume flow in the line at which the pressure was measured [m3/s]."""
     row: int
-    """Number of the line in the file from which the pressure was read, for messages."""
+    """Number of the text line from which the pressure was read in the file of measurements, for messages."""
 
 
 @dataclass(frozen=True)
@@ -151,9 +151,10 @@ class LineFit:
 def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
     """Read pressures measured along a line from a CSV file.
 
-    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place,
-    `part` gives the number of the part before which the tap lies. Without a column of flows, all taps have `flow`
-    [m3/s]. Raises :class:`SceneError` for a missing column or an impossible number.
+    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place of a
+    gauge, the column `part` may give the number of the part before which the gauge sits. Without a column of flows, all
+    pressures belong to the flow rate `flow` [m3/s]. Raises :class:`SceneError` for a missing column or an impossible
+    number.
     """
     example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
     columns, rows = read_columns(path, "fit")
@@ -344,7 +345,7 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
 
 
 def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
-    """Refuse measured points that are too few to determine the free constants and their uncertainty."""
+    """Refuse measured points that are too few to determine the fitted constants and their uncertainty."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
         counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"

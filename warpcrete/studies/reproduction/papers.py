@@ -1,4 +1,4 @@
-"""Results of the two source papers, as cases to run and claims to judge (Zhan et al. 2019; Xu, Li & Jiang 2021)."""
+"""Results of two papers (Zhan et al. 2019; Xu, Li & Jiang 2021), as cases to run and claims to judge."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def _units(found: Reproduction) -> Iterator[str]:
 
 
 def _open(found: Reproduction) -> Iterator[str]:
-    """Yield the report's section on the assumptions that the paper does not state."""
+    """Yield the report's section on the results with assumptions about details that the paper leaves open."""
     names = columns_with_results(found, OPEN_ASSUMPTIONS)
     if not names:
         return

@@ -14,8 +14,7 @@ from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
 
 IGNORED_PARAMETERS = ("seed", "precision", "tolerated_error")
-"""Parameters in which a scene may differ from the scene of a trade-off study without affecting whether the study
-applies to it."""
+"""Parameters that are ignored when a scene is compared with the scene of a trade-off study."""
 SHIPPED = Path(__file__).parents[2] / "measured"
 """Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
 

@@ -1,4 +1,4 @@
-"""State of a trade-off study: its settings of the scene, the results of their runs, and their costs and errors."""
+"""State of a trade-off study: the settings that it tries, the results of their runs, and their costs and errors."""
 
 from __future__ import annotations
 

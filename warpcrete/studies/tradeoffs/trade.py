@@ -157,7 +157,7 @@ def _machine_of(module_name: str, *arguments: Any) -> tuple[str, dict[str, Any]]
 
 
 def _check_cores(scheduler: str | None, workers: int | None, device: str | None, threads: int | None) -> None:
-    """Refuse workers that would share CPU cores, because their wall times would be meaningless."""
+    """Refuse workers that would share CPU cores, because the wall times of their runs would be meaningless."""
     cores = default_threads()
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
@@ -394,9 +394,9 @@ def _test_variants(
             here = slice(number, number + trade.abreast)
             trade.run_all([*finest[here], *others[here]], trade.seeds, tell)
         if any(not each.results and not each.failure.startswith("failed") for each in needed):
-            continue  # The study had no time left to run this variant.
+            continue  # The study had no time left to run this variant of the scene.
         if any(each.failure for each in finest[number : number + 1]):
-            continue  # The reference run of this variant failed, so its error is unknown.
+            continue  # The reference run of this variant of the scene failed, so the error in the variant is unknown.
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:

@@ -25,7 +25,7 @@ not listed are shown in SI units."""
 
 
 def draw(comparisons: Sequence[Comparison]) -> Any:
-    """Return a Matplotlib figure with one panel for each kind; held-out cases have filled markers."""
+    """Return a Matplotlib figure with one panel for each kind of measurement; held-out cases have filled markers."""
     from matplotlib.figure import Figure
 
     kinds = [kind for kind in KINDS if any(each.case.kind == kind for each in comparisons)]
