@@ -249,8 +249,7 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-            # The tolerance allows for the overlap, which shortens the lever arm of friction; the closed form neglects it.
-        )
+        )  # The tolerance allows for the overlap, which shortens the lever arm of friction.
     return rows
 
 
