@@ -7,12 +7,12 @@ it::
     run = warpcrete.Simulation(warpcrete.scenes.slump(yield_stress=80)).run()
 """
 
-# Every file in this folder is a scene, which `modules` finds by the file's name with hyphens: the function `scene`
-# builds it, and `check(run)` judges its runs. If both a flow and discrete elements can simulate a test, there are two
-# scenes, NAME and NAME-dem. The second one has a file of its own, NAME_dem.py, or it is in the same file as
-# `scene_dem`, `check_dem` and `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and
-# `mps`, and never what runs or records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test
-# for both methods in one file.
+# Every file in this folder is a scene. The function `modules` finds it under the file's name, with hyphens instead of
+# underscores. The function `scene` builds the scene, and `check(run)` judges its runs. If both a flow and discrete
+# elements can simulate a test, there are two scenes, NAME and NAME-dem. The second one has a file of its own,
+# NAME_dem.py, or it is in the same file as `scene_dem`, `check_dem` and `trading_dem`. Scenes import `core`,
+# `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or records them. Start with `slump`, a
+# complete scene in one file, or with `lcpc`, a test for both methods in one file.
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return the scene of discrete elements in a file that also holds a flow, as a module like those of other scenes.
+    """Return a module, like those of other scenes, for the discrete element scene in a file that also holds a flow.
 
     The module can be imported as NAME_dem, because worker processes of studies import scenes by name.
     """
@@ -100,7 +100,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _listing() -> str:
-    """Return the names of all scene functions with their titles, one line each."""
+    """Return one line for each scene, with the name of its function and its title."""
     return "\n".join(f"    {name.replace('-', '_'):12s} {title}" for name, title in _TITLES.items())
 
 

@@ -23,7 +23,7 @@ VOLUME = 0.04
 In test runs of this scene the errors reached 0.021.
 """
 MAX_PART = 0.9
-"""Largest diameter of an aggregate, divided by the width of the outlet of the simulated quarter."""
+"""Largest diameter of an aggregate, divided by the width of the outlet in the simulated quarter of the funnel."""
 REMARKS = (
     "a quarter of the funnel is simulated, between its planes of symmetry",
     "concrete is removed at the outlet, so the weight of what has flowed out does not pull on the rest",
@@ -67,7 +67,8 @@ def scene(parameters: FunnelParameters) -> FreeScene:
         refuse("aggregate_largest", given.aggregate_largest,
                f"is too large: a quarter of the funnel is simulated, and its outlet is only {quarter:g} m wide",
                f"use {MAX_PART * quarter:.2g} m or less")  # fmt: skip
-    # Fit a whole number of cells into the height of the funnel; a few more rows of cells lie above the funnel.
+    # Choose the cell size such that the height of the funnel is a whole number of cells. Two more rows of cells lie
+    # above the funnel.
     rows = max(8, round(whole / given.spacing))
     cell = whole / rows
     width, out = cell * math.ceil(max(brim, narrow) / cell + 1), 10 * cell
@@ -97,7 +98,7 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: FunnelParameters) -> Iterator[Knob]:
-    coarsest = min(given.outlet_width, given.breadth) / 4  # at least four cells across the outlet
+    coarsest = min(given.outlet_width, given.breadth) / 4  # at least four cells across the outlet in both directions
     fall = given.cone_height + given.outlet_height
     return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
 

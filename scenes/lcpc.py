@@ -30,7 +30,8 @@ from warpcrete.theory.vessels import box_at_rest, box_yield_stress
 NEAR_END = 0.05
 """Length at the pouring end over which the depth of the concrete is averaged [m]."""
 AT_THE_END = 0.02
-"""Distance from the far end [m] at which concrete counts as having reached it, so that its wall holds it back."""
+"""Distance from the far end of the box [m] within which concrete counts as having reached this end, so that the end
+wall holds it back."""
 THICK = 2.5
 """Thickness of the gate, in cells of the flow's grid."""
 ABOVE = 3
@@ -47,7 +48,7 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _at_rest(k: Outcome, place: int) -> float | None:
-    """Return a depth or a length of the concrete at rest [m], which `place` selects.
+    """Return a depth or a length of the concrete at rest by theory [m], which `place` selects.
 
     A `place` of 0 selects the depth at the near end, 1 the depth at the far end, and 2 the length that concrete covers.
     The result is None for concrete so stiff that it would rest deeper than the column in which it starts.
@@ -119,8 +120,8 @@ class LongBoxFlow(LongBox, FreeConcrete):
     surfaces: Annotated[str, "Condition on all walls: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[float, "Edge length of the cells [m]", Above()] = 0.0125
-    # Allowed error of a step. Concrete that trickles out below a slow gate changes its speed all the time, so an
-    # allowed error of 1e-3 would shorten the steps to microseconds.
+    # The default error of a step is larger than in other scenes. Concrete that trickles out below a slow gate changes
+    # its speed all the time, so that with an allowed error of 1e-3 the steps would be only microseconds long.
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-2
 
 
@@ -140,7 +141,8 @@ def scene(parameters: LongBoxFlow) -> FreeScene:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the concrete and across "
                                          "half the box",
                f"use {smallest / 4:.3g} m or less")  # fmt: skip
-    # Fit a whole number of cells into the height of the concrete, which then has its full volume.
+    # Choose the cell size such that the height of the concrete is a whole number of cells, so that the cells hold its
+    # full volume.
     gate, top, rows = given.column_length, given.height, round(given.height / given.spacing)
     cell = top / rows
     thick, high = THICK * cell, cell * (rows + ABOVE)

@@ -41,7 +41,8 @@ from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Sectio
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
-"""Largest relative deviation of the simulated from the theoretical pressure gradient in the straight stretches."""
+"""Largest relative deviation of the simulated from the theoretical pressure gradient that a valid run may have in its
+straight stretches."""
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 
@@ -121,7 +122,7 @@ def scene(parameters: PartParameters) -> PartScene:
 
 @dataclass(frozen=True)
 class _PipeCourse:
-    """Course and width of the pipe, as arguments of :class:`PartScene`."""
+    """Axis, inner radii and wall of the pipe, as arguments of :class:`PartScene`."""
 
     axis: Axis
     bores: Bores
@@ -206,7 +207,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
 
 
 def _line(given: PartParameters) -> _PipeCourse:
-    """Return the course of the pipe for a whole line, which a file or a name gives."""
+    """Return the course of the pipe for a whole line, which is given by the name of the line or by its file."""
     assert given.line is not None
     line = read_line(given.line)
     check_straight_ends(line, given.line)
@@ -229,8 +230,8 @@ def _line(given: PartParameters) -> _PipeCourse:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, a straight stretch lies between
-    # bend and taper.
+    # Without a bend, the pipe consists of a straight stretch, the taper and another straight stretch. With a bend, the
+    # taper comes behind the bend, and there are straight stretches before, between and behind them.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(
@@ -279,7 +280,11 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
 
 
 def _variants(given: PartParameters) -> dict[str, dict[str, float]]:
-    """Return variants of a flow, as changes of its parameters, with half and twice the flow, or another concrete."""
+    """Return variants of the scene for the tests of a trade-off study.
+
+    The keys describe the variants, and the values are the changed parameters: half or twice the flow, or half or twice
+    the viscosity of the slip layer.
+    """
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
     found = {}
     for name, value in (("flow", given.flow), ("slip_viscosity", concrete.slip_viscosity)):

@@ -55,8 +55,8 @@ MIN_AGGREGATES = 30
 MAX_LEAK = 0.01
 """Maximum fraction of the aggregates that may slip past the plug."""
 PAUSE_LEFT_AT_REST = 0.05
-"""Fraction of the piston's last pause that is left when the long rest of the concrete is applied. The rest itself takes
-no time steps."""
+"""Fraction of the piston's last pause that is still left when the concrete's long rest is applied. The simulation takes
+no time steps for this rest."""
 SLICES, MAX_SLICES = 2.0, 1000
 """Resolution of the stress along the pipe that recordings show.
 
@@ -237,7 +237,7 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
 
 
 def _stations(given: PipeParameters, axis: Axis) -> Stations:
-    """Return the slices in which stresses are measured, from the piston's start to the final front of the concrete.
+    """Return the slices in which stresses are measured, from the piston's start to the concrete's front at the end.
 
     A slice is half as long as the pipe is wide, or longer in a long pipe.
     """
@@ -250,7 +250,8 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
     """Return the measured cross-sections of a pipe between two arc lengths [m], or None if the pipe is round there."""
     if not isinstance(pipe, MeshWall):
         return None
-    # Measure the radius in 72 directions, because a pipe of few facets is narrowest in the middle of a facet.
+    # Measure the radius in 72 directions, so that some of them hit the middle of a facet, where a pipe of few facets is
+    # narrowest.
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
     if np.any(reach < 0):
         refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays hit no wall",
@@ -262,8 +263,8 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
-    # Let the long rest of the concrete take place shortly before the end of the piston's last pause. The rest takes no
-    # time steps, so the piston starts again soon after it.
+    # Apply the long rest of the concrete shortly before the end of the piston's last pause. The simulation takes no
+    # time steps for the rest, so the piston starts again soon after it.
     at = given.stops.count * given.stops.period - PAUSE_LEFT_AT_REST * given.pause
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"

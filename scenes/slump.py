@@ -26,7 +26,8 @@ TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 RELEASED = "the friction of the mould is neglected: concrete is released from below as the mould rises"
 QUARTER = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
 MAX_PART = 0.7
-"""Largest diameter of an aggregate, divided by the radius of the mould's top, which is the width of a quarter there."""
+"""Largest diameter of an aggregate, divided by the radius of the mould's top. The simulated quarter of the cone is as
+wide as this radius there."""
 SHELL, ABOVE = 3, 3
 """Thickness of the mould's wall, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
@@ -127,7 +128,8 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
-    coarsest = min(given.top_diameter / 8, given.mould_height / 4)  # at least four cells across the mould
+    # At least four cells over the radius of the mould's top, and over its height.
+    coarsest = min(given.top_diameter / 8, given.mould_height / 4)
     return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
 
 

@@ -18,9 +18,9 @@ SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "fram
 def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, **given: Any) -> Study:
     """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
-    The settings `repeat`, `one_at_a_time`, `device`, `processes`, `frames`, `scheduler`, `workers`, `progress` and so
-    on are those of :func:`warpcrete.studies.study.run_study`; `rerun` and `usd` switch on additional recordings of each
-    case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises
+    All settings of :func:`warpcrete.studies.study.run_study` are accepted, for example `repeat`, `one_at_a_time`,
+    `device`, `processes`, `frames`, `scheduler` and `workers`. `rerun` and `usd` switch on additional recordings of
+    each case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises
     :class:`SceneError` if `scene` or `vary` is wrong, and everything that :func:`warpcrete.studies.study.run_study`
     raises.
     """

@@ -40,11 +40,11 @@ def cases_of(
 ) -> list[Case]:
     """Return the cases of a study: all combinations of the varied values, or each parameter varied alone.
 
-    `base` holds fixed parameters of the scene function, `varied` the values of each varied one, and `defaults` the
-    default values of all others. `repeat` makes that many cases of every combination, with consecutive seeds from the
-    base's seed on. With `one_at_a_time`, the other varied parameters keep their base or default value, and identical
-    cases are merged. `seeded` tells whether the scene has a seed. Raises :class:`SceneError` for empty or repeated
-    values and for too many cases.
+    `base` holds the fixed parameters of the scene function. `varied` holds a list of values for each varied parameter,
+    and `defaults` the default values of all parameters. Each combination of values becomes `repeat` cases with
+    consecutive seeds, which begin with the seed in `base` (default 0). With `one_at_a_time`, only one parameter differs
+    from its value in `base` or its default, and identical cases are merged. `seeded` is True if the scene has a seed.
+    Raises :class:`SceneError` for empty or repeated values and for too many cases.
     """
     if not 1 <= repeat <= MAX_CASES:
         refuse("repeat", repeat, f"must be from 1 to {MAX_CASES}")
@@ -74,7 +74,10 @@ def cases_of(
 
 
 def short_name(words: str) -> str:
-    """Return the name of a folder for `words`; a name that is too long is cut and ends in a hash of all words."""
+    """Return a folder name made of `words`.
+
+    A name that is too long is cut off and ends in a hash of `words`.
+    """
     if len(words) <= MAX_NAME_LENGTH:
         return words
     return f"{words[: MAX_NAME_LENGTH - 11]}-{hashlib.sha256(words.encode()).hexdigest()[:10]}"
@@ -87,7 +90,10 @@ def _all_combinations(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any
 def _one_at_a_time(
     base: Mapping[str, Any], varied: Mapping[str, Sequence[Any]], defaults: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return points at which one parameter varies and the others are fixed; every point names all parameters."""
+    """Return the sets of values in which one of the varied parameters changes and the others are fixed.
+
+    Every set names all varied parameters.
+    """
     held = {name: base.get(name, defaults.get(name)) for name in varied}
     points = [held | {name: value} for name, values in varied.items() for value in values]
     unique: list[dict[str, Any]] = []

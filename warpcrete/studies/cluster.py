@@ -1,6 +1,6 @@
 """Studies and trade-off studies on several GPUs or machines, with Dask's scheduler and workers.
 
-Each worker uses one GPU, or a CPU core for each thread of a run. All workers must see the run folders under the same
+Each worker uses one GPU, or as many CPU cores as a run has threads. All workers must see the run folders under the same
 path. Folders and results equal those of a study on one machine, bit for bit. When a worker is lost, another one
 continues its work; the cases of a study continue from their last checkpoints.
 """
@@ -47,7 +47,7 @@ class WorkerLost(WarpcreteError):
 
 
 def check_scheduler(scheduler: str | None, workers: int | None, processes: int | None = None) -> None:
-    """Refuse scheduler settings that contradict each other, and report a missing Dask package."""
+    """Raise an error if scheduler settings contradict each other or if the package Dask is missing."""
     if scheduler is None:
         if workers is not None:
             refuse(
@@ -92,9 +92,9 @@ class Cluster:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def device(self, wanted: str | None) -> str | None:
-        """Return the name of a device as a worker knows it.
+        """Return the name of a device for use on a worker, without the GPU number, because a worker sees only one GPU.
 
-        A SLURM job has a GPU only if one was requested, so its default device is the CPU.
+        If `wanted` is None, the result is the CPU on SLURM, because a SLURM job has a GPU only if one was requested.
         """
         return "cpu" if wanted is None and self._scheduler == "slurm" else unnumbered(wanted)
 
@@ -122,7 +122,10 @@ class Cluster:
     def run(
         self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], store_outcome: OutcomeCallback
     ) -> None:
-        """Run the cases of a study: one job per case on CPUs, one batch of cases per worker on GPUs."""
+        """Run the cases of a study, and call `store_outcome` for each case.
+
+        On CPUs, each case is a job of its own. On GPUs, the cases are split into one batch for each worker.
+        """
         parts = [[case] for case in pending]
         if record["device"].startswith("cuda"):
             count = self._workers or self.count
@@ -148,9 +151,9 @@ class Cluster:
         """Run `function(record, module, folder, job, asked)` on workers for every job.
 
         `where` holds the arguments `record`, `module` and `folder`. `jobs` yields pairs of a tag and a job. When a job
-        has ended, `store_outcome` gets its tag and its result or exception. With `lazily`, the next job is read from
-        `jobs` only when a worker is free for it. After a Ctrl-C in `gap`, the callback `asked` returns True in running
-        jobs, and waiting jobs are cancelled.
+        has ended, `store_outcome` is called with its tag and its result or exception. With `lazily`, the next job is
+        read from `jobs` only when a worker is free for it. `gap` notices a Ctrl-C. After a Ctrl-C, the callback `asked`
+        returns True in running jobs, so that they end, and waiting jobs are cancelled.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet
@@ -166,7 +169,7 @@ class Cluster:
                     running[self._client.submit(_run_job, function, *common, job, name, pure=False)] = tag
                 if gap.requested and not stopping:
                     stopping = True
-                    stop.set()  # make running jobs end at their next sample
+                    stop.set()  # make running jobs end the next time they take measurements
                     with_workers = {key for keys in self._client.processing().values() for key in keys}
                     for future in [future for future in running if future.key not in with_workers]:
                         future.cancel()
@@ -181,7 +184,7 @@ class Cluster:
                 for future in ended.done:
                     store_outcome(running.pop(future), _outcome(future))
         except WarpcreteError:
-            stop.set()  # end the other jobs, because their results are lost
+            stop.set()  # `jobs` or `store_outcome` failed, so no further results can be stored: end the other jobs
             raise
         except Exception as lost:
             raise WarpcreteError(
@@ -219,7 +222,10 @@ def open_cluster(
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Hide the caller's script from Dask, whose worker processes would otherwise run it at every start."""
+    """Hide the caller's script from Dask within a `with` block.
+
+    Without this, every worker process that Dask starts would run the script.
+    """
     main = vars(sys.modules["__main__"])
     hidden = {name: main.pop(name) for name in ("__file__", "__spec__") if name in main}
     main["__spec__"] = None
@@ -252,7 +258,7 @@ def _start_cluster(scheduler: str, workers: int | None, device: str | None, thre
             raise WarpcreteError(f"scheduler = {scheduler!r}: does not answer: {error}; check the address") from error
         with client:
             try:
-                # A SLURM job may wait in the queue for hours, and the user expects that, so there is no time limit.
+                # Set no time limit for SLURM, because users expect that a job may wait in the queue for hours.
                 client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT_TIMEOUT)
             except TimeoutError as error:
                 hint = "try again" if scheduler == "local" else f"start workers with 'dask worker {scheduler}'"
@@ -284,7 +290,8 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
         environments = [{} for _ in range(workers or max(1, default_threads() // threads))]
-    # Dask sets a worker's CUDA_VISIBLE_DEVICES when the worker process starts, before Warp looks for devices.
+    # Dask sets CUDA_VISIBLE_DEVICES in the environment of each worker process before Warp looks for devices in that
+    # process.
     options = {
         "nthreads": 1,
         "memory_limit": 0,
@@ -341,7 +348,10 @@ def unnumbered(device: str | None) -> str | None:
 
 
 def dask_setup(worker: Any) -> None:
-    """Prepare a local worker when Dask preloads this module: ignore Ctrl-C, which the parent process handles."""
+    """Make a worker process on this machine ignore Ctrl-C, which the parent process handles.
+
+    Dask calls this function when it preloads this module in the worker process.
+    """
     warn_in_one_line()
     ignore_interrupts()
 
@@ -371,7 +381,10 @@ def _run_job(
 def _run_part(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
-    """Run cases of a study on a worker, except those that this or a lost worker has finished before."""
+    """Run cases of a study on a worker, and return the outcomes of all `cases` in their order.
+
+    Cases that have an outcome in their folder, from this worker or from one that was lost, are not run again.
+    """
     found = {case.name: previous_outcome(folder / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]
     found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, asked)))
@@ -379,7 +392,10 @@ def _run_part(
 
 
 def _stop_requested(name: str) -> Callable[[], bool]:
-    """Return a function that tells whether a Dask event is set; it asks once per `STOP_POLL_INTERVAL` seconds."""
+    """Return a function that tells whether the Dask event `name` is set.
+
+    The function asks the scheduler at most once per `STOP_POLL_INTERVAL`, and otherwise repeats the last answer.
+    """
     from dask.distributed import Event, get_client
 
     event, looked, answer = Event(name, client=get_client()), -STOP_POLL_INTERVAL, False

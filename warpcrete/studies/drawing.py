@@ -21,11 +21,11 @@ ACROSS = 3  # maximum number of panels in a row of the figure
 
 
 def draw(study: Any) -> Any:
-    """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter.
+    """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
-    Quantities of the same unit share a panel. Each quantity has its own marker, and each set of values of the other
-    varied parameters its own colour. Numeric values are joined by lines; words are placed side by side.
-    Marks at the bottom show values of the parameter with a failed case or a failed check.
+    Error bars show the scatter between seeds. Quantities of the same unit share a panel. Each quantity has its own
+    marker, and each set of values of the other varied parameters its own colour. Points of a numeric parameter are
+    joined by lines. Marks at the bottom show values of the parameter at which a case or a check failed.
     """
     from matplotlib.figure import Figure
 
@@ -61,7 +61,7 @@ def _worded(study: Any, name: str, value: Any) -> str:
 
 
 def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
-    """Draw quantities of one unit over one parameter."""
+    """Draw the quantities of one unit as functions of one parameter into one panel of the figure."""
     mine = [row for row in rows if name in row] or rows
     values = list(dict.fromkeys(row.get(name, 0) for row in mine))
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
@@ -72,7 +72,8 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
         lines.setdefault(label, []).append(row)
     for (k, (label, part)), colour in zip(enumerate(lines.items()), itertools.cycle(SERIES)):
         part = sorted(part, key=lambda row: row.get(name, 0)) if numeric else part
-        # Words have positions 0, 1, 2 ... on the axis. A small offset keeps the lines' error bars apart.
+        # Words have positions 0, 1, 2 ... on the axis. A small horizontal offset of each series keeps the error bars of
+        # different series apart.
         x = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) + 0.08 * k for row in part]
         for each, marker in zip(drawn, MARKERS):
             y = np.array([row[each.name] for row in part]) * factor

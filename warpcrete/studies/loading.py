@@ -14,10 +14,10 @@ def load(folder: Path | str) -> Run | Study:
     """Load the run or the study in a folder, even an unfinished one.
 
     A loaded :class:`Run` has the scene, time series and quantities, but not the state of the simulation, such as its
-    bodies. A run that was killed has no result, and a run without recorded rows has no series. If the scene cannot be
-    built again, for example because its mesh file is missing, only its name and parameters are available. A study has
-    its cases, and returns the run of each one as `study["001"]`. Raises :class:`RunFolderError` if `folder` holds
-    neither in the format of this version.
+    bodies. A run that was killed has no result, and a run that has recorded no measurements has no series. If the scene
+    cannot be built again, for example because its mesh file is missing, only its name and parameters are available. A
+    study has its cases, and returns the run of each one as `study["001"]`. Raises :class:`RunFolderError` if `folder`
+    holds neither a run nor a study in the format of this version.
     """
     folder = Path(folder)
     return load_study(folder) if (folder / "study.json").is_file() else load_run(folder)

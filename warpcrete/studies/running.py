@@ -25,11 +25,11 @@ from .workers import NoWorker, WorkerPool
 CASES_TOGETHER = 128
 """Maximum number of cases that a GPU runs at the same time.
 
-Outcomes are stored, and memory is freed, after each group of so many cases, so that an interruption of a large study
-costs at most the packings of one group.
+The cases of a larger study run in groups of this size. After each group, its outcomes are stored and its memory is
+freed. An interruption therefore costs at most the packings of one group.
 """
 FAILED = "failed.txt"
-"""Name of the file in a case's folder that states why the case failed for good."""
+"""Name of the file in a case's folder that states why the case failed. A case with this file is not run again."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 OutcomeCallback = Callable[[Case, Any], None]
 """Callback that receives a case and its outcome: a run, the contents of its result.json, or an exception."""
@@ -38,7 +38,7 @@ OutcomeCallback = Callable[[Case, Any], None]
 def simulation_of(
     record: dict[str, Any], module: Any, folder: Path, case: Case, progress: Progress
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a case, and the checkpoint from which it continues (None without one)."""
+    """Return the simulation of a case, and the checkpoint from which it continues, or None if it starts anew."""
     here, command = folder / case.name, record["command"]
     every = command["checkpoint_every"]
     checkpoint = here / "checkpoint.npz"
@@ -65,7 +65,10 @@ def simulation_of(
 def simulations_of(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], progress_of: Callable[[Case], Progress]
 ) -> tuple[dict[str, tuple[Simulation, Path | None]], dict[str, Any]]:
-    """Return the simulations and checkpoints of the cases by name, and the exceptions of cases that are refused."""
+    """Return the simulations and checkpoints of the cases by case name, and the exceptions of cases that are refused.
+
+    `progress_of` returns the progress callback of a case.
+    """
     by_name, refused = {}, {}
     for case in cases:
         try:
@@ -115,7 +118,8 @@ def _run_group(
         by_name, found = simulations_of(record, module, folder, group, progress_of)
         simulations += [simulation for simulation, _ in by_name.values()]
         for simulation in simulations:
-            # A Ctrl-C that came before the simulations existed did not reach them, so pass the request on now.
+            # If the user pressed Ctrl-C before the simulations existed, they have not received the request to stop.
+            # Pass it on now.
             simulation.stop_requested |= stop.requested
 
         def packing(phase: str, fraction: float) -> None:
@@ -135,7 +139,7 @@ def _run_group(
 def _outcomes(
     by_name: dict[str, tuple[Simulation, Path | None]], progress: Callable[[str, float], None]
 ) -> dict[str, Run | BaseException]:
-    """Run the simulations with the method's `run_many`, and return the outcomes by case name."""
+    """Run the simulations together with the function `run_many` of their method; return the outcomes by case name."""
     if not by_name:
         return {}
     simulations, checkpoints = zip(*by_name.values())
@@ -176,7 +180,7 @@ def run_in_processes(
                         outcome = error
                     store_outcome(case, outcome)
             except KeyboardInterrupt:
-                crew.stop()  # make running cases end at their next sample
+                crew.stop()  # make running cases end the next time they take measurements
 
 
 def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, asked: Callable[[], bool]) -> Any:
@@ -187,11 +191,11 @@ def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, 
 def run_cases(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
-    """Run cases of a study; each run on a CPU has as many threads as `record` states (default 1).
+    """Run cases of a study together, and return their outcomes.
 
-    The cases run together, by the function `run_many` of the simulation method. The runs end early when the callback
-    `asked` returns True. The result has one element for each case: the contents of its result.json, the exception that
-    ended it, or None if it was stopped before it ran.
+    Each run on a CPU has as many threads as `record` states (default 1). The runs end early when the callback `asked`
+    returns True. The result has one element for each case: the contents of its result.json, the exception that ended
+    it, or None if it was stopped before it ran.
     """
     simulations: list[Simulation] = []
     report_progress = stop_callback(asked, simulations)
@@ -207,7 +211,8 @@ def run_cases(
 def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
     """Return a progress callback that ends runs when `asked` returns True.
 
-    Running simulations end at their next sample; any earlier phase, such as packing, is interrupted at once.
+    Running simulations end the next time they take measurements; any earlier phase, such as packing, is interrupted at
+    once.
     """
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -221,7 +226,10 @@ def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) 
 
 
 def _plain(outcome: Any) -> Any:
-    """Return an outcome in a form that can be sent to another process."""
+    """Return an outcome in a form that can be sent to another process.
+
+    A run is replaced by the contents of its result.json, an exception is kept, and anything else becomes None.
+    """
     if isinstance(outcome, Run):
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None

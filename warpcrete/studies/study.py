@@ -111,7 +111,8 @@ def run_listed(
 ) -> Study:
     """Run a study of the given cases, with or without figures of the study and of its cases.
 
-    A figure takes as long as hundreds of samples. See :func:`run_study` for the other arguments.
+    `figure` switches these figures on; drawing one takes as long as hundreds of measurements during a run. See
+    :func:`run_study` for the other arguments.
     """
     cases = list(cases)
     if frames is not None:
@@ -168,7 +169,8 @@ def resume_study(
     check_scheduler(scheduler, workers, processes)
     record = read_record(folder / "study.json")
     check_files(folder / "study.json", record.get("files", {}))
-    # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
+    # Let the workers use all GPUs that are present. The GPU number in the record is ignored, because it may belong to
+    # another machine.
     device = unnumbered(record.get("device"))
     with locked_folder(folder, "study.json"), open_cluster(scheduler, workers, device) as cluster:
         return _continue(folder, module, processes, cluster, progress)
@@ -177,14 +179,18 @@ def resume_study(
 def _continue(
     folder: Path, module: Any, processes: int | None, cluster: Cluster | None, progress: Progress | None
 ) -> Study:
-    """Run all unfinished cases, and write the tables and the figure."""
+    """Run all unfinished cases of the study in `folder`, and write the tables and the figure."""
     record, study = _opened(folder, module)
     cases = study.cases
     pending = [case for case in cases if not _take_over(study, case)]
     tell = progress or (lambda phase, fraction, figures: None)
 
     def store_outcome(case: Case, outcome: Any) -> None:
-        """Store the outcome of a case; only an instability or an invalid scene counts as its final failure."""
+        """Store the outcome of a case.
+
+        A failure is final if the simulation was unstable or the scene invalid. After any other failure, the case runs
+        again when the study is resumed.
+        """
         if isinstance(outcome, Run | dict):
             result = outcome.result if isinstance(outcome, Run) else outcome
             if result.get("finished"):
@@ -212,7 +218,7 @@ def _continue(
 
 @names_from_file()
 def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
-    """Return the record of a study and a :class:`Study` without results."""
+    """Read the record of the study in `folder`; return the record and a :class:`Study` that has no results yet."""
     record = read_record(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
@@ -250,7 +256,10 @@ def load_study(folder: Path) -> Study:
 
 
 def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
-    """Return the varied values by the parameters' own names, after replacing aliases and reading units."""
+    """Return the values of the varied parameters, by name.
+
+    Aliases of names are replaced by the parameters' own names, and texts with units by numbers.
+    """
     found: dict[str, list[Any]] = {}
     for name, values in varied.items():
         (own,) = scene.resolved({name: None})
@@ -271,7 +280,7 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
 
 
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
-    """Return the cases without parameters that have no effect in them.
+    """Return the cases with only those parameters that have an effect in the case.
 
     Raises :class:`SceneError` for a parameter that has no effect in any case.
     """
@@ -279,16 +288,16 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            # No case uses one of these parameters, so it is probably a mistake. Creating the scene raises an error that
-            # names it.
+            # At least one parameter of this case has no effect in any case, so it is probably a mistake. Creating the
+            # scene raises an error that names the parameter.
             scene(**case.parameters)
     return found
 
 
 def _take_over(study: Study, case: Case) -> bool:
-    """Return whether a case has finished or failed before, and store that outcome in `study`.
+    """Store the outcome of a case that finished or failed in an earlier call; return whether there is such an outcome.
 
-    A case that was interrupted before its first checkpoint is deleted.
+    The folder of a case that was interrupted before its first checkpoint is deleted.
     """
     found = previous_outcome(study.folder / case.name)
     _store_outcome(study, case, found)

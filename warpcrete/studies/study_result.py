@@ -93,7 +93,7 @@ class Study:
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the means and standard deviations of the quantities over the seeds, a row per set of varied values."""
+        """Return one row for each set of varied values: means and standard deviations of quantities over the seeds."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
@@ -139,7 +139,7 @@ class Study:
         return dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""
+        """Return a Matplotlib figure of each compared quantity as a function of each varied parameter."""
         return draw(self)
 
     def _repr_html_(self) -> str:

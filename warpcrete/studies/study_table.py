@@ -30,7 +30,7 @@ def columns_of(study: Any) -> tuple[dict[str, list[Any]], dict[str, str]]:
 
 
 def _row(study: Any, case: Any) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the values of a case by column, and the units of its quantities."""
+    """Return the values of one case, by column of the study's table, and the units of its result quantities."""
     result = study.results.get(case.name, {})
     outcome = FINISHED if result else FAILED if case.name in study.failures else OPEN
     row: dict[str, Any] = {"case": case.name, "outcome": outcome, "seed": case.parameters.get("seed"), **case.varied}

@@ -1,7 +1,8 @@
 """Worker processes that run cases of a study.
 
-A worker imports only this package, never the caller's script. Studies therefore work in a plain script without a main
-guard, from standard input, and in a notebook. The death of a worker, whatever its cause, affects only its current case.
+A worker imports only this package, never the caller's script. Studies therefore also work in a notebook, in a script
+that is read from standard input, and in a script without the condition ``if __name__ == "__main__"``. If a worker dies,
+whatever the cause, only its current case is affected.
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ class NoWorker(WarpcreteError):
 
 
 class WorkerPool:
-    """Worker processes, started on demand; any thread may give them jobs."""
+    """Pool of worker processes that are started on demand; several threads may give them jobs at the same time."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._workers: list[_Worker] = []
         self._idle: list[_Worker] = []
         self.stopping = False
-        """True if the workers have received the message to end their cases at the next sample."""
+        """True if the workers have received the message to end their cases the next time they take measurements."""
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -58,14 +59,14 @@ class WorkerPool:
             worker.end()
 
     def stop(self) -> None:
-        """Tell all workers to end their cases at the next sample."""
+        """Tell all workers to end their cases the next time they take measurements."""
         with self._lock:
             self.stopping = True
             for worker in self._workers:
                 worker.send(STOP)
 
     def run(self, *job: Any) -> Any:
-        """Run a job, a function and its arguments, in a worker process; return its result or the exception it raised.
+        """Run a job (a function and its arguments) in a worker process; return its result or the exception it raised.
 
         Raises :class:`WorkerDied` if the worker process ends during the job, and :class:`NoWorker` if none can be
         started.
@@ -87,7 +88,7 @@ class WorkerPool:
             raise
         try:
             worker.send(job)
-        except Exception:  # if a job cannot be pickled, the worker has not received it and stays idle
+        except Exception:  # If a job cannot be pickled, the worker has not received it and stays idle.
             with self._lock:
                 self._idle.append(worker)
             raise
@@ -113,7 +114,7 @@ class _Worker:
             ) from error
 
     def send(self, message: Any) -> None:
-        """Send a message; a dead worker is detected only when its answer is read."""
+        """Send a message to the worker. If the worker is dead, this is detected only when its answer is read."""
         assert self._process.stdin is not None
         data = pickle.dumps(message)
         with suppress(OSError):
@@ -121,7 +122,7 @@ class _Worker:
             self._process.stdin.flush()
 
     def receive(self) -> Any:
-        """Wait for an answer and return it; raise :class:`WorkerDied` if the worker has ended."""
+        """Wait for the worker's answer and return it; raise :class:`WorkerDied` if the worker has ended."""
         assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)
@@ -153,7 +154,7 @@ class _Worker:
 
 
 def serve() -> None:
-    """Run the jobs that arrive on standard input and write the answers to standard output, until the parent ends."""
+    """Run jobs from standard input and write the answers to standard output until the parent process ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # redirect printed text to stderr, because stdout carries the answers
     warn_in_one_line()
@@ -168,7 +169,10 @@ def serve() -> None:
 
 
 def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
-    """Receive messages until the pipe closes. That means that the parent process has ended, so end this process too."""
+    """Receive messages from the parent process until the pipe closes, then end this process.
+
+    The pipe closes when the parent process has ended.
+    """
     with open(0, "rb", closefd=False) as messages:
         while True:
             try:
@@ -191,7 +195,10 @@ def _answer(answers: Any, message: Any) -> None:
 
 
 def _outcome(function: tuple[str, str], arguments: tuple[Any, ...], stop_requested: Callable[[], bool]) -> Any:
-    """Return the result of a function, named by its module and name, or the exception that it raises."""
+    """Return the result of a function that is named by its module and name, or the exception that it raises.
+
+    The function receives `stop_requested` as its last argument.
+    """
     try:
         return getattr(importlib.import_module(function[0]), function[1])(*arguments, stop_requested)
     except Exception as error:

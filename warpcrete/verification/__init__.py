@@ -1,9 +1,9 @@
 """Verification: results of the simulators compared with published results and closed-form solutions.
 
-`run_cases` runs the cases and returns rows of results, which `table` and `figure` show; the command `warpcrete verify`
-does both. The tolerances follow from measured errors, and tests run the same cases on every device and in both
-precisions. Modules here import `core`, `geometry`, `theory`, both simulation methods and `kernels`, but no recorder.
-Start with `case`, and go on with `contacts`.
+`run_cases` runs the cases and yields their results, which `table` and `figure` show; the command `warpcrete verify`
+does both. The tolerances follow from measured errors. Tests run the same cases on every device and in both precisions.
+Modules here import `core`, `geometry`, `theory`, both simulation methods and `kernels`, but no recorder. Start with
+`case`, which defines a case, and go on with `contacts`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 
 def cases() -> list[Case]:
-    """Return all cases in the order of the table."""
+    """Return all verification cases, in the order in which the table of results lists them."""
     modules = (
         impacts,
         contacts,
@@ -89,7 +89,7 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
 def summary(results: list[tuple[Case, list[Row]]]) -> str:
     """Return a Markdown table with one line per case.
 
-    Each line shows the result of the case whose error is closest to its tolerance.
+    Each line shows that computed quantity of the case whose error is largest in relation to its tolerance.
     """
     lines = [
         "| case | figures | largest error | its tolerance | source of the expected values |",

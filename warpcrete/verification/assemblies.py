@@ -141,8 +141,8 @@ def janssen(device, precision) -> list[Row]:
                       motion=Prescribed(velocity=(0, 0, -8e-3), ramp_time=0.05)),
             PipeWall(name="pipe", axis=axis, radius=radius),
         ),
-        # The mode "slip-cut" turns the shear dashpot off during slip. Otherwise the friction of the wall could exceed
-        # the Coulomb limit.
+        # The mode "slip-cut" turns the shear dashpot off while a contact slips. Otherwise the sum of friction and
+        # damping force at the wall could exceed the Coulomb limit.
         contact=Contact(effective_modulus=3e5, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut"),
     )  # fmt: skip
     gauge = _WallGauge(radius)
@@ -155,8 +155,7 @@ def janssen(device, precision) -> list[Row]:
     top = float(np.sort(run.bodies.position[:, 2])[-30:].mean())
     bottom = float(np.sort(run.bodies.position[:, 2])[:30].mean())
     filled = top - bottom
-    # K is the mean stress on the wall over the mean vertical stress. The mean vertical stress follows from Janssen's
-    # profile.
+    # K is the mean stress on the wall, divided by the mean vertical stress that follows from Janssen's profile.
     wall = normal / (2 * math.pi * radius * filled)
     area = math.pi * radius**2
     mean_vertical = _mean_vertical(weight, floor, area)
@@ -171,8 +170,12 @@ def janssen(device, precision) -> list[Row]:
 
 
 def _mean_vertical(weight: float, floor: float, area: float) -> float:
-    """Return the height average of the vertical stress in Janssen's profile [Pa], from weight and floor load [N]."""
-    # Janssen's profile is F(m) = m_s (1 - exp(-m/m_s)). Find m_s from F(weight) = floor, then average F.
+    """Return the average of the vertical stress over the filling height [Pa], according to Janssen's profile.
+
+    The profile is determined by the weight of the spheres and the load on the floor [N].
+    """
+    # Janssen's profile of the vertical force is F(m) = m_s (1 - exp(-m/m_s)), where m is the weight of the spheres
+    # above. Find m_s such that F(weight) equals the load on the floor, then average F over the height.
     low, high = 1e-3 * weight, 1e3 * weight
     limit = low
     for _ in range(200):
@@ -185,7 +188,10 @@ def _mean_vertical(weight: float, floor: float, area: float) -> float:
 
 
 class _WallGauge(Recorder):
-    """Recorder of the sum of normal forces on a vertical pipe [N], computed from the overlaps at every sample."""
+    """Recorder of the sum of the normal forces on a vertical pipe [N].
+
+    The forces are computed from the overlaps of spheres and pipe each time that the run takes measurements.
+    """
 
     def __init__(self, radius: float) -> None:
         self.radius = radius
@@ -200,7 +206,10 @@ class _WallGauge(Recorder):
 
 
 def repose(device, precision) -> list[Row]:
-    """Check that heaps of spheres that collapse on a rough floor are steeper with higher friction."""
+    """Check that columns of spheres collapse into steeper heaps if the friction between the spheres is higher.
+
+    The heaps lie on a rough floor.
+    """
     angles = []
     values = (0.05, 0.2, 0.6)
     rough = Contact(effective_modulus=1e5, friction=1.0, shear_damping_ratio=0.3, dashpot="slip-cut")

@@ -72,7 +72,7 @@ def cantilever(device, precision) -> list[Row]:
             exact = joints * force / shear + force * LENGTH**2 / bending * levers
             beam = force * (joints * LENGTH) ** 3 / (3 * bending * LENGTH) + joints * force / shear
             rows.append(Row("deflection of the tip, exact for a chain", tip[2], exact, 2e-4, "m"))
-            # A chain with five joints deflects 1 % less than a continuous beam.
+            # The tolerance is large because a chain with five joints deflects 1 % less than a continuous beam.
             rows.append(Row("deflection of the tip, Timoshenko beam", tip[2], beam, 1.1e-2, "m"))
     return rows
 
@@ -131,7 +131,8 @@ def breakage(device, precision) -> list[Row]:
         "shear under tension": (dict(velocities=[[0, 0, 0], [0.3 * speed, speed, 0]]), 1, "force", 0.0, 1),
     }
     for label, (motion, component, kind, expected, flag) in loads.items():
-        # A rotating body also shears the bond. With almost no shear stiffness, the bond is loaded in bending only.
+        # A rotation that bends the bond also shears it. Choose a very low shear stiffness, so that the bond is loaded
+        # in bending only.
         ratio = 1e6 if label == "bending" else 2.0
         bonds = Bonds(
             effective_modulus=3e7,
@@ -145,8 +146,8 @@ def breakage(device, precision) -> list[Row]:
         step = {"tension": normal * speed, "shear": shear * speed, "bending": bending * rate,
                 "torsion": twisting * rate, "shear under tension": shear * speed}[label]  # fmt: skip
         if label == "shear under tension":
-            # Both stresses change in proportion to the displacement: the shear strength c - sigma tan(phi) decreases,
-            # and the shear stress tau increases.
+            # The normal stress sigma and the shear stress tau both increase in proportion to the displacement. The
+            # shear strength c - sigma tan(phi) therefore decreases. The bond breaks when tau reaches this strength.
             slope = 0.3 * normal / shear * math.tan(math.radians(angle))
             expected = cohesion * area / (1 + slope)
         dt = 5e-4 * expected / step
@@ -159,9 +160,9 @@ def breakage(device, precision) -> list[Row]:
             if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
             last = abs(float(stepper.state.pairs.load.numpy()[0, place]))
-        # The load grows by 5e-4 of its final value per step, which limits the accuracy of the measured load. Loads
-        # other than shear are an exception in double precision: they reach the bond's strength exactly at the end of a
-        # step, so their error is smaller.
+        # The load grows by 5e-4 of its final value in each time step, so the measured load may be too low by this
+        # fraction. In double precision, loads in tension, bending and torsion reach the bond's strength exactly at the
+        # end of a step, and their error is much smaller.
         sheared = label.startswith("shear") or precision == "float32"
         rows.append(
             Row(

@@ -1,4 +1,4 @@
-"""Classes of the verification: a case consists of rows, each of which compares a result with its expected value."""
+"""Classes of the verification: a case consists of rows, which compare computed quantities with expected values."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Row:
     unit: str = "1"
     scale: float | None = None
     at_least: bool = False
-    """True if the expected value is a lower limit: results above it have no error."""
+    """True if the expected value is a lower limit, so that larger results count as correct."""
 
     @property
     def error(self) -> float:
@@ -42,7 +42,7 @@ class Row:
 
     @property
     def passed(self) -> bool:
-        """Return whether the error is within the tolerance; NaN never is."""
+        """Return whether the error is within the tolerance; the result is False if the error is NaN."""
         return self.error <= self.tolerance
 
 
@@ -54,7 +54,8 @@ class Case:
     source: str
     """Source of the expected values."""
     run: Callable[[str, str], list[Row]]
-    """Function of (device, precision) that runs the case and returns its results, one for each computed quantity."""
+    """Function that takes the device and the precision as texts, runs the case, and returns its results, one row for
+    each computed quantity."""
     group: str
     slow: bool = False
     curves: dict[str, Any] = field(default_factory=dict)
@@ -62,7 +63,7 @@ class Case:
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """Return a stepper for a scene whose bodies have given positions instead of a random packing."""
+    """Return a stepper for a scene in which the positions of all bodies are given and none are packed."""
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     stepper.choose_dt()

@@ -28,7 +28,8 @@ def union_properties(device, precision) -> list[Row]:
         along = np.trapezoid(math.pi / 2 * square**2, x)
         across = np.trapezoid(math.pi / 4 * square**2 + math.pi * square * (x - centre) ** 2, x)
         template = clump(label, np.array([[c, 0.0, 0.0] for c in centres]), np.array(radii))
-        # Templates are scaled so that the sphere of equal volume has a diameter of 1. Undo this scaling here.
+        # Clump templates are scaled so that the sphere of equal volume has a diameter of 1. Multiply by the diameter of
+        # this sphere to undo the scaling.
         size = (6 * volume / math.pi) ** (1 / 3)
         ours = np.sort(template.inertia) * volume * size**2
         rows += [
@@ -50,7 +51,8 @@ def tumbling(device, precision) -> list[Row]:
     inertia = shape.inertia * mass * size**2
     order = np.argsort(inertia)
     local = np.zeros(3)
-    # Rotation near the unstable (intermediate) principal axis is the most difficult to compute accurately.
+    # Let the body rotate near its unstable (intermediate) principal axis, because this motion is the most difficult to
+    # compute accurately.
     local[order] = rate * np.array([0.15, 1.0, 0.2])
     dt = 2e-4
     scene = Scene(

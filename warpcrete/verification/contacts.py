@@ -58,8 +58,8 @@ def oscillator(device, precision) -> list[Row]:
                 worst = max(worst, abs(overlap - exact))
             errors.append(worst / rest)
         OSCILLATOR.curves[f"damping ratio {beta:g}"] = (end / np.array([100, 200, 400]) * omega, np.array(errors))
-        # Single precision resolves the height to 1e-9 m, or 6e-5 of the overlap at rest. This rounding error is visible
-        # with the finest time step.
+        # Single precision resolves the height to 1e-9 m, or 6e-5 of the overlap at rest. With the finest time step this
+        # rounding error is visible, so the tolerance is larger in single precision.
         floor = 4e-4 if precision == "float32" else 0.0
         allowed = {0.0: 6e-4, 0.3: 5e-3}[beta] + floor
         rows.append(
@@ -72,8 +72,8 @@ def oscillator(device, precision) -> list[Row]:
             )
         )
         order = math.log2(errors[0] / errors[1])
-        # The leapfrog method is of second order. With a dashpot that uses the velocity of half a step ago, it is only
-        # of first order.
+        # The leapfrog method is of second order without damping. The dashpot's force uses the velocity half a step
+        # earlier, so with damping the method is only of first order.
         rows.append(Row(f"order of convergence in dt, damping ratio {beta:g}", order, 2.0 if beta == 0 else 1.0, 0.12))
     return rows
 
@@ -147,8 +147,8 @@ def stick_slip(device, precision) -> list[Row]:
     size = RADIUS / shape.radii[0]
     contact = Contact(effective_modulus=modulus, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut")
     smooth = replace(contact, friction=0.0, normal_damping_ratio=0.0, shear_damping_ratio=0.0)
-    # Radius [m] of the anchor: the sphere to which the sled's spring is attached. It is too heavy to move and so small
-    # that it touches neither plate.
+    # Radius [m] of the anchor, which is the sphere to which the sled's spring is attached. The anchor is too heavy to
+    # move, and so small that it touches neither plate.
     small = 0.5 * RADIUS
     spring = Bonds(effective_modulus=1e4, tensile_strength=1e12, cohesion=1e12, gap=2e-5)
     depth = press / 5 / (modulus * math.pi * RADIUS)

@@ -24,7 +24,8 @@ from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 STEPS = 2000
-ENERGY = 0.1  # Largest acceptable energy gain without work, relative to the energy scale of the instability check.
+# Largest acceptable gain of energy that is not due to work, divided by the energy scale of the instability check.
+ENERGY = 0.1
 RADIUS = 0.03
 AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
@@ -37,9 +38,10 @@ class Outcome:
     stopped: str
     """Message of the error that stopped the run; empty if the run was completed."""
     deepest: float
-    """Largest overlap, divided by the overlap at which a sphere lies completely inside its contact partner."""
+    """Largest overlap, divided by the overlap at which a sphere lies completely inside the sphere or wall that it
+    touches."""
     growth: float
-    """Energy gained without work, divided by the energy scale that the check for instability uses."""
+    """Largest gain of energy that is not due to work, divided by the energy scale of the check for instability."""
     steps: int
     expected_outcome: str = ""
     """Required result of the run: "run" if it must be completed, otherwise a regular expression that the message of the
@@ -63,8 +65,8 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
     """Return the scene of a cup that holds spheres of two sizes under a loaded plate.
 
-    `ratio` is the size of the large spheres over that of the small spheres, and `load` is the pressure of the plate
-    [Pa].
+    `ratio` is the size of the large spheres divided by that of the small spheres, and `load` is the pressure of the
+    plate [Pa].
     """
     random = np.random.default_rng(0)
     large = 0.012
@@ -99,7 +101,7 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
 
 
 def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = STEPS) -> Outcome:
-    """Run a scene for a number of steps with regular checks for instability, and return its result."""
+    """Run a scene for a number of steps, check for instability twenty times on the way, and return the outcome."""
     simulation = ElementSimulation(scene, device=device, precision=precision)
     stopped = ""
     try:
@@ -188,7 +190,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """Return the scene with its first `count` bodies all moved to the position of the body after them."""
+    """Return the scene with its first `count` bodies all moved to the position of the body that follows them."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]

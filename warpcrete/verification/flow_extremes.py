@@ -52,7 +52,8 @@ class FlowOutcome:
     closest: float
     steps: int
     expected_outcome: str = ""
-    """Required result: `run`, or part of the message with which the flow must stop; empty if both are acceptable."""
+    """Required result: `run` if the flow must run to its end, or a part of the message with which it must stop. An
+    empty text accepts both."""
 
     @property
     def acceptable(self) -> bool:
@@ -77,10 +78,10 @@ def column(
     dimensions: int = 2, *, diameter: float = 0.1, spacing: float | None = None, length: float | None = None,
     flow: float = 1.5e-3, time_step: float = 5e-4, gravity: float = 9.81, aggregates: float = 0.0, **concrete: float,
 ) -> FluidScene:  # fmt: skip
-    """Return the scene of a column of concrete.
+    """Return the scene of a column of concrete in a channel or, with `dimensions` = 3, in a tube.
 
-    `aggregates` is the volume fraction of coarse aggregate. `concrete` replaces constants of concrete no. 1 of Xu, Li &
-    Jiang 2021.
+    `aggregates` is the volume fraction of coarse aggregate. `concrete` holds constants that replace those of concrete
+    no. 1 of Xu, Li & Jiang 2021. Lengths are in m, and `flow` in m3/s.
     """
     constants = {name: getattr(PAPER, name) for name in
                  ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")}  # fmt: skip
@@ -95,7 +96,7 @@ def column(
 
 
 def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: str, steps: int = STEPS) -> FlowOutcome:
-    """Run a flow for a number of steps with regular checks for instability, and return its result."""
+    """Run a flow for a number of steps, measure it and check for instability in between, and return the outcome."""
     stopped, refused = "", False
     top = math.nan
     rows: list[dict[str, float]] = []
@@ -124,7 +125,7 @@ def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: s
 
 
 def _closest(simulation: FluidSimulation) -> float:
-    """Return the distance of the two nearest particles over the initial spacing."""
+    """Return the distance of the two nearest particles, divided by the initial particle spacing."""
     x = simulation.state.particles.position.numpy().astype(float)
     order = np.argsort(x[:, -1], kind="stable")
     x, reach = x[order], simulation.state.layout.spacing
@@ -150,8 +151,8 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that are allowed or required to stop early, each with an excerpt from the expected error message. If that text
-is empty, the flow may either run to its end or stop."""
+"""Flows that are refused, that stop early, or that may do so, each with an excerpt from the expected error message. If
+the excerpt is empty, the flow may either run to its end or stop."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
@@ -176,7 +177,7 @@ def scenes() -> Iterator[Case]:
     for corner in itertools.product(*AXES.values()):
         label = ", ".join(f"{name} {value:g}" for name, value in zip(AXES, corner))
         values: dict[str, Any] = dict(zip(AXES, corner))
-        # A scene is refused if the piston moves by more than half a spacing per step.
+        # A scene is refused if its piston moves by more than half a particle spacing per step.
         step = min(5e-4, 0.3 * 0.01 * math.pi * 0.05**2 / values["flow"])
         yield f"corner: {label}", lambda values=values, step=step: column(2, time_step=step, **values), STEPS
 

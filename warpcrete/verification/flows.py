@@ -63,7 +63,7 @@ def _sheared(dimensions: int, device: str, precision: str) -> list[Row]:
 
 
 def _rows(name: str, scene: FluidScene, device: str, precision: str) -> list[Row]:
-    """Run a sheared flow; return the errors of its wall stress, velocity profile and balance of forces."""
+    """Run a sheared flow; compare its wall stress, velocity profile and balance of forces with theory."""
     result = FluidSimulation(scene, device=device, precision=precision).run().result
     return [
         Row(f"{name}: wall's stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],
@@ -84,9 +84,9 @@ def sheared_tube(device: str, precision: str) -> list[Row]:
 
 
 # Flow laws other than Bingham's. A name that contains "layer" stands for a law of the slip layer, any other name for a
-# law of the bulk. At the mean velocity U and the mean shear rate U / R, with the pipe's radius R, all these laws have
-# the same stress as Bingham's law. The measured relative errors with cells of 5 mm are at most 0.10 % (wall stress) and
-# 0.07 % (velocity profile).
+# law of the bulk. Laws with a flow index get constants such that, at the mean velocity U and the mean shear rate U / R
+# in a pipe of radius R, they give the same stress as Bingham's law. The measured relative errors with cells of 5 mm are
+# at most 0.10 % (wall stress) and 0.07 % (velocity profile).
 LAWS = {
     "n 0.5": {"flow_index": 0.5}, "n 0.8": {"flow_index": 0.8}, "n 1.3": {"flow_index": 1.3},
     "n 1.6": {"flow_index": 1.6}, "c 5 Pa s2": {"quadratic_viscosity": 5.0},

@@ -40,10 +40,14 @@ TEST_5_SPIN = np.array([
 
 
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
-    """Let spheres hit a plane without touching each other, and return their final velocities and spins."""
+    """Simulate impacts of spheres on a plane, and return their velocities [m/s] and spins [rad/s] after the impacts.
+
+    The spheres lie so far apart that they do not touch each other. Each result has the shape (spheres, 3).
+    """
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
-    # The spheres start in touch with the plane: in single precision, overlaps are less accurate far from the origin.
+    # Let the spheres touch the plane at the start, near the origin, because in single precision overlaps are less
+    # accurate far from the origin.
     positions = np.stack([np.zeros(count), (np.arange(count) - count / 2) * 4 * radius, np.full(count, radius)], 1)
     dt = _duration(law, radius, density, np.abs(velocities[:, 2]).max()) / steps_per_contact
     scene = Scene(
@@ -70,7 +74,10 @@ def _duration(law: HertzMindlin, radius: float, density: float, speed: float) ->
 
 
 def elastic(device, precision) -> list[Row]:
-    """Compare peak force, peak overlap and duration of elastic normal impacts with tests 1 and 2."""
+    """Compare peak force, peak overlap and duration of elastic normal impacts with published values.
+
+    These are tests 1 and 2 of Chung & Ooi (2011).
+    """
     rows = []
     glass = HertzMindlin.of(48e9, 0.2, friction=0.35, restitution=1.0)
     alloy = HertzMindlin.of(70e9, 0.3, rigid_partner=True, friction=0.0, restitution=1.0)
@@ -79,7 +86,8 @@ def elastic(device, precision) -> list[Row]:
         ("2, aluminium sphere on a plane", alloy, 0.1, 2699.0, 0.2, True, 11.37e3, 49.7e-6, 731e-6),
     ):
         found = _peak(law, radius, density, speed, plane, device, precision)
-        # The published values have three to four digits, and single precision resolves the overlap to about 1e-4.
+        # The tolerances allow for published values of only three to four digits, and for single precision, which
+        # resolves the overlap to about 1e-4 of its value.
         rows += [
             Row(f"test {name}: peak force", found[0], force, 2e-3, "N"),
             Row(f"test {name}: peak overlap", found[1], overlap, 2e-3, "m"),
@@ -123,7 +131,10 @@ def _peak(law, radius, density, speed, plane, device, precision):
 
 
 def restitution(device, precision) -> list[Row]:
-    """Compare rebound over impact speed with the restitution coefficient, for Hertz-Mindlin and linear law (test 3)."""
+    """Compare the ratio of rebound speed to impact speed with the given restitution coefficient.
+
+    This is test 3 of Chung & Ooi (2011), with the Hertz-Mindlin law and with the linear law.
+    """
     rows = []
     wanted = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     for name in ("Hertz-Mindlin", "linear"):
@@ -160,7 +171,7 @@ def _linear_rebound(law: Contact, device, precision) -> float:
 
 
 def oblique(device, precision) -> list[Row]:
-    """Compare oblique impacts of aluminium oxide at constant speed with the published curves (test 4)."""
+    """Compare oblique impacts of aluminium oxide at constant speed with published curves (Chung & Ooi 2011, test 4)."""
     radius, speed = 2.5e-3, 3.9
     law = HertzMindlin.of(380e9, 0.23, rigid_partner=True, friction=0.092, restitution=0.98)
     angle = np.radians(TEST_4[:, 0])
@@ -171,7 +182,9 @@ def oblique(device, precision) -> list[Row]:
     rebound = np.degrees(np.arctan2(velocity[:, 0] - radius * spin[:, 1], velocity[:, 2]))
     OBLIQUE.curves.update(angle=TEST_4[:, 0], tangential=tangential, spin=turning, rebound=rebound)
     rows = []
-    steep = TEST_4[:, 0] < 15  # Steep impacts stick, so they depend most on how the law unloads the shear spring.
+    # At incident angles below 15 degrees the contacts stick. The result then depends on how the law unloads the shear
+    # spring, so these impacts have a tolerance of their own.
+    steep = TEST_4[:, 0] < 15
     for name, ours, published, allowed_steep, allowed in (
         ("tangential restitution", tangential, TEST_4[:, 1], 0.1, 0.012),
         ("rebound angle", rebound, TEST_4[:, 3], 0.02, 0.015),
@@ -191,8 +204,8 @@ def oblique(device, precision) -> list[Row]:
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
-    # The tangential impulse of friction changes velocity and spin in a fixed ratio. The overlap shortens the lever arm
-    # by 0.3 %.
+    # The tangential impulse of friction changes velocity and spin in a fixed ratio, from which the exact spin follows.
+    # The tolerance allows for the overlap, which shortens the lever arm of friction by 0.3 %.
     exact = -2.5 * (velocities[:, 0] - velocity[:, 0]) / radius
     rows.append(
         _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
@@ -208,11 +221,11 @@ def oblique(device, precision) -> list[Row]:
 
 
 def normalised(device, precision) -> list[Row]:
-    """Compare impacts of steel at constant normal speed with the published normalised curves (test 5).
+    """Compare impacts of steel at constant normal speed with published normalised curves (Chung & Ooi 2011, test 5).
 
-    The published curves belong to a tangential stiffness of half that of a rigid plane, and to a shear force that stays
-    constant while the normal load decreases. The same settings are used here. The closed form for full slip holds for
-    all settings.
+    The published curves hold for a tangential stiffness of half that of a rigid plane, and for a shear force that stays
+    constant while the normal load decreases. The simulations therefore use these settings. The closed form for full
+    slip holds for all settings.
     """
     radius, normal, friction = 0.01, 5.0, 0.3
     unit = friction * normal
@@ -236,25 +249,26 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-        )  # The tolerance is larger here, because the overlap shortens the lever arm of friction.
+        )  # The tolerance allows for the overlap, which shortens the lever arm of friction.
     return rows
 
 
 def spinning(device, precision) -> list[Row]:
-    """Compare impacts of spinning spheres with the closed form for full slip (tests 6 to 8).
+    """Compare impacts of spinning spheres with the closed form for full slip (Chung & Ooi 2011, tests 6 to 8).
 
     The spheres hit a plane, an equal sphere, and a large heavy sphere.
     """
     radius, normal, friction, e = 0.1, 0.2, 0.4, 0.5
-    rates = np.array([8.0, 12.0, 24.0])  # Full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s.
+    # All these spheres slip, because full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s.
+    rates = np.array([8.0, 12.0, 24.0])
     rows = []
     law = HertzMindlin.of(70e9, 0.33, rigid_partner=True, friction=friction, restitution=e)
     velocities = np.tile([0.0, 0.0, -normal], (len(rates), 1))
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm of friction is the distance of the plane from the sphere's centre. It is 0.05 % shorter than the
-    # sphere's radius, because the sphere overlaps with the plane.
+    # The tolerances allow for the lever arm of friction, the distance of the plane from the sphere's centre. It is 0.05
+    # % shorter than the sphere's radius, because the sphere overlaps with the plane.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

@@ -17,7 +17,7 @@ HALF = 0.2, 0.05
 
 
 def let_go(yield_stress: float, width: float, duration: float) -> FreeScene:
-    """Return the scene of a box-shaped volume of concrete that is released on a plate.
+    """Return the scene of a box-shaped volume of concrete that is released on a plate and spreads.
 
     The concrete has a viscosity of 10 Pa s and sticks to the plate.
     """
@@ -37,8 +37,8 @@ def dam_break(device: str, precision: str) -> list[Row]:
     run = simulation.run()
     paste, found = simulation.scene.concrete, []
     # The measured error of the front's position is 2.1 % after 4 s and 2.0 % after 8 s. The measured error of the
-    # volume is 0.5 %. Cells of half the size do not reduce the error of the front: the theory assumes a thin layer, but
-    # the front is steep.
+    # volume is 0.5 %. Cells of half the size do not reduce the error of the front, because the theory itself is
+    # inexact: it assumes a thin layer, whereas the front is steep.
     for time in (4.0, 8.0):
         front = float(np.interp(time, run.series["time"], run.series["spread"]))
         theory = viscous_front(HALF[0] * HALF[1], paste.viscosity, paste.density, time)

@@ -42,7 +42,7 @@ LAWS: dict[str, ContactLaw] = {
 
 
 def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tuple[Scene, BodyTable]:
-    """Return scene and bodies of a dense packing of about 120 bodies in a short pipe, in which the bodies overlap."""
+    """Return scene and bodies of a packing of about 120 bodies in a short pipe, so dense that the bodies overlap."""
     fill = Fill(
         container=PipeContainer(AXIS, 0.025, 0.05), sizes=Uniform(8e-3, 12e-3), solid_fraction=0.66, templates=(shape,)
     )
@@ -86,14 +86,20 @@ def _energy(model, state) -> float:
 
 
 def shake(table: BodyTable, seed: int = 5) -> None:
-    """Give the bodies random velocities, which also excite the stiffest modes; these become unstable first."""
+    """Give the bodies random velocities and spins.
+
+    They excite all modes of vibration, including the stiffest ones, which become unstable first.
+    """
     random = np.random.default_rng(seed)
     table.velocity = random.normal(scale=0.05, size=table.velocity.shape)
     table.spin = random.normal(scale=10.0, size=table.spin.shape)
 
 
 def bonded_pair() -> Scene:
-    """Return a scene of two bonded spheres that oscillate in the stiffest mode, which couples shear and rotation."""
+    """Return a scene of two bonded spheres that oscillate in the stiffest mode of their bond.
+
+    This mode couples shear and rotation.
+    """
     bonds = Bonds(effective_modulus=1e5, stiffness_ratio=0.5, tensile_strength=1e12, cohesion=1e12, gap=1e-6)
     return Scene(
         name="pair", duration=1.0, gravity=(0, 0, 0), contact=LAWS["linear"], bonds=bonds,

@@ -20,12 +20,12 @@ FINER = 4
 SAMPLES = 40
 """Number of instants at which the solution on the grid is compared with the one-dimensional solution."""
 START_CASES = (
-    # Columns: Bingham number, viscous constant of the slip layer [Pa s/m], allowed error of a time step, and time at
-    # which the flow is almost steady [s].
+    # The columns are the Bingham number, the viscous constant of the slip layer [Pa s/m], the allowed error of a time
+    # step on the grid, and the time at which the flow is almost steady [s].
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
-"""Flows that are compared with the one-dimensional solution. A time step uses the mean of the old and the new
-viscosity, so flows with a yield stress need shorter steps."""
+"""Flows that are compared with the one-dimensional solution. A time step on the grid uses the mean of the viscosities
+at its start and at its end. With a yield stress, this is accurate only in short steps."""
 LONGEST = 2e-3
 """Longest time step on the grid [s]."""
 EXACT_STEP_RATIO = 5e-4
@@ -52,10 +52,12 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
     velocity, slip, found = np.zeros(cells), 0.0, []
     for n in range(round(times[-1] / step)):
         start = velocity
-        # The viscosity depends on the velocity, so each implicit step needs some fixed-point iterations.
+        # An implicit step is solved by fixed-point iterations, because the viscosity depends on the velocity that it
+        # computes.
         for _ in range(6):
             c = apparent(concrete, scene.regularisation, np.diff(velocity) / h) * area[1:-1] / h
-            # The shear across half a cell and the slip layer act in series.
+            # The wall resists the flow by the shear across the outer half of the last cell and by the slip layer, which
+            # act in series.
             half = 2 * float(apparent(concrete, scene.regularisation, np.array(2 * (velocity[-1] - slip) / h))) / h
             layer = concrete.slip_viscosity
             ease, fixed = half * layer / (half + layer), half * concrete.slip_yield / (half + layer)
@@ -74,7 +76,7 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
 def worst(
     dimensions: int, number: float, layer: float, longest: float, error: float, end: float, device: str, precision: str
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the largest rms error of the velocity profile and the largest error in any cell, at any time.
+    """Return the largest rms error of the velocity profile over all compared times, and the largest error in any cell.
 
     Errors are relative to the mean velocity of the steady flow.
     """
@@ -91,7 +93,8 @@ def worst(
     times = np.linspace(0, end, SAMPLES + 1)[1:]
     across = layout.cells[0] if dimensions == 3 else layout.cells[0] // 2
     exact = profiles(scene, force, across * FINER, times, EXACT_STEP_RATIO * end).reshape(SAMPLES, across, FINER)
-    # Cells of a pipe are rings, and the grid's velocities are means over these rings.
+    # In a pipe, the cells of the one-dimensional solution are rings. Average the solution over the rings that
+    # correspond to one cell of the grid, because velocities on the grid are such means.
     weight = (np.arange(across * FINER) + 0.5).reshape(across, FINER) if dimensions == 3 else np.ones((across, FINER))
     exact = (exact * weight).sum(-1) / weight.sum(-1)
     rms, largest = 0.0, 0.0

@@ -41,7 +41,7 @@ CLOSED = ((WALL, WALL),) * 3
 
 @dataclass(frozen=True)
 class _Settings:
-    """Settings that the grid flow reads from a scene, for a flow that fills the whole box."""
+    """Settings that a flow on the grid reads from its scene, here for a mortar that fills the whole box."""
 
     concrete: Concrete
     time_step: float
@@ -89,13 +89,17 @@ def mortar_flow(
     cells: Sequence[int], width: float, aggregates: Aggregates, device: str, precision: str, *,
     tolerances: Tolerances | None = None, **room: Any,
 ) -> SuspensionFlow:  # fmt: skip
-    """Return a flow of mortar with aggregates; `room` holds further arguments of :func:`mortar_state`."""
+    """Return a flow of mortar with aggregates.
+
+    `cells` is the number of cells along each axis, `width` the edge length of a cell [m], and `room` holds further
+    arguments of :func:`mortar_state`.
+    """
     state = mortar_state(cells, width, device, precision, **room)
     return SuspensionFlow(state, aggregates, tolerances=tolerances or Tolerances())
 
 
 def take(flow: SuspensionFlow, steps: int) -> np.ndarray:
-    """Take time steps, and return the velocities of the aggregates [m/s], shape (n, 3)."""
+    """Take `steps` time steps, and return the velocities of the aggregates afterwards [m/s], shape (n, 3)."""
     flow.take(steps)
     return flow.aggregates.bodies.velocity.numpy().astype(float)
 
@@ -103,9 +107,9 @@ def take(flow: SuspensionFlow, steps: int) -> np.ndarray:
 def settling(across: int, shift: float, ratio: float, device: str, precision: str) -> float:
     """Return the settling speed of a sphere on the axis of a closed cylinder, divided by the exact one.
 
-    `across` is the number of cells across the sphere, `shift` its offset from the corner of a cell, in cells, and
-    `ratio` the radius of the sphere divided by that of the cylinder. The exact speed is that in an infinitely long
-    cylinder (Haberman & Sayre 1958).
+    `across` is the number of cells across the sphere. `shift` is the offset of the sphere's centre from a corner of a
+    cell along each axis, in cells. `ratio` is the radius of the sphere divided by that of the cylinder. The exact speed
+    is that in an infinitely long cylinder (Haberman & Sayre 1958).
     """
     width, outer = 2 * RADIUS / across, RADIUS / ratio
     wide, high = 2 * int(np.ceil(outer / width)) + 4, int(np.ceil(6 * outer / width))
@@ -118,10 +122,10 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
 
 
 def _shear_room(across: int, wide: int) -> dict[str, Any]:
-    """Return the arguments of :func:`mortar_state` for a shear flow with a shear rate of 1/s.
+    """Return the arguments of :func:`mortar_state` for a shear flow with a shear rate of 1 per second.
 
     The box is a cube with `wide` cells along each edge, between two walls that move in opposite directions along the
-    last axis. `across` is the number of cells across the sphere.
+    last axis. `across` is the number of cells across a sphere, from which the edge length of a cell follows.
     """
     width = 2 * RADIUS / across
     half = 0.5 * wide * width
@@ -144,11 +148,12 @@ def _wall_rate(flow: GridFlow) -> float:
 
 
 def sheared(across: int, wide: int, shift: Sequence[float], device: str, precision: str) -> tuple[float, float]:
-    """Return the spin of a free sphere in a shear flow, divided by half the shear rate, and the viscosity's slope.
+    """Return the spin of a free sphere in a shear flow, divided by the exact one, and the slope of the viscosity.
 
-    The slope is the relative increase of the stress at the walls that the sphere causes, divided by the volume fraction
-    of the sphere. `across` is the number of cells across the sphere, `wide` the number of cells along each edge of the
-    cubic box, and `shift` the offset of the sphere from the centre of the box, in cells.
+    The exact spin is half the shear rate. The slope is the relative increase of the wall stress that the sphere causes,
+    divided by the volume fraction of the sphere; its exact value is 2.5. `across` is the number of cells across the
+    sphere, `wide` the number of cells along each edge of the cubic box, and `shift` the offset of the sphere from the
+    centre of the box, in cells.
     """
     room = _shear_room(across, wide)
     sphere = Aggregates(np.array([shift]) * room["width"], np.array([RADIUS]), DENSITY)
@@ -253,10 +258,11 @@ def approach_case(device: str, precision: str) -> list[Row]:
 
 
 def bingham_case(device: str, precision: str) -> list[Row]:
-    """Check that a sphere falls below the yield criterion of Beris et al. (1985), and stays above the criterion.
+    """Check that a sphere falls if the ratio of yield stress to weight is below a critical value, and stays if above.
 
-    The criterion is a value of yield stress over weight. With a regularisation that is ten times stiffer, a falling
-    sphere keeps its speed, while the speed of a staying sphere drops to a tenth.
+    The critical value is the yield criterion of Beris et al. (1985). The regularised mortar creeps even below its yield
+    stress. Therefore the regularisation is made ten times stiffer: a falling sphere keeps its speed, while the speed of
+    a sphere that should stay drops to a tenth.
     """
     ratios = [
         falling_in_bingham(number, 1e5, device, precision) / falling_in_bingham(number, 1e4, device, precision)

@@ -1,9 +1,10 @@
 """Verification of suspensions of many spheres: viscosity, yield stress, volumes, momentum and energy.
 
-The spheres lie between two walls that move in opposite directions along the last axis, in which the room is periodic.
-The other two sides are planes of symmetry. Spheres cannot cross walls and planes of symmetry, so fewer of them lie
-there. All results therefore refer to the core, the middle half of the room across both pairs of sides: the stress on
-the part of the walls beside the core, the shear rate in the core, and the volume fraction in the core.
+The spheres lie in a box. Along the first axis, the box ends at two walls that move in opposite directions along the
+third axis. Along the second axis, it ends at two planes of symmetry, and along the third axis it is periodic. Spheres
+cannot cross walls and planes of symmetry, so fewer of them lie there. All results therefore refer to the core of the
+box: the middle half along the first and second axis. They are the stress on the part of the walls beside the core, the
+shear rate in the core, and the volume fraction in the core.
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ RATE = 1e-5
 """Shear rate [1/s], so low that the inertia of the mortar does not matter."""
 YIELD_STEPS = 15
 SEEDS = 3
-"""Number of random structures, over which results are averaged."""
+"""Number of random arrangements of spheres over which results are averaged."""
 
 
 @dataclass(frozen=True)
 class Core:
-    """Mean values in the core of a sheared suspension."""
+    """Mean values in the core of a sheared suspension, which is the middle part of the simulated box."""
 
     stress: float
-    """Shear stress, divided by the viscosity of the mortar [1/s]."""
+    """Mean shear stress in the core, divided by the viscosity of the mortar [1/s]."""
     rate: float
-    """Shear rate [1/s]."""
+    """Mean shear rate in the core [1/s]."""
     fraction: float
-    """Volume fraction of the spheres."""
+    """Volume fraction of the spheres in the core."""
 
     @property
     def viscosity(self) -> float:
-        """Viscosity divided by that of the mortar."""
+        """Viscosity of the suspension, divided by that of the mortar."""
         return self.stress / self.rate
 
 
@@ -53,8 +54,8 @@ def suspension(
 ) -> SuspensionFlow:  # fmt: skip
     """Return a suspension of equal spheres at random places between two moving walls.
 
-    `across` is the number of cells across a sphere. The room is `wide` diameters wide across both pairs of sides, and
-    `long` diameters long. Each time step shears it by `strain`.
+    `across` is the number of cells across a sphere. Along the first two axes, the room is `wide` sphere diameters wide,
+    and along the third axis it is `long` diameters long. Each time step shears it by the shear strain `strain`.
     """
     width = 2 * RADIUS / across
     cells = (wide * across, wide * across, long * across)
@@ -75,7 +76,7 @@ def suspension(
 
 
 def core_of(flow: SuspensionFlow) -> Core:
-    """Return the mean values in the core of a suspension at the end of the last step."""
+    """Return the mean values in the core (middle part) of a suspension at the end of the last step."""
     layout, inner = flow.state.layout, (slice(1, -1),) * 3
     wide, deep, long = layout.room.cells
     middle = slice(deep // 4, deep - deep // 4)
@@ -94,24 +95,30 @@ def core_of(flow: SuspensionFlow) -> Core:
 
 
 def velocity_area(long: int, middle: slice, width: float) -> float:
-    """Return the area of a wall beside the core [m2]."""
+    """Return the area of that part of a wall that lies beside the core (middle part) of the box [m2]."""
     return long * (middle.stop - middle.start) * width**2
 
 
 def mean_core(cores: list[Core]) -> Core:
-    """Return the mean stress, shear rate and fraction of several cores."""
+    """Return the mean stress, shear rate and volume fraction over the cores of several suspensions."""
     return Core(*(float(np.mean([getattr(c, name) for c in cores])) for name in ("stress", "rate", "fraction")))
 
 
 def random_structure(fraction: float, seed: int, device: str, precision: str, across: int = 4, wide: int = 8) -> Core:
-    """Return the core of a suspension of spheres at random places, before the flow changes their structure."""
+    """Return the mean values in the core (middle part) of a suspension of randomly placed spheres after one time step.
+
+    Within this step the flow hardly changes the places of the spheres.
+    """
     flow = suspension(fraction, seed, device, precision, across=across, wide=wide)
     flow.take(1)
     return core_of(flow)
 
 
 def sheared_structure(fraction: float, seed: int, device: str, precision: str) -> tuple[Core, float]:
-    """Return the mean core of a suspension at shear strains from 1 to 2, and the overlapping part of its volume."""
+    """Return the mean values in the core (middle part) of a suspension, averaged over shear strains from 1 to 2.
+
+    The second result is the part of the spheres' volume in which they overlap at the end.
+    """
     flow = suspension(fraction, seed, device, precision, wide=6, strain=0.1)
     flow.take(10)
     cores = []
@@ -122,7 +129,7 @@ def sheared_structure(fraction: float, seed: int, device: str, precision: str) -
 
 
 def overlapping_part(flow: SuspensionFlow) -> float:
-    """Return the volume that two spheres share, divided by the volume of all spheres."""
+    """Return the volume of the overlaps of all pairs of spheres, divided by the volume of all spheres."""
     room = flow.state.layout.room
     centres = flow.aggregates.bodies.centre.numpy().astype(float)
     d = np.linalg.norm(close_pairs(centres, 2 * RADIUS, room.cells[2] * room.width[2])[2], axis=1)
@@ -131,12 +138,12 @@ def overlapping_part(flow: SuspensionFlow) -> float:
 
 
 def yield_factor(fraction: float, seed: int, bingham: float, device: str, precision: str) -> tuple[float, float]:
-    """Return by which factor spheres at random places raise the yield stress, and the expected factor.
+    """Return the factor by which spheres at random places raise the yield stress, and the expected factor.
 
-    `bingham` is the yield stress of the mortar, divided by its viscosity and the shear rate of the room. The factor is
-    the stress in the core minus that without yield stress at the same shear rate, over the yield stress of the mortar.
-    The expected factor is sqrt((1 - fraction) f), where f is the computed relative viscosity of the same structure
-    (Chateau, Ovarlez & Trung 2008).
+    `bingham` is the yield stress of the mortar, divided by its viscosity and the shear rate of the room. The factor
+    follows from the stress in the core minus the stress without yield stress at the same shear rate; the difference is
+    divided by the yield stress of the mortar. The expected factor is sqrt((1 - fraction) f), where f is the computed
+    relative viscosity of the same structure (Chateau, Ovarlez & Trung 2008).
     """
     plain = random_structure(fraction, seed, device, precision)
     flow = suspension(
@@ -149,16 +156,17 @@ def yield_factor(fraction: float, seed: int, bingham: float, device: str, precis
 
 
 def high_frequency_viscosity(fraction: float) -> float:
-    """Return the relative viscosity of spheres with the random structure of a fluid at rest, without contacts.
+    """Return the relative viscosity of a suspension whose spheres are arranged at random, as in a fluid at rest.
 
-    The formula of Lionberger & Russel (1994) is a fit to the simulations of Ladd (1990).
+    The spheres do not touch each other. The formula of Lionberger & Russel (1994) is a fit to the simulations of Ladd
+    (1990).
     """
     part = fraction * (1 + fraction - 0.189 * fraction**2)
     return (1 + 1.5 * part) / (1 - part)
 
 
 def balance_case(device: str, precision: str) -> list[Row]:
-    """Check that power and momentum of steps with moving walls, weight, contacts and yield stress are balanced."""
+    """Check that power and momentum are balanced in steps with moving walls, weight, contacts and yield stress."""
     coupled, allowed = (1e-4, 1e-3) if precision == "float32" else (1e-9, 1e-8)
     flow = suspension(
         0.35, 0, device, precision, wide=4, long=4, rate=1.0, strain=0.05, extra_density=400.0, yield_stress=20.0,
@@ -174,7 +182,7 @@ def balance_case(device: str, precision: str) -> list[Row]:
 
 
 def random_case(device: str, precision: str) -> list[Row]:
-    """Compare the viscosity of spheres at random places with that of a fluid of spheres (Lionberger & Russel 1994)."""
+    """Compare the viscosity of a suspension of spheres at random places with Lionberger & Russel (1994)."""
     found = []
     for fraction, allowed in ((0.05, 0.06), (0.1, 0.06), (0.2, 0.06), (0.3, 0.06), (0.4, 0.12)):
         core = mean_core([random_structure(fraction, seed, device, precision) for seed in range(SEEDS)])

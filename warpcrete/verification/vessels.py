@@ -29,7 +29,7 @@ RADIUS, SPEED = 0.05, 0.19
 
 @dataclass(frozen=True)
 class _Paste:
-    """Concrete of a flow on a grid, with the parameters of the solver."""
+    """Paste and settings of the solver, as a flow on a grid reads them from its scene."""
 
     concrete: Concrete
     time_step: float
@@ -41,9 +41,9 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout in which concrete fills a `room` except for the space inside its walls.
+    """Return the arguments of a layout in which concrete fills the part of a `room` that no wall occupies.
 
-    A cell that is full of concrete contains `abreast` particles along each axis at the start.
+    `abreast` is the initial number of particles along each axis in a cell that is full of concrete.
     """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
@@ -112,7 +112,10 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
-    """Compare the flow between two cylinders with theory, for slip above half of the inner cylinder's speed."""
+    """Compare the flow between two cylinders with theory, for walls with slip layers.
+
+    The slip velocity at a wall reaches more than half of the inner cylinder's speed.
+    """
     found = []
     # Measured rms errors of the velocity, divided by the speed of the inner wall, on the coarse and the fine grid:
     # - first pair of layers: 0.40 and 0.20 %,
@@ -134,10 +137,9 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
-    """Return the flow in a periodic round pipe, on a three-dimensional grid.
+    """Return the flow in a periodic round pipe, on a three-dimensional grid with `cells` cells across its width.
 
-    Across its width, the grid has `cells` cells. The grid is a tenth wider than the pipe, and the pipe's axis does not
-    lie in the middle of the grid.
+    The grid is a tenth wider than the pipe, and the pipe's axis does not lie in the middle of the grid.
     """
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
@@ -154,8 +156,8 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
 
 def pipe_gradient(yield_stress: float) -> float:
     """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m]."""
-    # Find the stress at the wall by bisection, such that the mean velocity by the formula of Buckingham and Reiner
-    # equals SPEED.
+    # Find the stress at the wall by bisection. The mean velocity that the formula of Buckingham and Reiner gives for
+    # this stress must equal `SPEED`.
     low, high = yield_stress, 1e5
     for _ in range(100):
         stress = 0.5 * (low + high)
@@ -204,8 +206,8 @@ def rest(device: str, precision: str) -> list[Row]:
         exact = np.broadcast_to(
             (2000 * 9.81 * (0.2 - place)).reshape(-1, *[1] * (pressure.ndim - 1)), pressure.shape
         )  # fmt: skip
-        # Cells of which only a small part is open are left out, because the pressure of such a cell is not the pressure
-        # at the cell's centre.
+        # Leave out cells of which only a small part is open: their pressure does not belong to the cell's centre, for
+        # which the exact pressure is computed.
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)
         off = float(np.abs(pressure - exact)[full].max())
         found += [

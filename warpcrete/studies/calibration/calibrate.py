@@ -1,8 +1,9 @@
 """Calibration: find the parameters of a concrete that reproduce measured values, in rounds of simulation runs.
 
-The first round spreads its runs over the parameter ranges. Each further round samples the posterior of all runs so far,
-and takes some points from Optuna's tree-structured Parzen estimator. Every run has its own random seed, so the scatter
-between seeds enters as noise. Finally, verification runs repeat the likeliest parameters with fresh seeds.
+The parameter sets of the first round fill the parameter ranges evenly. In each further round, most parameter sets are
+samples of the posterior of all runs so far, and the others are proposed by Optuna's tree-structured Parzen estimator.
+Every run has its own random seed, and the scatter between seeds enters the posterior as noise. Finally, verification
+runs simulate the likeliest parameters with fresh seeds.
 """
 
 from __future__ import annotations
@@ -37,10 +38,12 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 SETTLED_ERROR_RATIO = 0.5
-"""Limit for the error of the Gaussian-process emulator divided by the uncertainty of a target, both as standard
-deviations. Below this limit, more runs would not change the answer."""
+"""Largest ratio of the Gaussian-process emulator's standard error to the uncertainty of a target (a standard deviation)
+at which the emulator counts as accurate enough. The search ends when this holds for all targets and the posterior no
+longer shifts."""
 SETTLED_SHIFT = 0.25
-"""Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
+"""Shift of the posterior mean from one round to the next, in posterior standard deviations, below which the search may
+end."""
 
 
 def calibrate(
@@ -75,15 +78,16 @@ def run_calibration(
 
     Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
     for each free parameter). `batch` is the number of sets in one round (default: 4, plus 2 for each free parameter).
-    `repeat` is the number of seeds with which the answer is verified. Raises :class:`SceneError` for wrong targets,
-    before anything is written, and :class:`WarpcreteError` if all runs of a target fail.
+    `repeat` is the number of verification runs of the likeliest parameters, each with another seed. Raises
+    :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all runs that
+    should yield the value of a target fail.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    # The record of the calibration contains the targets. The file of targets may therefore change before the
-    # calibration is resumed, and it is left out of the files that must not change.
+    # Leave the file of targets out of the files that must not change before the calibration is resumed, because the
+    # record of the calibration contains the targets themselves.
     files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
@@ -114,7 +118,10 @@ def resume_calibration(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Continue a calibration and reuse its finished runs; `trials` is a new limit for all trials together."""
+    """Continue a calibration and reuse its finished runs.
+
+    If `trials` is given, it is the new limit for the number of parameter sets, including those already run.
+    """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
         _check_trial_count(trials)
@@ -163,7 +170,10 @@ def _continue(
 
 
 def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
-    """Run rounds of simulations until the parameters are settled or no trials are left; then verify the best ones."""
+    """Run rounds of simulations, followed by verification runs of the likeliest parameters.
+
+    The rounds end when the posterior is settled or no trials are left.
+    """
     settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
     place = 0
@@ -198,9 +208,9 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
-    For the display of progress, `part` holds two fractions of the work of the whole calibration: the work that was done
-    before this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a process
-    died or the disk was full.
+    `part` serves the display of progress and holds two fractions of the whole calibration's work: the work done before
+    this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a process died or
+    the disk was full.
     """
     for group in range(len(calibration.task.groups)):
         study = _run_group(
@@ -219,7 +229,10 @@ def run_round(
 
 
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Return a progress callback for one study, which reports the progress of the whole calibration to `tell`."""
+    """Return a progress callback for the parameter study of one scene in a round of a calibration.
+
+    The callback converts the progress of this study into that of the whole calibration, and reports it to `tell`.
+    """
     groups = len(task.groups)
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -232,7 +245,7 @@ def _run_group(
     calibration: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
     where: Mapping[str, Any], tell: Progress,
 ) -> Study:  # fmt: skip
-    """Run one scene of a round as a separate study, or resume that study."""
+    """Run one scene with all parameter sets of a round as a separate study, or continue that study if it exists."""
     target = calibration.task.groups[group][0]
     folder = calibration.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
     module = modules[target.scene]
@@ -273,9 +286,9 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 def _update_posterior(calibration: Calibration, seed: int) -> None:
     """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
 
-    The posterior is not updated while too few runs have yielded a value for one of the targets. Raises
-    :class:`WarpcreteError` if no run has yielded a value for a target. It is also raised if, after the last trial, too
-    few runs have yielded one.
+    As long as trials are left, the posterior is not updated if fewer than `MIN_VALUES` runs have yielded the value of a
+    fitted target. Raises :class:`WarpcreteError` if no run has yielded the value of a fitted target, or if fewer than
+    `MIN_VALUES` runs have yielded it when no trials are left.
     """
     searched = calibration.searched
     points = np.array([trial.units for trial in searched])
@@ -309,10 +322,10 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
 def _next_round(
     calibration: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """Return the parameter sets of the next round, as points of the unit cube, with one seed for each set.
+    """Return the next round as a mapping with the entries `units`, `seeds` and `proof`, or None if no round is left.
 
-    The entry `proof` of the result is true if the round verifies the likeliest parameters. The result is None if no
-    round is left.
+    `units` holds the parameter sets, each parameter scaled to 0 to 1 over its range, and `seeds` one seed for each set.
+    `proof` is True if the round verifies the likeliest parameters. `left` is the number of trials that may still run.
     """
     begun = settings["seed"] + len(calibration.trials)
     if calibration.posterior is not None and (calibration.settled or left <= 0):
@@ -335,7 +348,11 @@ def _next_round(
 def _first_points(
     calibration: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> list[list[float]]:
-    """Return the points of the first round: an estimate from closed forms, if any, then an even Sobol sequence."""
+    """Return the parameter sets of the first round, with each parameter scaled to 0 to 1 over its range.
+
+    The first set is an estimate from closed forms, if there are any. The others form a Sobol sequence, which fills the
+    parameter ranges evenly.
+    """
     from scipy.stats import qmc
 
     free = len(calibration.task.free)
@@ -347,10 +364,11 @@ def _first_points(
 
 
 def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return the points of the next round: a quarter from Optuna, the others from the posterior.
+    """Return the parameter sets of the next round: a quarter proposed by Optuna, the others taken from the posterior.
 
-    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
-    all points so far, with distances scaled by the posterior's standard deviations.
+    Each parameter is scaled to 0 to 1 over its range. The first set from the posterior is its maximum. Every further
+    one is the posterior sample that is farthest from all sets so far; distances are scaled by the posterior's standard
+    deviations.
     """
     assert calibration.posterior is not None
     random = np.random.default_rng(seed)
@@ -367,7 +385,10 @@ def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[f
 
 
 def _optuna_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return points proposed by the optimiser Optuna, which knows all trials and treats failed ones as infeasible."""
+    """Return `count` parameter sets that the optimiser Optuna proposes, each parameter scaled to 0 to 1 over its range.
+
+    Optuna receives all trials so far, and treats failed trials as infeasible.
+    """
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)

@@ -15,13 +15,13 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Largest difference between a target and the best value that parameters can reach, in standard deviations of the
-target. If the difference is larger, the target counts as unreachable."""
+"""Distance above which a target counts as unreachable: the difference between the target and the closest value that the
+parameters can produce, in standard deviations of the target."""
 
 
 @dataclass
 class Trial:
-    """One parameter set with one seed, run once in every scene of the task."""
+    """One parameter set with one seed, which is run once in every scene for which the calibration has targets."""
 
     number: int
     units: list[float]
@@ -50,7 +50,7 @@ class Calibration:
     """True if further runs would no longer change the answer."""
     finished: bool = False
     took: float = 0.0
-    """Wall time of the last call that ran or resumed the calibration [s]."""
+    """Wall time of the last call of the function that ran or resumed the calibration [s]."""
 
     def __repr__(self) -> str:
         fitted = ", ".join(f"{name} {value:.4g}" for name, value in self.best.items())

@@ -22,19 +22,21 @@ import numpy as np
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
-"""Number of points in the unit cube that are compared; the best of them become the walkers' starting points."""
+"""Number of parameter sets at which the posterior density is evaluated. Those with the highest density become the
+starting points of the walkers that sample the posterior."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
+"""Distance from a failed run over which it lowers the estimated probability that other runs succeed. Parameters are
+scaled to 0 to 1 over their ranges."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
 
 class Emulator:
-    """Gaussian process that predicts one quantity: a linear trend, a smooth remainder, and noise."""
+    """Gaussian process that predicts one quantity as a linear trend, a smooth deviation from it, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
-        """Fit a Gaussian process to `values`, shape (n,), at `points` of the unit cube, shape (n, free).
+        """Fit a Gaussian process to `values`, shape (n,), at `points` with coordinates from 0 to 1, shape (n, free).
 
         The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
         compared with `least` are therefore treated as negligible.
@@ -47,18 +49,20 @@ class Emulator:
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
         self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
-        # The fit warns if a parameter of the covariance function ends at its bound, which does no harm here.
+        # The fit warns if a parameter of the covariance function reaches the bound of its allowed range. Suppress this
+        # warning, because the fitted function is valid at the bound, too.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.process.fit(points - 0.5, (values - self.middle) / self.scale)
         fitted: Any = self.process.kernel_
         self.scatter = self.scale * float(np.sqrt(fitted.k2.noise_level))
-        """Standard deviation of single runs about the mean over seeds."""
+        """Standard deviation of the results of single runs about the mean over many seeds, in the unit of the
+        quantity."""
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the predicted mean over seeds at points of the unit cube, and the prediction's standard deviation.
+        """Return the predicted mean over many seeds, and the standard deviation of this prediction, both of shape (n,).
 
-        Both results have the shape (n,).
+        `points` holds the free parameters, each scaled to 0 to 1 over its range, shape (n, free).
         """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -73,17 +77,17 @@ class Posterior:
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
-    value."""
+    """Emulators by target. Every fitted target has one. A held-out target has one if enough runs yielded its value."""
     samples: np.ndarray
     """Samples of the posterior of the free parameters, each scaled to 0 to 1 over its range, shape (samples, free)."""
     best: np.ndarray
     """Likeliest values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
 
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
-        """Return the mean and standard deviation of a target's quantity; NaN without an emulator.
+        """Return the mean and standard deviation of the predictions for a target's quantity; NaN without an emulator.
 
-        Both are taken over the posterior samples, or over `points` of the unit cube, shape (n, free).
+        Both are taken over `points`, by default over the posterior samples. Points have the shape (n, free) and hold
+        the free parameters, each scaled to 0 to 1 over its range.
         """
         if target not in self.emulators:
             return math.nan, math.nan
@@ -91,7 +95,10 @@ class Posterior:
         return float(mean.mean()), float(np.sqrt(mean.var() + (deviation**2).mean()))
 
     def emulator_error_ratio(self, target: Target) -> float:
-        """Return the emulator's root-mean-square error over the posterior, divided by the target's uncertainty."""
+        """Return the emulator's standard error divided by the target's uncertainty.
+
+        The standard error is the root mean square over the posterior samples.
+        """
         return float(np.sqrt((self.emulators[target](self.samples)[1] ** 2).mean()) / target.uncertainty)
 
     def span(self, target: Target) -> tuple[float, float]:
@@ -115,10 +122,11 @@ class Posterior:
 
 
 def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int) -> Posterior:
-    """Compute the posterior from runs at `points` of the unit cube, shape (n, free).
+    """Compute the posterior from runs at `points`, shape (n, free).
 
-    `values` holds each target's results, shape (n,), with NaN for failed runs. Every fitted target needs at least three
-    finite values. `seed` makes the sampling reproducible.
+    The coordinates of a point are the free parameters, each scaled to 0 to 1 over its range. `values` holds the results
+    of these runs for each target, shape (n,), with NaN for failed runs. Every fitted target needs at least three finite
+    values. `seed` makes the sampling reproducible.
     """
     import emcee
     from scipy.optimize import minimize
@@ -167,7 +175,12 @@ def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
 
 
 def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the estimated probability that runs at these points succeed, judged by nearby runs."""
+    """Return the logarithm of the probability that runs at these points succeed, estimated from previous runs nearby.
+
+    `at` are the points, shape (m, free), and `points` those of previous runs, shape (n, free). Their coordinates are
+    the free parameters, each scaled to 0 to 1 over its range. `sound` is True for the previous runs that succeeded,
+    shape (n,).
+    """
     if sound.all():
         return np.zeros(len(at))
     near = np.exp(-0.5 * ((at[:, None] - points[None]) ** 2).sum(-1) / FAILURE_RADIUS**2)
@@ -190,10 +203,10 @@ def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, st
 
 
 def insensitive_targets(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
-    """Return the predicted range of each target that the free parameters hardly change.
+    """Return the targets on which the free parameters have hardly any effect, each with its predicted range.
 
-    A target is included if its range is narrower than a fifth of the target's uncertainty, or than the scatter between
-    seeds.
+    The range reaches from the lowest to the highest prediction within the parameter ranges. A target is included if
+    this range is narrower than a fifth of the target's uncertainty, or narrower than the scatter between seeds.
     """
     spans: dict[Any, tuple[float, float]] = {target: found.span(target) for target in targets}
     return {

@@ -35,7 +35,7 @@ def write(found: Calibration, modules: Mapping[str, Any]) -> None:
 
 
 def report(found: Calibration) -> str:
-    """Return a Markdown report with the parameters, the targets, and the questions that the data leave open."""
+    """Return a Markdown report with the parameters, the targets, and the questions that the measurements leave open."""
     lines = ["# Calibration", ""]
     if found.posterior is None:
         return "\n".join([*lines, f"No answer yet: {len(found.trials)} trials done."])
@@ -120,7 +120,7 @@ def answer(found: Calibration) -> dict[str, Any]:
 
 
 def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the contents of the calibrated concrete's file: the values that all scenes of the task share.
+    """Return the contents of the calibrated concrete's file: the property values that all scenes of the task share.
 
     The result is empty if no free parameter is a property of the concrete.
     """
@@ -195,12 +195,12 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
 
 
 def _title(field: Field) -> str:
-    """Return the name of a parameter with its unit, as an axis states it."""
+    """Return the name of a parameter with its unit, for the label of an axis."""
     return field.name.replace("_", " ") + (f" [{field.unit.strip()}]" if field.unit else "")
 
 
 def _few_ticks(axis: Any) -> None:
-    """Put ticks at 1, 2 and 5 of each decade, labelled with plain numbers."""
+    """Put ticks at 1, 2 and 5 times each power of ten, labelled with plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

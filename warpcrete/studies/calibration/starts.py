@@ -13,15 +13,15 @@ from ...methods import method_of
 from .targets import Target, Task
 
 START_CANDIDATES = 32
-"""Number of points in the unit cube of parameter ranges at which the closed forms are compared with the targets. The
-number is small because the closed form of a funnel takes a quarter of a second."""
+"""Number of parameter sets for which the closed forms are compared with the targets. The number is small because the
+closed form of a funnel takes a quarter of a second."""
 
 
 def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float]]:
-    """Return, in a list, the best starting point for a calibration; the list is empty without closed forms.
+    """Return a list with the best starting point for a calibration, or an empty list if no target has a closed form.
 
-    The coordinates of a point are the free parameters, each scaled from its range to 0 to 1. The best point is the one
-    whose closed-form predictions fit the targets best. The list is empty if no target has a closed form.
+    The coordinates of the point are the free parameters, each scaled from its range to the range from 0 to 1. Among
+    `START_CANDIDATES` points, the best one is the point whose closed-form predictions fit the targets best.
     """
     from scipy.stats import qmc
 

@@ -30,13 +30,13 @@ LOG_SCALE_RATIO = 10.0
 """Smallest ratio of the upper to the lower end of a parameter's range at which the parameter is searched on a
 logarithmic scale. The parameter's own entry `scale` overrides this rule."""
 MAX_DEVIATIONS_APART = 3.0
-"""Largest difference between two measured values of one quantity, in standard deviations. Values that differ by more
-contradict each other, and the targets are refused."""
+"""Difference between two measured values of the same quantity, in standard deviations, above which the targets are
+refused, because the values contradict each other."""
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """Parameter that a calibration searches for, with its range."""
+    """Parameter whose value a calibration determines within a range."""
 
     name: str
     low: float
@@ -78,7 +78,7 @@ class Target:
 
     @property
     def key(self) -> str:
-        """Text that identifies the scene and its parameters.
+        """Text that identifies the target's scene together with the parameters of this scene.
 
         The text is equal for all targets whose quantities come from the same run.
         """
@@ -102,7 +102,8 @@ class Task:
     """Measured targets and free parameters of a calibration."""
 
     base: str | None
-    """Concrete (name or file) that provides all properties that are not free; None: each scene's own concrete."""
+    """Concrete (name or file) that provides all properties that are not free. If None, each scene keeps its own
+    concrete."""
     free: tuple[FreeParameter, ...]
     targets: tuple[Target, ...]
 
@@ -120,11 +121,11 @@ class Task:
         return [target for target in self.targets if not target.held_out]
 
     def values(self, units: Sequence[float]) -> dict[str, float]:
-        """Return the values of the free parameters, by name, at a point of the unit cube."""
+        """Return the values of the free parameters, by name, from their positions in their ranges (0 to 1)."""
         return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
 
     def places(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the point of the unit cube for values of the free parameters, shape (free,)."""
+        """Return the positions of values of the free parameters in their ranges (0 to 1), shape (free,)."""
         return np.array([free.place(values[free.name]) for free in self.free])
 
     def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
@@ -155,9 +156,9 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
 @names_from_file()
 def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
-    """Build the task from a mapping, the contents of a file of targets; paths are relative to `folder`.
+    """Build the task of a calibration from a mapping with the contents of a file of targets.
 
-    Raises :class:`SceneError` for any mistake in the mapping.
+    Paths in the mapping are relative to `folder`. Raises :class:`SceneError` for any mistake in the mapping.
     """
     for key in raw:
         if key not in KEYS:
@@ -338,7 +339,7 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
 
 
 def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
-    """Return a copy of the target with its unit, after checking that its scene measures the quantity.
+    """Return a copy of the target that includes its unit, after checking that its scene measures the quantity.
 
     Raises :class:`SceneError` if the scene does not measure the quantity, or if the scene refuses a value at one end of
     a free parameter's range.
@@ -379,7 +380,10 @@ def _refuse_contradictions(targets: Sequence[Target]) -> None:
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:
-    """Return the value of a target's quantity in a result.json; None if the value is missing or not a finite number."""
+    """Return the value of a target's quantity in the contents of a result.json.
+
+    The result is None if the value is missing or not a finite number.
+    """
     entry = result.get(target.quantity)
     value = None if entry is None else number(entry)
     return value if value is not None and math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Answers to a site engineer: causes of the uncertainty, power of the motor, and whether the pump is strong enough."""
+"""Answers to a site engineer: what makes the pressure uncertain, motor power, and whether the pump is strong enough."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ MARGIN = 1.25
 """Recommended ratio of the pump's largest pressure to the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
-"""Smallest share of the band's squared width with which a cause of uncertainty is mentioned. The largest cause is
-always mentioned."""
+"""Smallest share in the squared width of the pressure's uncertainty band at which a cause of uncertainty is mentioned.
+The largest cause is always mentioned."""
 ADVICE = {
     "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
     "viscosity of the bulk": "measure it with a rheometer, or state t500",
@@ -41,10 +41,10 @@ def pressure_text(pressure: float) -> str:
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
-    """Return sentences that say how much each cause contributes to a pressure's band [Pa], the largest cause first.
+    """Return sentences on how much each cause contributes to a pressure's uncertainty band, the largest cause first.
 
-    Advice on how to reduce the uncertainty follows each cause. Causes in `without_advice` get none, because they were
-    measured.
+    The band is in Pa. Advice on how to reduce the uncertainty follows each cause, except for the causes in
+    `without_advice`, which were measured.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []

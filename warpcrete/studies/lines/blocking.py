@@ -62,9 +62,9 @@ class BlockingProbability:
     failed: int
     """Number of runs that ended with an error, and do not count."""
     short: int
-    """Number of runs that were not blocked, but ended while part of the concrete stood still."""
+    """Number of runs that were not blocked, but at whose end part of the concrete stood still."""
     stones: int
-    """Number of stones in the first simulation; the others have other random packings."""
+    """Number of stones in the first simulation. The other simulations have other random packings."""
     stone: float
     """Size of the largest stone in the simulation, after stones were enlarged [m]."""
     coarse: float

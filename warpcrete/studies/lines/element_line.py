@@ -1,4 +1,4 @@
-"""Pressure along a pump line that follows from simulations of its parts by discrete elements."""
+"""Pressure along a pump line, calculated from discrete element simulations of the line's parts."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ class WallLaw:
     measured: float
     """Largest pressure in the measurements to which the law was fitted [Pa]."""
     largest: float
-    """Pressure from which on the wall stress is assumed constant [Pa], because overlaps of the elements become
-    large."""
+    """Pressure above which the wall stress is assumed constant [Pa]. At such pressures the overlaps of the elements are
+    so large that the linear law is not valid."""
 
     @classmethod
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
         """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
 
-        The law is a straight line of the stress on the wall over the pressure. `columns` holds the arrays
-        `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
+        The law is a straight line through the wall stresses over the pressures. `columns` holds the arrays
+        `axial_stress`, which serves as the pressure, and `wall_stress` [Pa]. `largest` is the pressure above which the
+        wall stress is assumed constant [Pa].
         """
         pressure, shear = columns["axial_stress"], columns["wall_stress"]
         here = np.isfinite(pressure)
@@ -49,7 +50,7 @@ class WallLaw:
         return cls(diameter, start, slope, float(pressure[here].max()), largest)
 
     def gradient(self, pressure: float) -> float:
-        """Return the pressure loss by friction per metre of pipe [Pa/m]."""
+        """Return the pressure loss by friction per metre of pipe [Pa/m] at a local `pressure` [Pa]."""
         return 4 / self.diameter * max(self.start + self.slope * min(pressure, self.largest), 0.0)
 
 
@@ -67,7 +68,10 @@ class SeedResult:
     """True for each kind of part whose simulation was blocked."""
 
     def is_blocked(self, part: Part) -> bool:
-        """Return whether the simulation of the part, or of a straight pipe of its diameter, was blocked."""
+        """Return whether the simulation of the part was blocked.
+
+        A straight part counts as blocked if one of the two simulations of straight pipe of its diameter was blocked.
+        """
         return any(found for key, found in self.blocked.items() if key[: len(part.loss_key)] == part.loss_key)
 
     def ratio(self, part: Part) -> float:
@@ -75,7 +79,7 @@ class SeedResult:
         return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
-        """Return the friction and the weight of each part of a line [Pa], as pairs from its start to its end."""
+        """Return the friction and the weight of each part [Pa], as pairs in the order of the parts in the line."""
         pressure, found = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
@@ -83,7 +87,8 @@ class SeedResult:
             ratio = self.ratio(part)
             step = part.length / STEPS
             for place in range(STEPS):
-                # Integrate from the part's end towards its start with the midpoint rule.
+                # Integrate from the part's outlet, where the pressure is known, towards its inlet. Each step uses the
+                # midpoint rule.
                 along = 1 - (place + 0.5) / STEPS
                 there = pressure + friction + weight * (1 - along)
                 ahead = there + 0.5 * step * ratio * self._gradient(part, along, there)
@@ -93,7 +98,10 @@ class SeedResult:
         return found[::-1]
 
     def _gradient(self, part: Part, along: float, pressure: float) -> float:
-        """Return the friction of straight pipe at a fraction `along` of a part's length [Pa/m]."""
+        """Return the friction of straight pipe [Pa/m] at the fraction `along` of a part's length, from 0 to 1.
+
+        The friction is interpolated between the values for the diameters at both ends of the part.
+        """
         begin, end = (self.laws[diameter].gradient(pressure) for diameter in (part.diameter, part.outlet))
         return along * end + (1 - along) * begin
 
@@ -113,7 +121,7 @@ class ElementLine:
     """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
     time, their wall times overlap."""
     elapsed: float = 0.0
-    """Wall time of all new simulations together, including packing [s]."""
+    """Wall time in which all new simulations together were packed and run [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
 
@@ -143,7 +151,7 @@ class ElementLine:
         return [sum(each.is_blocked(part) for each in self.packed) for part in self.line.parts]
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of line-dem.json."""
+        """Return the contents of the file line-dem.json: the pressure of the line and the results for its parts."""
         return {
             "line": self.line.name,
             "concrete": self.concrete,

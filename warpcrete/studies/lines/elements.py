@@ -54,7 +54,8 @@ PLUG_PRESSURE_RATIO = 0.04
 """Pressure of the plug at the pipe's outlet in the second simulation of straight pipe, divided by the elastic modulus
 of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
-"""Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
+"""Ratio of pressure to elastic modulus above which the wall friction is assumed constant, because the linear friction
+law is not valid for the large overlaps of elements at such pressures."""
 MIN_FLUX_RATIO = 0.8
 """Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
 compressed."""
@@ -68,8 +69,8 @@ class Elements:
     shapes: str = "spheres"
     """Shapes of the discrete elements, in the words of the parameter `shapes` of the scene part-dem."""
     coarse: float | None = None
-    """Factor by which all stone sizes are multiplied. With None, stones are enlarged until the largest has 0.3 times
-    the narrowest bore; larger stones keep their size."""
+    """Factor by which all stone sizes are multiplied. With None, stones are enlarged until the largest one is 0.3 times
+    as wide as the narrowest bore; stones that are larger than that keep their size."""
     seeds: int = 1
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""
@@ -210,7 +211,8 @@ def _simulate(
 ) -> dict[str, float]:  # fmt: skip
     """Run the `jobs`, store their runs in the mapping `runs`, and return the wall times [s].
 
-    A key of `runs` is a pair of a kind of part and a seed. A key of the result is the name of a run's folder.
+    A job is a tuple of a kind of part, a seed and a scene. The keys of `runs` are pairs of a kind of part and a seed.
+    The keys of the result are the names of the runs' folders.
     """
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:
@@ -271,7 +273,7 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
 
 
 def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
-    """Yield remarks for the user about the line itself, failed checks, and limits of the simulations."""
+    """Yield remarks for the user about the line, about failed checks, and about limits of the simulations."""
     yield from found.line.remarks()
     if any(part.layer != 1 for part in found.line.parts):
         yield "the slip layer of a hose is treated as that of a pipe"

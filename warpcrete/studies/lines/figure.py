@@ -14,7 +14,7 @@ MIN_STRIPE = 0.004
 
 
 def draw(result: LinePressures) -> Any:
-    """Return a Matplotlib figure of the pressure along a line, with its band and the closed form."""
+    """Return a Matplotlib figure of the pressure along a line, with its uncertainty band and the closed form."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4.2), layout="constrained")
@@ -46,7 +46,8 @@ def draw(result: LinePressures) -> Any:
         if not x.part.is_by_length:
             name = x.part.kind
             first = name not in axes.get_legend_handles_labels()[1]
-            # A bend is short beside a line of hundreds of metres, so draw at least a visible stripe.
+            # A bend is short beside a line of hundreds of metres. Give the stripe that marks it a width that remains
+            # visible.
             middle, half = begin + 0.5 * x.part.length, 0.5 * max(x.part.length, MIN_STRIPE * places[-1])
             axes.axvspan(middle - half, middle + half, color=rgb(BEND if name == "bend" else NOT_STRAIGHT), linewidth=0,
                          zorder=0, label=name if first else "")  # fmt: skip

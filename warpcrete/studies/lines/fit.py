@@ -1,4 +1,7 @@
-"""Slip layer and bend factor of a trial line, fitted to pressures that were measured at several places and flows."""
+"""Fit of the slip layer and of the friction factor of bends to pressures measured along a trial line.
+
+The pressures were measured at several places, at one or more flows.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +38,10 @@ DEPENDENT = 1e-3
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
 """Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
-factor of bends. A fit with a constant that does not exceed its limit is refused as impossible."""
+friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Smallest fitted values that differ from zero: yield stress of the slip layer [Pa] (index 1) and friction factor of
-bends (index 2). The measured points cannot distinguish a smaller value from zero; the constant then gets its default
-value."""
+"""Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
+and friction factor of bends (index 2). Such a constant gets its default value."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -55,7 +57,7 @@ class Tap:
     flow: float
     """Volume flow in the line at which the pressure was measured [m3/s]."""
     row: int
-    """Number of the line in the file from which the pressure was read, for messages."""
+    """Number of the text line from which the pressure was read in the file of measurements, for messages."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class FittedConstant:
     high: float
     unit: str
     fitted: bool
-    """True if the points determine the constant. Otherwise it keeps the value that it had before the fit."""
+    """True if the measured pressures determine the constant. Otherwise the constant keeps the value that it had before
+    the fit."""
 
     @property
     def text(self) -> str:
@@ -102,7 +105,7 @@ class LineFit:
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 
     def deviations(self) -> np.ndarray:
-        """Return the fitted pressures minus the measured ones [Pa], shape (taps,)."""
+        """Return the pressures of the fit minus the measured ones [Pa], shape (taps,)."""
         return np.array(self.pressures) - [tap.pressure for tap in self.taps]
 
     def concrete(self, concrete: Concrete) -> Concrete:
@@ -110,7 +113,7 @@ class LineFit:
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its band.
+        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its uncertainty band.
 
         The result maps the cause of uncertainty, 'slip layer', to this pair. After a fit there is no other cause.
         """
@@ -148,9 +151,10 @@ class LineFit:
 def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
     """Read pressures measured along a line from a CSV file.
 
-    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place,
-    `part` gives the number of the part before which the tap lies. Without a column of flows, all taps have `flow`
-    [m3/s]. Raises :class:`SceneError` for a missing column or an impossible number.
+    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place of a
+    gauge, the column `part` may give the number of the part before which the gauge sits. Without a column of flows, all
+    pressures belong to the flow rate `flow` [m3/s]. Raises :class:`SceneError` for a missing column or an impossible
+    number.
     """
     example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
     columns, rows = read_columns(path, "fit")
@@ -192,7 +196,7 @@ def _is_free(part: Part) -> bool:
 
 
 class _Model:
-    """Pressure at the taps as a function of slip viscosity, slip yield and the factor of bends."""
+    """Pressures at the taps (places of gauges) as functions of slip viscosity, slip yield stress and bend factor."""
 
     def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap], bends: bool = True) -> None:
         self.concrete, self.taps = concrete, taps
@@ -217,7 +221,8 @@ class _Model:
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
                 # A bend whose factor is fitted counts as straight pipe here, because the fit later multiplies its
-                # friction by the factor. All other parts have the same friction as in a prediction.
+                # friction by the factor. All other parts have the same friction as in the calculation of a line without
+                # a fit.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise
@@ -225,7 +230,10 @@ class _Model:
             self.rises.append(rise)
 
     def pressures(self, constants: np.ndarray) -> np.ndarray:
-        """Return the pressures at the taps [Pa], shape (taps,)."""
+        """Return the pressures at the taps (places of gauges) [Pa] for given constants, shape (taps,).
+
+        The constants are the slip viscosity [Pa s/m], the slip yield stress [Pa] and the factor of bends.
+        """
         concrete = replace(self.concrete, slip_viscosity=float(constants[0]), slip_yield=float(constants[1]))
         found = []
         for tap, metres, rise in zip(self.taps, self.metres, self.rises, strict=True):
@@ -237,7 +245,10 @@ class _Model:
         return np.array(found)
 
     def sensitivities(self, constants: np.ndarray, free: Sequence[int]) -> np.ndarray:
-        """Return the derivatives of the pressures with respect to the free constants, shape (taps, free)."""
+        """Return the derivatives of the pressures at the taps with respect to some constants, shape (taps, free).
+
+        `free` holds the indices of these constants in `constants`.
+        """
         here, steps = self.pressures(constants), (1e-4 * constants[0], max(1e-4 * constants[1], 1e-3), 1e-3)
         columns = []
         for place in free:
@@ -283,7 +294,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     found = _least_squares(model, measured, start, free)
     for place, value in ((2, 1.0), (1, 0.0)):
         if place in free and found[place] < NOTHING[place]:
-            # The points cannot distinguish this constant from zero. Give it a default value, and fit the others again.
+            # The measured pressures cannot distinguish this constant from zero. Give it its default value, and fit the
+            # other constants again.
             free.remove(place)
             start[place] = value
             if place == 2:
@@ -302,8 +314,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
         value, wide = float(found[place]), float(widths.get(place, 0.0))
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths))  # fmt: skip
-    # The errors of the slip layer's two constants are correlated. The error of a straight pipe's friction therefore
-    # follows from their covariance matrix.
+    # The errors of the slip layer's two constants are correlated. Therefore, calculate the error of the friction in
+    # straight pipe from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
@@ -319,10 +331,10 @@ def _metre(line: PipeLine) -> PipeLine:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the first constants of `free`, as many as the measured points determine.
+    """Return the first constants of `free`, as many as the measured pressures determine.
 
-    `slopes` are the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). The
-    last constant is dropped as long as the columns of `slopes` are linearly dependent.
+    `slopes` holds the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). As
+    long as the columns of `slopes` are linearly dependent, the last constant is dropped together with its column.
     """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -333,7 +345,7 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
 
 
 def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
-    """Refuse measured points that are too few to determine the free constants and their uncertainty."""
+    """Refuse measured points that are too few to determine the fitted constants and their uncertainty."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
         counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"

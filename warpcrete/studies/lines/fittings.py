@@ -89,8 +89,8 @@ def _is_uncertain(part: Part) -> bool:
 def library_factor(part: Part) -> float:
     """Return the friction of a bend or reducer, divided by that of straight pipe of the same length and bores.
 
-    The factor is interpolated between those of simulated flows through bends and reducers of other sharpness. The
-    result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
+    The factor is interpolated between the factors of bends or reducers that were simulated with different sharpness.
+    The result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
     """
     if part.factor is not None:
         return 1.0
@@ -106,9 +106,9 @@ def library_factor(part: Part) -> float:
 def is_in_library(part: Part) -> bool:
     """Return whether the friction of a pipe part can be found without a simulation.
 
-    This is so if the line's file states the part's factor, and for all kinds of parts other than bends and reducers.
-    The friction of a bend or reducer is in the table of simulated ones, unless the part is sharper than the sharpest of
-    these.
+    For a bend or reducer, this is the case if the line's file states its factor or if the table of simulated parts
+    covers it. The table covers all bends and reducers except those that are sharper than the sharpest simulated one.
+    The result is True for all other kinds of parts.
     """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True

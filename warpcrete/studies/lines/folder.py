@@ -16,7 +16,7 @@ from .line_folder import PARTS
 
 
 def check_known(known: Path | None) -> None:
-    """Refuse a folder whose runs shall be reused if it is not that of a line with simulated parts."""
+    """Raise an error if `known` is not the folder of a line with simulated parts, whose runs can be reused."""
     if known is not None and not (known / PARTS).is_dir():
         refuse("known", str(known), "is not the folder of a line with simulated parts",
                "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'")  # fmt: skip
@@ -26,7 +26,7 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
     """Return the folder of a finished run of the same scene, or None if there is none.
 
     The folders of several pump `lines` are searched. If the simulated part has a mesh, `digest` is the checksum of the
-    mesh file. Then only folders whose name contains this checksum are considered.
+    mesh file, and only folders whose name contains this checksum are considered.
     """
     parts = [line / PARTS for line in lines if line is not None]
     return next((path for each in parts for path, finished in _same(each, scene, digest) if finished), None)
@@ -35,7 +35,7 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
 def part_simulation(
     scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a part of a pump line, and the checkpoint from which it continues (None at a new start).
+    """Return the simulation of a part of a pump line, and the checkpoint from which it continues (None if new).
 
     If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues in the folder
     of that run. Otherwise, it starts in a new folder with the name `called`.
@@ -51,7 +51,7 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield each folder in `folder` that holds a run of the given scene, and True if that run is complete."""
+    """Yield the path of each run of the given scene in `folder`, and whether the run is complete."""
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():

@@ -1,4 +1,4 @@
-"""Check that a folder belongs to this simulated line: an interrupted run may continue, another line is refused."""
+"""Lock on the folder of a simulated pump line, which ensures that all runs in the folder belong to the same line."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ PARTS = "parts"
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     """Lock the folder of a line during a `with` block.
 
-    The folder is new, or it is that of an interrupted line, which continues. `asked` holds all inputs on which the
-    line's runs depend, as JSON. With None for `out`, the function does nothing. A folder in which the block has not
-    begun any run is removed if the block fails. Raises :class:`RunFolderError` if the folder exists and holds a
-    finished line, or an interrupted line with other inputs.
+    The folder `out` must be new, or it must be that of an interrupted line, which then continues. `asked` holds all
+    inputs on which the line's runs depend, as JSON. If `out` is None, nothing is locked. If the block fails before it
+    has begun any run in a new folder, the folder is removed. Raises :class:`RunFolderError` if the folder exists and
+    holds a finished line, or an interrupted line with other inputs.
     """
     if out is None:
         yield

@@ -26,7 +26,7 @@ __all__ = [
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
 PLACES, WEIGHTS = np.polynomial.legendre.leggauss(8)
-"""Places between -1 and 1 along a tapered part at which the friction is evaluated, and the weights with which the
+"""Positions between -1 and 1 along a tapered part at which the friction is evaluated, and the weights with which the
 values are summed (Gauss-Legendre quadrature)."""
 
 

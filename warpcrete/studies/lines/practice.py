@@ -45,7 +45,7 @@ class PracticeRow:
     """Pressure losses in the pump line [Pa], summed over the parts of each kind. The weight of rising concrete counts
     for the kind of the part in which the concrete rises."""
     implies: str
-    """Sentence on the friction, and the pressure of rising concrete, that the rule assumes."""
+    """Sentence that states which friction the rule assumes, and which pressure for rising concrete."""
     source: str = ""
 
     @property
@@ -55,7 +55,7 @@ class PracticeRow:
 
 
 def _level(part: Part) -> float:
-    """Return the horizontal length of a straight part that may slope [m]."""
+    """Return the horizontal distance between the ends of a straight part [m]; the part may slope."""
     return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
 
 
@@ -117,7 +117,7 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
 def practice_lines(ours: PracticeRow, rows: list[PracticeRow]) -> list[str]:
     """Return a table of pressures [bar] as lines of Markdown, followed by what each rule assumes.
 
-    The table has one row for each rule and for this result, and one column for each kind of part.
+    The table has one row for each rule and one for the program's result. It has one column for each kind of part.
     """
     kinds = [kind for kind in GROUPS if any(kind in row.pressures for row in (ours, *rows))]
     found = [f"| | pressure [bar] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]

@@ -36,7 +36,7 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of the friction of a part due to the error of the part's model, divided by that of straight pipe.
+        """Range of a part's friction due to the error of its model, relative to the friction of straight pipe.
 
         The value is None for parts without such an error, such as straight pipe.
         """
@@ -46,7 +46,8 @@ class Loss:
         """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
 
         The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
-        outside these limits, it replaces the nearer one. Without a range, both limits equal the computed friction.
+        below the lower limit or above the upper limit, it is returned instead of that limit. Without a range, both
+        limits equal the computed friction.
         """
         if self.range is None:
             return self.friction
@@ -97,7 +98,7 @@ class LinePressures:
         return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
 
     def band(self) -> Band:
-        """Return the pressure at the start of the line [Pa], its uncertainty band, and each cause's share of it."""
+        """Return the pressure at the line's start [Pa] with its uncertainty band and the contribution of each cause."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
@@ -134,8 +135,8 @@ class LinePressures:
         """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
 
         With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
-        `flow`, it is the pressure for restarting at that flow at once. Straight pipe follows from the closed form, and
-        fittings keep the ratio of their friction to that of straight pipe.
+        `flow`, it is the pressure for restarting at that flow at once. The friction of straight pipe follows from the
+        closed form. The friction of fittings is that of straight pipe, multiplied by the same ratio as before the stop.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"
@@ -166,10 +167,11 @@ class LinePressures:
         return combined(value, ends)
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends of all parts along the pump line [m] and the pressures there [Pa], shape (parts + 1,).
+        """Return the positions of the line's start and of the ends of its parts [m], and the pressures there [Pa].
 
-        The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
-        where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
+        Both results have the shape (parts + 1,). The function `of` gives the pressure loss of a part from its
+        :class:`Loss`. The pressure never falls below zero: where concrete runs down faster than it is pumped, the
+        column breaks and transmits no tension.
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
         found = [0.0]
@@ -184,7 +186,7 @@ class LinePressures:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressures at the line's start and its parts' ends [Pa], if `concrete` fills the line."""
+        """Return the pressures [Pa] at the line's start and at its parts' ends if `concrete` fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory

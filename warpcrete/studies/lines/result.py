@@ -84,7 +84,7 @@ class LineResult(LinePressures):
         return columns, units
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of the pressure along the line, with its band and the closed form."""
+        """Return a Matplotlib figure of the pressure along the line, with its uncertainty band and the closed form."""
         return draw(self)
 
     @property
@@ -113,7 +113,7 @@ class LineResult(LinePressures):
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
-        """Return the pressure of the line by this result, and by each rule of practice, both split by kind of part."""
+        """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
         ours: dict[str, float] = {}
         for x in self.losses:
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
@@ -133,7 +133,7 @@ class LineResult(LinePressures):
 
     @property
     def band_text(self) -> str:
-        """Sentences for the user that split the uncertainty of the line's pressure by its causes."""
+        """Sentences for the user on how much each cause contributes to the uncertainty of the line's pressure."""
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def remarks(self) -> list[str]:
@@ -250,7 +250,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
 
 
 def _span(band: Band) -> str:
-    """Return a pressure with its band in bar."""
+    """Return a pressure and the ends of its uncertainty band as text, in bar."""
     return f"{band.value / 1e5:.4g} ({band.low / 1e5:.3g} to {band.high / 1e5:.3g})"
 
 

@@ -55,9 +55,9 @@ def run_line(
 
     By default, the answer is that of :func:`line_by_theory`. With `simulate`, each kind of part is simulated once,
     without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
-    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. With `unless_known` as well,
-    only parts that the table of simulated parts does not cover are simulated, and the others are answered by theory.
-    A bore from a mesh counts as covered, because the range of its friction is that of a reducer.
+    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. If `unless_known` is set as
+    well, only bends and reducers that are sharper than those of earlier simulations are simulated. The friction of all
+    other parts, including bores from meshes, then follows as in :func:`line_by_theory`.
 
     The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
     `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see
@@ -124,7 +124,7 @@ def run_line(
 
 
 def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
-    """Return the name of the scene and the parameters with which it simulates a part without gravity."""
+    """Return the name of the scene that simulates a part without gravity, and the parameters of this scene."""
     concrete = with_layer_factor(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONCRETE_CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
@@ -144,7 +144,7 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
 
 
 def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
-    """Return the friction of a bend or reducer [Pa], or of a metre of straight pipe [Pa/m], from its run's result."""
+    """Return the friction from a part's simulation: of a bend or reducer [Pa], or per metre of straight pipe [Pa/m]."""
     if part.is_by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)

@@ -1,4 +1,4 @@
-"""Results of the two source papers, as cases to run and claims to judge (Zhan et al. 2019; Xu, Li & Jiang 2021)."""
+"""Results of two papers (Zhan et al. 2019; Xu, Li & Jiang 2021), as cases to run and claims to judge."""
 
 from __future__ import annotations
 
@@ -36,13 +36,14 @@ class Row:
     base: Mapping[str, Any] = field(default_factory=dict)
     """Further parameters that have the same values in all runs of this variation."""
     numbers: tuple[float, ...] = ()
-    """Numbers that stand for the `values` of the parameter where the values are words; otherwise empty."""
+    """Numbers that replace the entries of `values` in tables and figures if these entries are words; otherwise
+    empty."""
     printed: Mapping[Any, float] = field(default_factory=dict)
     """Peak pressures that the text of the paper states, by parameter value [Pa]."""
 
     @property
     def is_hydrated(self) -> bool:
-        """True if the varied parameter concerns hydrated bonds."""
+        """True if the varied parameter is a property of hydrated bonds."""
         return self.parameter.startswith("hydration")
 
     @property
@@ -77,7 +78,7 @@ def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Return whether the narrowest pipe needs a far higher pressure than all pipes from the third diameter on.
 
-    The pressures from the third diameter on must also be equal. The second result is a short text that describes the
+    The pressures from the third diameter on must also be nearly equal. The second result is a short text on the
     pressures.
     """
     level, what = judge_equal(values[2:], pressures[2:])
@@ -97,8 +98,8 @@ def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tu
 
 
 NEEDS_ALL_VALUES = (judge_narrow, judge_late_growth)
-"""Functions that judge a claim of the paper and need the pressures at all values of the varied parameter. If a single
-run is missing, such a function leaves the claim undecided."""
+"""Functions that judge a claim only if the pressures at all values of the varied parameter are known. If one of the
+runs is missing, such a function leaves the claim undecided."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -123,9 +124,9 @@ UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 """Names of the paper's four pipe units A to D."""
 PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-horizontal": (None, None),
            "bend-to-vertical": (38.58e3, None)}  # fmt: skip
-"""Peak pressure and final pressure of each unit in the paper [Pa]; None where the paper gives no number."""
+"""Peak pressure and final pressure of each pipe unit in the paper [Pa]; None where the paper gives no number."""
 PRINTED_TRAVEL = {"vertical": 0.08, "horizontal": 0.10}
-"""Travel of the piston at the peak pressure in the paper [m]."""
+"""Distance that the piston has travelled at the peak pressure in the paper [m], by pipe unit."""
 PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (582.0, 150.0, 22.17e6, 23.4e6)}
 """For each pipeline: vertical and horizontal length [m], pressure predicted in the paper and pressure recorded on site
 [Pa]."""
@@ -175,9 +176,9 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def column_parameters(name: str) -> dict[str, Any]:
-    """Return the parameters of the concrete to which a column of the report belongs.
+    """Return the scene parameters of the concrete whose results stand in one column of the report.
 
-    This is one of the named concretes, or the calibrated concrete with one of the open assumptions.
+    `name` is one of the named concretes, or an open assumption, which is combined with the calibrated concrete.
     """
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN_ASSUMPTIONS[name][0]}
 
@@ -191,7 +192,7 @@ XU_CONCRETES = ("no1", "no2", "no3")
 XU_FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6)
 """Flow rates in the study of Xu, Li & Jiang 2021 [m3/s]."""
 XU_REFERENCE = 1500e-6
-"""Flow rate at which the other parameters are varied [m3/s]."""
+"""Flow rate in the study of Xu, Li & Jiang 2021 at which parameters other than the flow are varied [m3/s]."""
 XU_SPACINGS = (20e-3, 10e-3, 5e-3)
 """Particle spacings in the resolution study of Xu, Li & Jiang 2021 [m]."""
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)

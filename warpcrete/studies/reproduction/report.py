@@ -55,7 +55,7 @@ def write(found: Reproduction) -> None:
 
 
 def _plain(result: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numbers in the contents of a result.json, in SI units."""
+    """Return all numbers in the contents of a result.json, in SI units; entries that are not numbers are left out."""
     found = {}
     for name, entry in result.items():
         if isinstance(entry, dict) and "value" in entry and isinstance(entry["value"], int | float):
@@ -119,7 +119,7 @@ def _units(found: Reproduction) -> Iterator[str]:
 
 
 def _open(found: Reproduction) -> Iterator[str]:
-    """Yield the report's section on the assumptions that the paper does not state."""
+    """Yield the report's section on the results with assumptions about details that the paper leaves open."""
     names = columns_with_results(found, OPEN_ASSUMPTIONS)
     if not names:
         return
@@ -166,7 +166,7 @@ def _with_scatter(values: list[float]) -> str:
 
 
 def _pipelines(found: Reproduction) -> Iterator[str]:
-    """Yield a table with the pressures of whole pipelines, line by line.
+    """Yield the lines of a table with the pressures of whole pipelines.
 
     Eq. 13 of Zhan et al. (2019) computes these pressures from the final pressures of the simulated vertical and
     horizontal pipe (units A and B).
@@ -208,9 +208,10 @@ def _row(found: Reproduction, row: Row) -> Iterator[str]:
 
 
 def _verdict(errors: list[float], count: int) -> str:
-    """Return a verdict in words on the pressures of `count` planned runs, whose relative `errors` are given.
+    """Return a sentence that says whether the simulated pressures agree with the closed form.
 
-    The pressures hold if every error is below 3 %.
+    They agree if every relative error in `errors` is below 3 %. If runs are missing, so that there are fewer than
+    `count` errors, the pressures are not judged.
     """
     if len(errors) < count:
         return f"Not judged: {count - len(errors)} of {count} runs are missing."

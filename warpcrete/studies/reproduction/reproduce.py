@@ -44,9 +44,10 @@ def reproduce(
     """Run the cases of a paper, `zhan` (discrete elements) or `xu` (flows), and write to the new folder `out`.
 
     `quick` replaces clumps by coarse spheres and runs fewer cases. `seeds` is the number of seeds for each case of
-    discrete elements. `only` limits the runs of Zhan et al. to the named columns (concretes and open assumptions) and
-    rows (units and parameters). `known` lists folders of earlier reproductions whose results are reused. Raises
-    :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a folder without results.
+    discrete elements. `only` limits the runs of Zhan et al. to the named columns of the report (concretes and open
+    assumptions) and to the named rows (pipe units and varied parameters). `known` lists folders of earlier
+    reproductions whose results are reused. Raises :class:`SceneError` for an unknown paper or name, and
+    :class:`RunFolderError` for a folder without results.
     """
     one_of("paper", paper, PAPERS)
     if not 1 <= seeds <= MAX_CASES:
@@ -139,12 +140,13 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
 def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
     """Return the studies of those cases of Zhan et al. 2019 that have no result yet, the most expensive studies last.
 
-    A study is a group, a scene and the parameters of its cases.
+    A study is a tuple with the name of a group of runs, the name of a scene, and the parameters of its cases.
     """
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    # If the user named both columns and rows, the rows alone decide whether cases with hydrated bonds are run.
+    # By default, only the concretes in `HYDRATED` are run with hydrated bonds. If the user named both columns and rows,
+    # run them for every named concrete; the named rows then decide whether there are such cases.
     if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
@@ -154,12 +156,13 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
 def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
     """Return the parameters of all runs in one column of the report that have no result yet, for all seeds.
 
-    A column stands for a concrete, or for an alternative to an uncertain assumption. With `hydrated`, the runs vary
-    parameters of hydrated bonds. Otherwise they are the runs of the pipe units and those that vary other parameters.
+    A column stands for a concrete, or for an alternative to an uncertain assumption. With `hydrated`, the result
+    contains the runs in which a parameter of hydrated bonds varies. Without it, the result contains the runs of the
+    pipe units and those in which another parameter varies.
     """
     asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
     units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
-    # A quick reproduction omits the aggregate sizes, because small stones make a run long.
+    # Leave the aggregate sizes out of a quick reproduction, because small stones make a run long.
     rows = [row for row in ZHAN if row.name in asked and row.is_hydrated == hydrated
             and not (reproduction.quick and row.parameter == "size_max")]  # fmt: skip
     cases = units + [zhan_case(row, value, reproduction.quick) for row in rows for value in row.values]
@@ -171,7 +174,7 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[s
 def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
     """Return the studies of those cases of Xu, Li & Jiang 2021 that have no result yet.
 
-    A study is a group, a scene and the parameters of its cases.
+    A study is a tuple with the name of a group of runs, the name of a scene, and the parameters of its cases.
     """
     studies = []
     for group, cases in xu_cases(reproduction.quick).items():
@@ -214,7 +217,7 @@ def _run(
 
 
 def _effective_parameters(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters that affect the case: a flow, for example, has no relevant seed."""
+    """Return only those parameters of a case that affect its results; the seed, for example, does not affect a flow."""
     return module.scene.effective_values(case)
 
 

@@ -24,10 +24,11 @@ class Reproduction:
     seeds: int
     device: str | None
     columns: tuple[str, ...] = ()
-    """Concretes and open assumptions to run; an empty tuple stands for all of them."""
+    """Columns of the report whose runs are made: concretes, and assumptions that the paper leaves open. An empty tuple
+    stands for all of them."""
     rows: tuple[str, ...] = ()
-    """Groups of runs to repeat, in each column of the report. `units` stands for the runs of the pipe units, and the
-    name of a parameter for the runs that vary it. An empty tuple stands for all groups."""
+    """Groups of runs to make in each column of the report. The group `units` stands for the runs of the pipe units, and
+    the name of a parameter for the runs in which it varies. An empty tuple stands for all groups."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)
@@ -38,7 +39,10 @@ class Reproduction:
         return f"<Reproduction of {self.paper}: {len(self.results)} runs, folder '{self.folder}'>"
 
     def values(self, group: str, parameters: Mapping[str, Any], quantity: str) -> list[float]:
-        """Return the finite values of a quantity of one case, over its seeds."""
+        """Return the values of a quantity in the runs of one case with different seeds.
+
+        Values that are not finite are left out.
+        """
         found = []
         for seed in range(self.seeds):
             entry = self.results.get(key_of(group, {**parameters, "seed": seed}), {}).get(quantity)
@@ -63,7 +67,7 @@ def unit_case(unit: str, quick: bool) -> dict[str, Any]:
 
 
 def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
-    """Return the peak pressures [Pa] at each value of a varied parameter, one pressure for every seed that ran.
+    """Return the peak pressures [Pa] at each value of a varied parameter, one for every seed that has a result.
 
     `name` is the column of the report, which determines the concrete.
     """

@@ -1,4 +1,4 @@
-"""Settings that reach a wanted accuracy, chosen from a measured trade-off between speed and accuracy."""
+"""Choice of the settings that reach a wanted accuracy, from a measured trade-off between speed and accuracy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
 
 IGNORED_PARAMETERS = ("seed", "precision", "tolerated_error")
-"""Parameters whose values do not affect whether a trade-off study applies to a scene."""
+"""Parameters that are ignored when a scene is compared with the scene of a trade-off study."""
 SHIPPED = Path(__file__).parents[2] / "measured"
 """Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
 
@@ -86,8 +86,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     """Return the cheapest accuracy settings whose relative error is at most `accuracy`, a fraction between 0 and 1.
 
     `trade` is the folder of a trade-off study, or the file of a shipped record; it states an error bound for each
-    setting. `given` holds the parameters that the user chose for the scene `name` of `module`. The advice never
-    replaces a chosen value, unless it belongs to the concrete itself: coarser aggregate, for example, replaces the
+    setting. `given` holds the parameters that the user chose for the scene `name` of `module`. The advice replaces none
+    of these values, except properties of the concrete: a setting with coarser aggregate, for example, replaces the
     grain sizes. Raises :class:`SceneError` if `accuracy` is outside the interval or was not reached, and
     :class:`RunFolderError` if `trade` holds no record of this scene.
     """
@@ -147,8 +147,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Return a description of each parameter whose value differs from that in the measured scene."""
-    # Compare values after their conversion, because one value can be stated in different ways: each pipe unit has a
-    # letter and a name.
+    # Convert the values before comparing them, because one value can be stated in different ways. A pipe unit, for
+    # example, has both a letter and a name.
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)

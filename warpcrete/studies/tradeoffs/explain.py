@@ -70,10 +70,10 @@ def explain(
 ) -> Explanation:
     """Forecast memory, time step and wall time of a scene on a device, from measurements of a few seconds.
 
-    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study. The
-    errors that this study measured are listed with the savings in time. The default is the most similar shipped record.
-    With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene before its
-    first step.
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
+    measured errors are listed with the savings in time. By default, these errors come from the most similar record that
+    is shipped with the package. With `cache`, results are kept in the user's cache folder. Raises the same errors as a
+    run of the scene before its first step.
     """
     found = find_device(device)
     threads = checked_threads(threads)
@@ -95,9 +95,9 @@ def explain(
 
 
 def _frames(simulation: Any) -> dict[str, float]:
-    """Return the mean wall time of a frame for each default recorder [s].
+    """Return the mean wall time that each default recorder needs for one frame [s].
 
-    The time includes a frame's share of the work at the end of a run.
+    The time includes a share of the recorder's work at the end of a run.
     """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
@@ -114,7 +114,10 @@ def _frames(simulation: Any) -> dict[str, float]:
 
 
 def _cached(scene: Any, device: Any, threads: int) -> Path:
-    """Return the cache file for a scene with these versions of the software, this device and this thread count."""
+    """Return the path of the cache file for the forecast of a scene.
+
+    Its name depends on the scene, the versions of the software, the device, and the number of threads.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     version = provenance(device, "float32", 0)
     key = fingerprint((scene, version.get("warpcrete"), version.get("warp"), version.get("device_name"),
@@ -131,7 +134,10 @@ def _read(path: Path) -> Forecast | None:
 
 
 def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
-    """Return savings from a trade-off record and the time step's limits, and the source of the record."""
+    """Return the known savings, and the source of the trade-off record from which their errors come.
+
+    The savings come from this record and from the forecast, which says what limits the time step.
+    """
     found = list(_time_step_savings(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
     found += _knob_savings(record.get("points", []), _knobs_of(scene))
@@ -139,7 +145,7 @@ def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -
 
 
 def _knobs_of(scene: Any) -> set[str]:
-    """Return the names of a scene's accuracy knobs that recommended settings may change."""
+    """Return the names of those accuracy parameters of a scene that recommended settings may change."""
     module = modules().get(scene.name)
     given = arguments_of(scene)
     if module is None or not given:
@@ -166,10 +172,11 @@ def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Sav
 
 
 def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
-    """Yield the time saved by removing or weakening whatever limits the step: a kind of bond, or the dashpots."""
+    """Yield savings from removing or weakening the bonds or dashpots that limit the time step."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
     if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
-        # The user chose the time step, so the run would not become faster without bonds or dashpots.
+        # The user chose the time step. The forecast can tell nothing about savings, because without bonds or dashpots
+        # the step would stay the same.
         return
     rest = 1.0 - sum(forecast.parts.get(part, 0.0) for part in ("steps", "settling")) / forecast.wall_time
     for name, limit in forecast.limits.items():

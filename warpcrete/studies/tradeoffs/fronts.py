@@ -39,7 +39,7 @@ class Error:
 
     @property
     def within_scatter(self) -> bool:
-        """True if the scatter between seeds alone explains the difference."""
+        """True if the scatter between seeds alone can explain the difference."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 
@@ -53,10 +53,11 @@ def student_quantile(freedom: float) -> float:
 
 
 def difference(quantity: str, values: Sequence[float], reference: Sequence[float], size: float | None = None) -> Error:
-    """Return the difference of two means, divided by `size`, with the 95 % interval of Welch's t-test.
+    """Return the difference of the means of `values` and `reference`, divided by `size`, as an :class:`Error`.
 
-    The default `size` is the magnitude of the reference's mean. If both sides have one value, as in flows without
-    randomness, the difference counts as exact. If only one side has a single value, the interval is NaN.
+    The default `size` is the magnitude of the reference's mean. The confidence interval of 95 % follows from Welch's
+    t-test. If both sequences have one value, as in flows without randomness, the difference counts as exact. If only
+    one of them has a single value, the interval is NaN.
     """
     a, b = np.asarray(values, float), np.asarray(reference, float)
     size = abs(float(b.mean()) if size is None else size) or math.nan
@@ -65,7 +66,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
         return Error(quantity, shift, 0.0)
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
-    if np.array_equal(a, b):  # The compared setting is the reference itself.
+    if np.array_equal(a, b):  # Equal arrays mean that the compared setting is the reference itself.
         return Error(quantity, 0.0, student_quantile(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())
@@ -76,10 +77,10 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
 
 
 def prediction_bound(shifts: Sequence[float]) -> float:
-    """Return the bound of the next error with 95 % probability, for normally distributed errors.
+    """Return the bound that the next error does not exceed with 95 % probability, for normally distributed errors.
 
-    The bound is |mean| + t s sqrt(1 + 1/n), the prediction interval of n errors. Here s is their standard deviation and
-    t the 95 % quantile of Student's distribution. A single error is its own bound.
+    The bound is |mean| + t s sqrt(1 + 1/n), from the prediction interval of n errors. Here s is their standard
+    deviation and t the 95 % quantile of Student's distribution. A single error is its own bound.
     """
     values = np.asarray(shifts, float)
     if len(values) < 2:
@@ -89,7 +90,7 @@ def prediction_bound(shifts: Sequence[float]) -> float:
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the indices of the (cost, error) pairs on the Pareto front, by rising cost."""
+    """Return the indices of those (cost, error) pairs that lie on the Pareto front, in the order of rising cost."""
     order = sorted(range(len(points)), key=lambda k: points[k])
     best, found = math.inf, []
     for k in order:
@@ -102,12 +103,12 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 def cheapest_within(
     knobs: Mapping[str, Sequence[tuple[float, float]]], target: float, limit: int = 2_000_000
 ) -> dict[str, int] | None:
-    """Return the cheapest combination of levels whose errors add up to at most `target`; None if there is none.
+    """Return the cheapest combination of levels whose errors add up to at most `target`, or None if there is none.
 
     A knob is a parameter that trades accuracy for run time, and its levels are its possible values. A combination has
-    one level of each knob. `knobs` holds the pair (cost factor, error) of each level. The cost of a combination is the
-    product of its factors. Errors are added without regard to sign, because errors that cancel in one scene need not
-    cancel in the next. Raises ValueError for more than `limit` combinations.
+    one level of each knob. `knobs` holds, for each level of each knob, the pair (cost factor, error). The cost of a
+    combination is the product of the factors of its levels. The magnitudes of the errors are added, because errors that
+    cancel in one scene need not cancel in another one. Raises ValueError for more than `limit` combinations.
     """
     names = list(knobs)
     if math.prod(len(knobs[name]) for name in names) > limit:

@@ -16,21 +16,22 @@ from .fronts import Error, worst
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
-"""Origins of the settings of a trade-off study in which not just one accuracy parameter is changed. In this order, they
-are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and a
-setting that is repeated in a variant of the scene."""
+"""Origins of those settings of a trade-off study that do not just change a single accuracy parameter. In this order,
+they are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and
+a setting that is repeated in a variant of the scene."""
 
 
 @dataclass
 class Setting:
-    """One setting of the scene and the results of its runs."""
+    """One choice of values for the accuracy parameters of a scene, and the results of its runs."""
 
     origin: str
     """Origin of the setting. If only one accuracy parameter (knob) differs from the scene as given, this is the knob's
     name. Otherwise it is one of the words "as given", "finest", "combined" and "carried". The word "carried" marks a
     setting that was repeated in a variant of the scene."""
     levels: dict[str, int]
-    """Level (value) of each accuracy parameter that differs from the scene as given, by name."""
+    """Index of the level (value) of each accuracy parameter that differs from the scene as given, by the parameter's
+    name."""
     parameters: dict[str, Any]
     """All keyword arguments of the scene function, without the seed."""
     results: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -38,12 +39,12 @@ class Setting:
     failures: dict[int, str] = field(default_factory=dict)
     """Errors that ended runs, by seed. These runs are not repeated."""
     left_out: str = ""
-    """Reason why the setting was not run; a later attempt may run it."""
+    """Reason why the setting was not run; empty if it was run. A resumed study may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions of result quantities, by the quantity's name. A result of a run with this setting may need a
-    conversion before it is comparable with the scene as given. For example, a pipe of half the length needs about half
-    the pressure. A conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
+    """Conversions of result quantities, by the quantity's name. They make results of runs with this setting comparable
+    with those of the scene as given. For example, a pipe of half the length needs about half the pressure. A conversion
+    is a pair (offset, factor) and gives offset + factor * (value - offset)."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""
@@ -62,7 +63,7 @@ class Setting:
 
     @property
     def failure(self) -> str:
-        """Error of the failed run with the lowest seed, or the reason why there is no run; empty if all went well."""
+        """Error of the failed run with the lowest seed, or the reason why no run was made; empty without failure."""
         return self.failures[min(self.failures)] if self.failures else self.left_out
 
     @property
@@ -100,16 +101,16 @@ class Setting:
 
 @dataclass(frozen=True)
 class Promise:
-    """The cheapest setting found for a wanted error, and its test with fresh seeds."""
+    """The cheapest setting found for a wanted error, and the result of its test with new random seeds."""
 
     target: float
     point: Setting | None
     found: Error | None = None
-    """Error with fresh seeds; None if the scene has no seeds or the time ran out."""
+    """Error in runs with new random seeds; None if the scene has no seeds or the time ran out."""
     carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene, by the variant's description and the names of its failed checks.
+    """Largest error in each variant of the scene; None if the run of the variant failed.
 
-    The value is None if the run of the variant failed.
+        The keys are descriptions of the variants. If plausibility checks failed in a variant, its key lists them.
     """
     bound: float = math.inf
     """Promised upper bound of the relative error of all result quantities, as a fraction; infinite if no setting is

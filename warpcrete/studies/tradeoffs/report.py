@@ -59,7 +59,10 @@ def table(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """Return a sentence on how many runs took place at the same time, or an empty text if runs were made one by one."""
+    """Return a sentence that states how many runs took place at the same time.
+
+    The text is empty if the runs were made one after the other.
+    """
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""
@@ -217,7 +220,7 @@ def draw(trade: Trade) -> Any:
 
 
 def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: str) -> None:
-    """Draw a group of settings, such as those that vary one knob, with their confidence intervals."""
+    """Draw a group of settings, such as those that vary one accuracy parameter, with their confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]

@@ -1,4 +1,4 @@
-"""State of a trade-off study: its settings of the scene, the results of their runs, and their costs and errors."""
+"""State of a trade-off study: the settings that it tries, the results of their runs, and their costs and errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ from .points import CARRIED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
 from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
-"""Recording options on workers. Checkpoints are off, because a resumed run has no valid wall time."""
+"""Recording options of the runs on workers: frames per simulated second, and wall time between checkpoints [s]. The
+value 0 switches checkpoints off, because the wall time of a resumed run could not be compared with that of other
+runs."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -38,8 +40,8 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        # The scene checks its own results. Widen its tolerance to the largest error that the study may aim at, so that
-        # coarse runs do not fail.
+        # The scene checks its own results against a tolerance. Set this tolerance to the largest error that the study
+        # may aim at, so that runs with coarse settings do not fail the check.
         if module.trading.tolerance:
             self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
@@ -54,8 +56,8 @@ class Trade:
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
         self.points: list[Setting] = []
         self.tried: list[Setting] = []
-        """Settings of the accuracy parameters with which variants of the scene were run; a variant is the study's scene
-        with some other parameters changed."""
+        """Settings of the accuracy parameters with which variants of the scene were run. A variant is the study's scene
+        with some of its other parameters changed."""
         self.promises: list[Promise] = []
         self.spent = 0.0
         self.budget = math.inf
@@ -91,12 +93,12 @@ class Trade:
 
     @property
     def given(self) -> Setting:
-        """Setting without changed accuracy parameters: the scene as given."""
+        """Setting that leaves all accuracy parameters as in the scene as given."""
         return self.points[0]
 
     @property
     def chosen_knobs(self) -> list[Knob]:
-        """Knobs (accuracy parameters) from which settings for a wanted accuracy are built."""
+        """Knobs (accuracy parameters) that may be changed in recommended settings."""
         return [knob for knob in self.knobs if knob.chosen]
 
     @property
@@ -106,7 +108,10 @@ class Trade:
 
     @property
     def reference(self) -> Setting | None:
-        """Reference setting with all knobs as fine as the budget allowed; None if a closed form is the reference."""
+        """Reference setting, in which all accuracy parameters are as fine as the budget allowed.
+
+        The value is None if a closed form serves as the reference.
+        """
         return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property
@@ -126,15 +131,20 @@ class Trade:
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the name of the level that each knob has in a setting, by the name of the knob.
+        """Return the names of the levels that the knobs have in a setting, by the name of the knob.
 
-        A knob is a parameter that trades accuracy for run time. The names of its levels are valid in other scenes, too.
+        A knob is a parameter that trades accuracy for run time, and a level is one of its values. Levels with the same
+        name correspond to each other in different scenes. Knobs that are as in the scene as given are left out.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
 
     def point(self, origin: str, levels: Mapping[str, int]) -> Setting:
-        """Return the setting with these knob levels; create it unless one with equal parameters exists."""
+        """Return the setting with the given levels; create it unless a setting with equal parameters exists.
+
+        `levels` holds the index of a level (value) for each knob (accuracy parameter) that differs from the scene as
+        given.
+        """
         changes: dict[str, Any] = {}
         converted: dict[str, tuple[float, float]] = {}
         for knob in self.knobs:
@@ -212,9 +222,9 @@ class Trade:
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
     def run(self, point: Setting, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
-        """Run a setting with those `seeds` that have not run yet; return whether all of them are complete.
+        """Run a setting with those `seeds` that have not run yet; return whether all `seeds` then have a result.
 
-        A run does not start if it is expected to exceed the fraction `until` of the budget.
+        A run does not start if it is expected to end after the fraction `until` of the budget is spent.
         """
         self.run_all([point], seeds, tell, until)
         return self.complete(point, seeds)
@@ -222,7 +232,7 @@ class Trade:
     def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
         """Run each setting with those `seeds` that have not run yet, in order, on all workers.
 
-        A run does not start if it is expected to exceed the fraction `until` of the budget.
+        A run does not start if it is expected to end after the fraction `until` of the budget is spent.
         """
         lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
         if self.cluster is None:
@@ -247,11 +257,11 @@ class Trade:
     def _due(
         self, lacking: Sequence[tuple[Setting, list[int]]], tell: Tell, until: float
     ) -> Iterator[tuple[Setting, list[int], float]]:
-        """Yield the next job: values of accuracy parameters, some seeds, and the time left for them [s].
+        """Yield the jobs one by one, each as a setting, some of its seeds, and the time left for their runs [s].
 
         The caller requests a job when a processor is free, so each decision uses the results available at that moment.
-        If there are enough settings for all workers, one worker takes all seeds of one setting (the values of all
-        accuracy parameters) and loads its kernels only once.
+        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
+        once.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
         for number, (point, seeds) in enumerate(points):
@@ -279,8 +289,9 @@ class Trade:
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Setting, seed: int) -> Path:
-        # Name the folder after the parameters that differ from the base. The base leaves out parameters with default
-        # values, so a parameter that is missing there and whose default is None counts as None.
+        # Name the folder after the parameters that differ from those of the scene as given (`self.base`). These leave
+        # out parameters with default values. Therefore, treat a parameter that is missing in `self.base` as None if its
+        # default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
         changed = {k: v for k, v in sorted(point.parameters.items())
@@ -315,7 +326,7 @@ class Trade:
     def _run_on(self, cluster: Cluster, due: Iterator[tuple[Setting, list[int], float]]) -> None:
         """Run jobs on workers, each of which performs one job at a time.
 
-        `spent` grows by the elapsed wall time, whatever the number of workers.
+        The attribute `spent` is increased by the wall time that passes meanwhile, no matter how many workers there are.
         """
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
@@ -335,8 +346,8 @@ class Trade:
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
                 self._store_outcome(point, seed, outcome)
-            # Seeds after the first failed seed are ignored. Otherwise the result would depend on the order in which the
-            # runs end.
+            # Drop the results of all seeds after the first failed one. Otherwise the set of seeds with a result would
+            # depend on the order in which the runs end.
             if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 
@@ -368,7 +379,7 @@ class Trade:
             point.errors = self.errors_of(point, self.seeds)
 
     def errors_of(self, point: Setting, seeds: Sequence[int]) -> list[Error]:
-        """Return the errors of a setting in its runs with the given seeds."""
+        """Return the errors of a setting in its runs with the given seeds, one for each measured quantity."""
         found = []
         ran = sum(seed in point.results for seed in seeds)
         for each in self.quantities if ran else ():
@@ -431,10 +442,11 @@ class Trade:
         return max(point.worst.bound, alone)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return a bound for the errors of a setting in a further scene that is as different as the `variants` are.
+        """Return a bound for the errors of a setting in another scene, estimated from those in `variants` of the scene.
 
-        For each quantity, the errors of the setting in the original scene and in its variants give a 95 % prediction
-        interval. The result is the largest bound of these intervals.
+        The estimate assumes that the other scene differs from the original one as much as the variants do. For each
+        quantity, the errors in the original scene and in its variants give a 95 % prediction interval. The result is
+        the largest bound of these intervals.
         """
         found = []
         for each in self.quantities:

@@ -1,10 +1,10 @@
 """Trade-off studies: measure how the knobs of a scene change its wall time and its errors, within a time budget.
 
-A knob is a parameter that trades accuracy for speed, such as the resolution. The study first runs the scene as given
-and each knob alone. Then it runs all knobs as fine as the budget allows; this is the reference, unless a closed form is
-known. Finally it runs the combinations that the measurements suggest for errors of 20 to 1 %, and tests them with fresh
-seeds. Every run has its own folder, so a resumed study reuses it. Runs that share a processor would falsify each
-other's wall times, so only one runs at a time on this machine, or on each worker.
+A knob is a parameter that trades accuracy for speed, such as the resolution. The study first runs the scene as given,
+and then changes one knob at a time. Then it sets all knobs as fine as the budget allows; this run is the reference,
+unless a closed form is known. Finally it runs the combinations that the measurements suggest for errors of 20 to 1 %,
+and tests them with fresh seeds. Every run has its own folder, so a resumed study reuses it. Runs that share a processor
+would falsify each other's wall times. Therefore only one run at a time takes place on this machine, or on each worker.
 """
 
 from __future__ import annotations
@@ -34,9 +34,11 @@ from .state import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH_SEEDS = 3
-"""Number of new random seeds with which a promised error is tested. None of them was used to compute the error."""
+"""Number of new random seeds with which a promised error bound is tested. None of them was used to compute the
+bound."""
 SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
-"""Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
+"""Fractions of the budget at which three phases of a study end: changes of single knobs, the finest setting, and
+combinations of several changed knobs."""
 
 
 def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
@@ -155,7 +157,7 @@ def _machine_of(module_name: str, *arguments: Any) -> tuple[str, dict[str, Any]]
 
 
 def _check_cores(scheduler: str | None, workers: int | None, device: str | None, threads: int | None) -> None:
-    """Refuse workers that would share CPU cores, because their wall times would be meaningless."""
+    """Refuse workers that would share CPU cores, because the wall times of their runs would be meaningless."""
     cores = default_threads()
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
@@ -205,7 +207,8 @@ def resume_trade(
     check_limit("budget", budget, "s")
     if scheduler is None:
         find_device(trade.device)
-    # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
+    # Let the workers use all GPUs that are present. The GPU number in the record is ignored, because it may belong to
+    # another machine.
     device = unnumbered(trade.device)
     _check_cores(scheduler, workers, device, trade.threads)
     with locked_folder(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
@@ -248,8 +251,9 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    # `spent` is the time that this call has spent on runs. It is 0 if the study was resumed and has not run anything
-    # yet. A few further runs may then be enough, so the budget is not refused.
+    # `spent` is the time that this call has spent on runs. If it is 0, all runs so far are those of an earlier call,
+    # and a few further runs may be enough to complete the study. Therefore, refuse a short budget only if `spent` is
+    # above 0.
     if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
@@ -275,7 +279,10 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
-    """Run the scene with each level of each accuracy knob alone, cheap ones first."""
+    """Change one accuracy parameter at a time, and run the scene with each of its possible values.
+
+    Settings with a low expected cost run first.
+    """
     alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
     trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, SINGLE_KNOBS_UNTIL)
 
@@ -283,9 +290,9 @@ def _one_at_a_time(trade: Trade, tell: Tell) -> None:
 def _run_reference(trade: Trade, tell: Tell) -> None:
     """Run the reference setting: every knob at its finest level, or as fine as the budget allows.
 
-    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. If the budget is
-    too short, the function moves one knob at a time to its next coarser level. It chooses the knob that saves most time
-    for the error that this adds. No knob becomes coarser than in the scene as given.
+    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. As long as the
+    budget is too short, one knob is moved to its next coarser level. This is the knob that saves most time in relation
+    to the error that the coarser level adds. No knob becomes coarser than in the scene as given.
     """
     levels = {}
     for knob in trade.chosen_knobs:
@@ -299,7 +306,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
         if cost * trade.rounds(len(trade.seeds)) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
             break
-        # An earlier call had a larger budget and already ran this setting, so keep it.
+        # An earlier call had a larger budget and already ran this setting. Use it as the reference again.
         if top == trade.record.get("finest"):
             break
         # A knob is a parameter that trades accuracy for run time, and its levels are the values to choose from. For
@@ -325,7 +332,10 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
 
 
 def _run_combinations(trade: Trade, tell: Tell) -> None:
-    """Run, for each wanted error, the cheapest combination of levels that is expected to stay within that error."""
+    """Run, for each wanted error, the cheapest combination of parameter values whose expected error is small enough.
+
+    Only accuracy parameters are changed, and each has a few possible values.
+    """
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
         for knob in trade.chosen_knobs
@@ -342,7 +352,8 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
     The tests are runs with other random seeds and runs of variants of the scene. If a test run fails, or if its error
     exceeds the wanted error, the next cheapest setting is tested.
     """
-    # With random results, the references of all variants would need several seeds each, which takes too long.
+    # Variants are compared only if a closed form gives the expected values, or if nothing is random. With random
+    # results, each variant would need reference runs with several seeds, which takes too long.
     compared = trade.exact or (trade.reference is not None and not trade.has_seeds)
     variants = trade.module.trading.variants(trade.declared) if compared else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -366,7 +377,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 def _test_variants(
     trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Return a setting's largest error in each variant of the scene, and an upper bound of its error.
+    """Return a setting's largest error in each variant of the scene, and an upper bound of its error in other scenes.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """
@@ -383,9 +394,9 @@ def _test_variants(
             here = slice(number, number + trade.abreast)
             trade.run_all([*finest[here], *others[here]], trade.seeds, tell)
         if any(not each.results and not each.failure.startswith("failed") for each in needed):
-            continue  # Skip this variant: the study had no time left to run it.
+            continue  # The study had no time left to run this variant of the scene.
         if any(each.failure for each in finest[number : number + 1]):
-            continue  # Without a reference, the error in this variant is unknown.
+            continue  # The reference run of this variant of the scene failed, so the error in the variant is unknown.
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:

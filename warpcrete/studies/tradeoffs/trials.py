@@ -16,8 +16,8 @@ from ..cluster import hardware
 from ..running import previous_outcome, run_cases, simulation_of, stop_callback
 
 MIN_RUNS_FOR_MEDIAN = 3
-"""Minimum number of runs at which the median of their wall times is reliable: a single run that took longer, because it
-also loaded kernels, does not affect it."""
+"""Minimum number of runs of a setting at which their median wall time is reliable. With this number, a single run that
+took longer because it also loaded kernels does not affect the median."""
 
 
 @dataclass(frozen=True)

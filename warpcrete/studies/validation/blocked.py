@@ -1,4 +1,4 @@
-"""Test of the rules against blocking on measured concretes, some of which blocked."""
+"""Comparison of the rules against blocking with measured concretes, some of which blocked."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class BlockingComparison:
     blocked: bool
     """True if the concrete blocked in the test."""
     verdict: str
-    """Most severe verdict of all rules that can be applied to the case, that is, whose inputs it states."""
+    """Most severe verdict of all rules that can be applied, which are those whose inputs the case states."""
     rules: str
     """Names of the rules whose verdict on this case is 'risky' or 'blocks', as text."""
 
@@ -34,7 +34,7 @@ class BlockingComparison:
 
 
 def compare_blocking(case: Case, held_out: bool = False) -> BlockingComparison:
-    """Judge one concrete by the rules; raises :class:`SceneError` if its mix is refused."""
+    """Judge one concrete by the rules against blocking; raises :class:`SceneError` if its mix is refused."""
     mix = mix_of_case(case)
     bore = amount("case test: bore", case.test.get("bore"), "m")
     verdicts = [each for each in blocking_rules(mix.given, bore) if each.verdict != "unknown"]

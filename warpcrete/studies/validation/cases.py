@@ -1,4 +1,4 @@
-"""Measured cases: their files, entries and sources, and the choice of the cases that are never fitted."""
+"""Measured cases: their files, entries and sources, and the choice of cases that are held out (never fitted)."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ SCATTER_KEYS = ("concretes", "from", "to")
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""Number of groups of cases, of which one group is held out. No fit of a constant uses a held-out group. With the value
-3, a third of the groups is held out."""
+"""Reciprocal of the fraction of groups of cases that are held out. The cases of a held-out group are not used to fit
+any constant."""
 FITTED = {
     "slump": ("yeh-2007",),
     "fitting": ("park-2020", "calibe"),
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm"),
 }
-"""Groups of cases from which constants of the program were taken before any groups were held out, by kind. These groups
-are therefore never held out. The constants are the height of the centre of a heap, the range of the friction of bends,
-the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
+"""Groups of cases, by kind, from which constants of the program were taken before any groups were held out. These
+groups are therefore never held out. The constants are the height of the centre of a heap, the range of the friction of
+bends, the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,16 @@ class Case:
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
-    """Dimensions of the test: of the pipe, the part, the line or the apparatus in which the case was measured."""
+    """Dimensions of the pipe, the part, the line or the apparatus in which the case was measured."""
     flows: tuple[float, ...]
     """Flow rates at which the values were measured [m3/s], one for each value; empty if the kind needs no flow."""
     measured: tuple[float, ...]
     """Measured values in the SI unit of the case's kind."""
     concretes: int = 1
-    """Number of concretes of which the measured value is the mean."""
+    """Number of concretes over which the measured value is a mean."""
     ends: tuple[float, float] | None = None
-    """Smallest and largest value of these concretes, in the SI unit of the case's kind; None for a single concrete."""
+    """Smallest and largest measured value of the concretes behind a mean, in the SI unit of the case's kind; None if
+    the case is a single concrete."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
@@ -69,8 +70,8 @@ class Case:
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
     """Return the groups of cases that no fit of a constant uses, as pairs of kind and group.
 
-    About a third of the groups of each kind are held out in this way; if a kind has two groups, one is held out. The
-    choice follows from a hash of the groups' names, so that nobody can make it after seeing the results.
+    About a third of the groups of each kind are held out in this way; of two groups, one is held out. The choice
+    follows from a hash of the groups' names. Therefore nobody can choose the groups after seeing the results.
     """
     found = set()
     for kind in {case.kind for case in cases}:
@@ -159,7 +160,7 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
 
 
 def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, float] | None]:
-    """Return the number of concretes behind a mean, with their smallest and largest value in `unit`."""
+    """Return the number of concretes over which a mean was taken, and their smallest and largest value in `unit`."""
     if not given:
         return 1, None
     for key in given:
@@ -179,7 +180,7 @@ def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, flo
 
 
 def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return an entry that must be a mapping, empty if it is missing."""
+    """Return the mapping that an entry must hold, or an empty mapping if the entry is missing."""
     found = given.get(key) or {}
     if not isinstance(found, Mapping):
         refuse(f"cases {key}", found, "must consist of 'key: value' lines")

@@ -24,7 +24,7 @@ class Comparison:
     """True if no constant of the program may be fitted to the case."""
     measured: float
     band: Band
-    """Prediction and its band, in the SI unit of the case's kind."""
+    """Predicted value and its uncertainty band, in the SI unit of the case's kind."""
     simulated: bool = False
     """True if a flow was simulated, and False if a closed form predicts the case."""
 

@@ -1,4 +1,4 @@
-"""Figure of predictions over measurements on logarithmic axes, with the uncertainty bands of the predictions."""
+"""Figure of predicted against measured values on logarithmic axes, with the uncertainty bands of the predictions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ STYLES = (
     (False, True, {"marker": "s", "color": rgb(RUN), "label": "simulated as a flow"}),
 )
 """Markers of the three groups of cases in the figure. Each entry has three elements: True if the cases are held out
-(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib."""
+(not used to fit constants), True if they are simulated, and the keyword arguments of Matplotlib. The first element is
+ignored for simulated cases."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
 """Displayed unit for each kind of measurement: the factor from the SI unit to this unit, and its name. Kinds that are
 not listed are shown in SI units."""
 
 
 def draw(comparisons: Sequence[Comparison]) -> Any:
-    """Return a Matplotlib figure with one panel for each kind; held-out cases have filled markers."""
+    """Return a Matplotlib figure with one panel for each kind of measurement; held-out cases have filled markers."""
     from matplotlib.figure import Figure
 
     kinds = [kind for kind in KINDS if any(each.case.kind == kind for each in comparisons)]

@@ -24,7 +24,8 @@ KINDS = {
     "spread": Kind("spread", "m"),
     "funnel": Kind("time of the V-funnel", "s"),
 }
-"""Kinds of measurements whose value is compared with a prediction, by the name that a case states."""
+"""Kinds of measurements whose value is compared with a prediction. The keys are the names that cases state as their
+kind."""
 BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}

@@ -20,14 +20,17 @@ from ..lines.run import run_line
 from .cases import Case
 
 LEAST_SLUMP = 0.005
-"""Smallest predicted slump [m]: half of the 10 mm to which the slump of a cone is read."""
+"""Lower limit for the predicted slump [m]. It is half of the 10 mm to which the slump of a cone is read."""
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix without a stated density [kg/m3]. Predictions of weight and slump depend on the density,
 and those of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
-    """Return the mix of a case; a density of 2400 kg/m3 is assumed if the publication states none."""
+    """Return the mix of a case.
+
+    If the publication states no density, the density is assumed to be 2400 kg/m3.
+    """
     given = dict(section or case.mix)
     if "density" not in given and "parts" not in given:
         given["density"] = LINE_DENSITY
@@ -54,13 +57,16 @@ def _line_of(case: Case) -> PipeLine:
 
 
 def _banded(mix: Mix, evaluate: Callable[[Concrete], float]) -> Band:
-    """Return a quantity that depends on the concrete, with the band that the mix's uncertain properties cause."""
+    """Return a quantity that is computed from the concrete, with its uncertainty band.
+
+    The band is due to the mix's uncertain properties.
+    """
     ends = {cause: (evaluate(low), evaluate(high)) for cause, (low, high) in mix.variants.items()}
     return combined(evaluate(mix.concrete), ends)
 
 
 def _gradient(concrete: Concrete, diameter: float, flow: float) -> float:
-    """Return the friction of straight pipe per metre [Pa/m]."""
+    """Return the friction of straight pipe per metre [Pa/m] for a `diameter` [m] and a `flow` [m3/s]."""
     return steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow).pressure
 
 
@@ -83,7 +89,7 @@ def _ratio(case: Case) -> list[Band]:
 
 
 def _line(case: Case) -> list[Band]:
-    """Predict the friction of a whole line [Pa]: its pressure at the pump less that due to the concrete's weight."""
+    """Predict the friction of a whole line [Pa]: its pressure at the pump minus that due to the concrete's weight."""
     mix = mix_of_case(case)
     line = _line_of(case)
     found = []
@@ -124,11 +130,11 @@ def _layer_share(case: Case) -> list[Band]:
 
 
 def _slump(case: Case) -> list[Band]:
-    """Predict the slump [m] from the mix's yield stress, which may itself follow from the spread.
+    """Predict the slump [m] from the yield stress of the mix, which may itself follow from the spread.
 
-    The theory of wide heaps and the theory of tall cones each predict a slump, and the smaller one counts. This is the
-    slump of a homogeneous heap. In a real heap, aggregate piles up in the centre and reduces the slump by up to 100 mm
-    (:data:`HEAP_CENTRE`).
+    The theories of wide heaps and of tall cones each give a slump. The smaller one is that of a homogeneous heap. In a
+    real heap, aggregate piles up in the centre and reduces the slump. The prediction is therefore lower by the median
+    of this effect (30 mm), and the lower end of the band by its largest value (:data:`HEAP_CENTRE`, 100 mm).
     """
     mix = mix_of_case(case)
 
@@ -145,9 +151,9 @@ def _slump(case: Case) -> list[Band]:
 def _spread(case: Case) -> list[Band]:
     """Predict the spread [m] from the yield stress of the mix.
 
-    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The theory
-    resists stretching (:func:`heap_at_rest`); the error of the theory is the difference from a long heap without this
-    resistance.
+    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The prediction
+    takes the concrete's resistance to stretching into account (:func:`heap_at_rest`). The error of the theory is the
+    difference from the spread of a long heap without this resistance.
     """
     mix = mix_of_case(case)
     own = mix.concrete
@@ -165,7 +171,8 @@ def _spread(case: Case) -> list[Band]:
 
 
 FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
-"""Half widths and heights of the V-funnel of EN 12350-9, and the distance of its parallel sides [m]."""
+"""Dimensions of the V-funnel of EN 12350-9 [m]: half widths at the outlet and at the brim, heights of the straight
+outlet and of the whole funnel, and distance of the parallel sides."""
 
 
 def _funnel(case: Case) -> list[Band]:
@@ -203,5 +210,5 @@ PREDICTORS = {
     "spread": _spread,
     "funnel": _funnel,
 }
-"""Prediction functions, by the kind of the case. Each of them takes a case and returns the predicted value with its
-uncertainty band for each measured value of the case."""
+"""Prediction functions, by the kind of the case. Each function takes a case and returns a list with the predicted
+values and their uncertainty bands, one for each measured value of the case."""

@@ -15,8 +15,8 @@ from .predictions import mix_of_case
 
 SIMULATED = {"slump": ("slump", "slump", {}), "spread": ("slump", "spread", {}),
              "funnel": ("funnel", "funnel_time", {"surfaces": "sticks"})}  # fmt: skip
-"""Simulations for three kinds of measurements: name of the scene, quantity of its result that is compared with the
-measurement, and parameters of the scene."""
+"""Simulations of three kinds of measurements. Each entry holds the name of the scene, the quantity of its result that
+is compared with the measurement, and parameters of the scene."""
 
 
 def representatives(cases: Sequence[Case]) -> list[Case]:
@@ -33,9 +33,9 @@ def representatives(cases: Sequence[Case]) -> list[Case]:
 def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: float | None = None) -> Comparison:
     """Predict a case by simulating its standard test as a flow.
 
-    `spacing` is the edge length of the cells [m], by default that of the scene. The ends of the uncertainty band have
-    the same ratio to the value as those of the closed-form prediction. Raises :class:`WarpcreteError` if the run fails,
-    and KeyboardInterrupt if it is interrupted.
+    `spacing` is the edge length of the cells [m], by default that of the scene. The uncertainty band has the same
+    relative width as that of the closed-form prediction. Raises :class:`WarpcreteError` if the run fails, and
+    KeyboardInterrupt if it is interrupted.
     """
     scene, quantity, more = SIMULATED[case.kind]
     concrete = mix_of_case(case).concrete

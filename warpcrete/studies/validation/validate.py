@@ -26,7 +26,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Summary:
-    """Statistics of the comparisons of one kind."""
+    """Statistics of the comparisons of one kind of measurement."""
 
     kind: str
     chosen: str
@@ -36,9 +36,10 @@ class Summary:
     """Number of groups (mixes, lines or laboratories) to which the cases belong; groups are independent of each
     other."""
     ratio: float
-    """Median of the ratio of prediction to measurement."""
+    """Median over the cases of the predicted value divided by the measured one."""
     error: float
-    """Median over the cases of the factor between prediction and measurement, less 1; 0.2 means a factor of 1.2."""
+    """Median over the cases of the factor, at least 1, by which prediction and measurement differ, minus 1. The value
+    0.2 stands for a factor of 1.2."""
     inside: float
     """Fraction of the concretes whose measured values lie in the predicted uncertainty bands."""
     factor: float
@@ -52,7 +53,8 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Comparison of the rules against blocking with observations, for each concrete that blocked or did not block."""
+    """Verdict of the rules against blocking and observation, for each concrete of which it is known whether it
+    blocked."""
     refused: dict[str, str]
     """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
@@ -84,7 +86,7 @@ class Validation:
         return found
 
     def table(self) -> str:
-        """Return the statistics and the cases as Markdown."""
+        """Return tables of the statistics and of the cases as Markdown."""
         lines = [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), ""]
         lines += markdown(CASE_COLUMNS, [_case_cells(each) for each in self.comparisons])
         lines += ["", *self.blocking_lines(), ""] if self.blocking else []
@@ -123,7 +125,7 @@ class Validation:
         }  # fmt: skip
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of predicted over measured values with their bands."""
+        """Return a Matplotlib figure of predicted against measured values, with the uncertainty bands."""
         return draw(self.comparisons)
 
     def write(self, folder: Path) -> None:
@@ -161,9 +163,9 @@ def validate(
 ) -> Validation:  # fmt: skip
     """Predict measured cases, by default all that are shipped, and compare the predictions with the measurements.
 
-    `kinds` restricts the comparison, and an empty sequence means all kinds. Raises :class:`SceneError` for an unknown
-    kind. Unless it is `quick`, one case of each group of slumps, spreads and funnels is also simulated as a flow, which
-    takes a few minutes. A case that the program refuses to predict is listed with the reason.
+    `kinds` restricts the comparison to some kinds of cases; an empty sequence means all kinds. Unless `quick` is set,
+    one case of each group of slumps, spreads and funnels is also simulated as a flow, which takes a few minutes. A case
+    that the program refuses to predict is listed with the reason. Raises :class:`SceneError` for an unknown kind.
     """
     kinds = tuple(kinds)
     for kind in kinds:
