@@ -65,7 +65,9 @@ def free_layout(scene: FreeScene) -> GridLayout:
     outline, nearest = section_distance(scene, scene.outline), nearest_wall(room, shut)
 
     def concrete(points: np.ndarray) -> np.ndarray:
-        return (outline(points) < 0) & (nearest(points)[0] > 0)
+        inside = outline(points) < 0
+        inside[inside] = nearest(points[inside])[0] > 0
+        return inside
 
     places, mass = fill_cells(room, per_axis, concrete)
     layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (NO_SLIP_VISCOSITY, 0.0)

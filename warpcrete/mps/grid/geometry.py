@@ -45,6 +45,21 @@ Distance = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
+class CylindricalDistance:
+    """Distance function of a general cylinder or a plane: the distance depends on the coordinates along some axes only.
+
+    `distance` is the distance function, and `axes` are the numbers of these axes.
+    """
+
+    distance: Distance
+    axes: tuple[int, ...]
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance of points, shape (n, axes), from the wall [m], shape (n,)."""
+        return self.distance(points)
+
+
+@dataclass(frozen=True)
 class Geometry:
     """Open fractions of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
 
@@ -112,7 +127,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
                 mirror |= index[axis] == at
             if side == WALL:
                 beyond |= index[axis] == at
-    open_part = np.where(beyond, 0.0, _positive_fraction(_corner_values(corners, range(axes)), axes))
+    ends = _corner_values(corners, range(axes))
+    open_part = np.where(beyond, 0.0, _open_fraction(ends, axes))
     solid = np.where(mirror, SMOOTH, np.where(open_part < MIN_OPEN_FRACTION, number, NONE)).astype(np.int32)
     gap, part, shut, surface = [], [], [], []
     for axis in range(axes):
@@ -121,7 +137,7 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         distance, own = nearest(room.places(shift))
         others = [b for b in range(axes) if b != axis]
         lowest = np.take(corners, range(depth.shape[axis]), axis)
-        share = _positive_fraction(_corner_values(lowest, others), axes - 1)
+        share = _open_fraction(_corner_values(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
         # At a closed face that lies on a wall parallel to it, the velocity normal to the face is that of the wall. Near
@@ -143,10 +159,10 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         surface.append(np.where((solid == SMOOTH) | (below == SMOOTH), np.where(closed, SMOOTH, own), own))
     rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
     kept = np.where(solid == NONE, np.maximum(open_part, MIN_OPEN_FRACTION), 0.0)
-    weighted_volume = _weighted_volume(room, corners, mirror | beyond, solid != NONE, axial)
+    weighted_volume = _weighted_volume(room, ends, mirror | beyond, solid != NONE, axial)
     halves = [np.minimum(nearest(room.places(0.25 + 0.5 * np.array(h)))[0], far) for h in np.ndindex((2,) * axes)]
     fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
-    quarter_fraction = np.where(solid == NONE, _quarter_fractions(corners), 0.0)
+    quarter_fraction = np.where(solid == NONE, _quarter_fractions(ends), 0.0)
     quarter_fraction = quarter_fraction.transpose(*range(axes + 1, 1, -1), 0, 1)
     return Geometry(
         _last_first(solid),
@@ -158,35 +174,33 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     )
 
 
-def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
-    """Return the open fractions of each cell's four quarters for each pair of axes, shape (pairs, 4, cells...)."""
-    axes, half = corners.ndim, corners
-    for axis in range(axes):
+def _quarter_fractions(ends: np.ndarray) -> np.ndarray:
+    """Return the open fractions of each cell's four quarters for each pair of axes, shape (pairs, 4, cells...).
+
+    `ends` holds the distances of the wall at the corners of each cell, shape (cells..., 2, ..., 2).
+    """
+    axes = ends.ndim // 2
+    inner = tuple(range(-axes, 0))
+    low = ends.min(inner)
+    cut = (low <= 0) & (ends.max(inner) > 0)
+    half = ends[cut]
+    for axis in range(1, axes + 1):
         # Insert the interpolated value midway between two corners of a cell, so that the result has values at the
         # corners of the two halves of each cell.
-        half = np.moveaxis(half, axis, -1)
-        middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
-        half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
-        half = np.moveaxis(half, -1, axis)
-    ends = _corner_values(half, range(axes))
-    inner = tuple(range(-axes, 0))
-    low, high = ends.min(inner), ends.max(inner)
-    part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
+        a, b = np.split(half, 2, axis)
+        half = np.concatenate([a, 0.5 * (a + b), b], axis)
     # An almost closed quarter of a cell keeps a small open fraction. Otherwise the face of this quarter would not
     # exist, and the friction of the wall could not act on it.
-    part[cut] = np.maximum(_positive_fraction(ends[cut], axes), MIN_QUARTER_FRACTION)
-    found = []
-    for first, second in AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS:
+    part = _open_fraction(_corner_values(half, range(1, axes + 1)), axes, MIN_QUARTER_FRACTION)
+    pairs = AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS
+    found = np.empty((len(pairs), 4, *cut.shape))
+    found[:] = np.where(low > 0, 1.0, 0.0)
+    for number, (first, second) in enumerate(pairs):
+        others = tuple(b + 1 for b in range(axes) if b not in (first, second))
+        quarters = part.mean(others) if others else part
         for n in range(4):
-            at: list[slice] = [slice(None)] * axes
-            at[first], at[second] = slice(n % 2, None, 2), slice(n // 2, None, 2)
-            own = part[tuple(at)]
-            for b in range(axes):
-                if b not in (first, second):
-                    own = np.moveaxis(own, b, -1)
-                    own = np.moveaxis(own.reshape(*own.shape[:-1], -1, 2).mean(-1), -1, b)
-            found.append(own)
-    return np.stack(found).reshape(-1, 4, *found[0].shape)
+            found[number, n][cut] = quarters[:, n % 2, n // 2]
+    return found
 
 
 def nearest_wall(
@@ -199,14 +213,27 @@ def nearest_wall(
     everything = [*walls, *(_room_walls(room) if sides else ())]
 
     def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        shape, flat = points.shape[:-1], points.reshape(-1, points.shape[-1])
-        if not everything:
-            return np.full(shape, np.inf), np.full(shape, PLATE, np.int32)
-        found = np.stack([distance(flat) for distance, _ in everything])
-        which = np.array([number for _, number in everything], np.int32)[found.argmin(0)]
-        return found.min(0).reshape(shape), which.reshape(shape)
+        shape = points.shape[:-1]
+        found, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
+        for distance, number in everything:
+            here = _distances(distance, points)
+            which = np.where(here < found, number, which).astype(np.int32)
+            found = np.minimum(found, here)
+        return found, which
 
     return nearest
+
+
+def _distances(distance: Distance, points: np.ndarray) -> np.ndarray:
+    """Return the distances of points, shape (..., axes); for points of a grid, the result may have axes of length 1.
+
+    A wall that looks the same everywhere along an axis needs to be evaluated at one place along this axis.
+    """
+    axes = points.shape[-1]
+    if isinstance(distance, CylindricalDistance) and points.ndim == axes + 1:
+        along = {axis % axes for axis in distance.axes}
+        points = points[tuple(slice(None) if axis in along else slice(0, 1) for axis in range(axes))]
+    return distance(points.reshape(-1, axes)).reshape(points.shape[:-1])
 
 
 def _first_fastest(axes: int) -> list[int]:
@@ -222,7 +249,7 @@ def _room_walls(room: Room) -> list[tuple[Distance, int]]:
     """Return a distance function and the kind number PLATE for each side of a box that is a wall."""
 
     def plane(axis: int, place: float, sign: float) -> Distance:
-        return lambda x: sign * (x[:, axis] - place)
+        return CylindricalDistance(lambda x: sign * (x[:, axis] - place), (axis,))
 
     found: list[tuple[Distance, int]] = []
     for axis, (lower, upper) in enumerate(room.sides):
@@ -233,67 +260,73 @@ def _room_walls(room: Room) -> list[tuple[Distance, int]]:
     return found
 
 
-def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
+def _weighted_volume(room: Room, ends: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
     """Return the open volume around the centre of each cell, weighted as the kernel `fill` weights particles.
 
     The weight is a hat function of the position, which falls from 1 at the centre of a cell to 0 at the centres of its
     neighbours. A volume therefore counts in parts for several cells. The part that would count for a cell of `wall`
-    counts for the cell in which the volume lies instead.
+    counts for the cell in which the volume lies instead. `ends` holds the distances of the wall at the corners of each
+    cell, shape (cells..., 2, ..., 2). Volumes in the cells of `shut` do not count.
     """
     axes = len(room.cells)
     fine = SAMPLES_PER_CELL[axes]
-    inner = (np.arange(fine) + 0.5) / fine
-    values = corners
-    for axis in range(axes):
-        # Interpolate the corner values linearly to the sample points of the cells; those of one cell are adjacent in
-        # the result.
-        values = np.moveaxis(values, axis, -1)
-        low, high = values[..., :-1, None], values[..., 1:, None]
-        values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
-    for axis in range(axes):
-        shut = np.repeat(shut, fine, axis)
-    found = np.where((values > 0) & ~shut, 1.0, 0.0).astype(np.float32)
+    inner = tuple(range(-axes, 0))
+    low = ends.min(inner)
+    full, cut = (low > 0) & ~shut, (low <= 0) & (ends.max(inner) > 0) & ~shut
+    radius = None
     if axial:
-        radius = (np.arange(found.shape[0]) + 0.5) / fine * room.width[0] - room.width[0]
-        found = found * np.maximum(radius, 0.0)[:, None]
-    behind = _wall_share(found, wall, fine)
-    far = np.abs(np.concatenate([inner - 1.5, inner - 0.5, inner + 0.5]))
-    hat = np.maximum(1 - far, 0.0) / fine
-    for axis in range(axes):
-        cells = np.moveaxis(found, axis, -1)
-        cells = cells.reshape(*cells.shape[:-1], -1, fine)
-        around = np.pad(cells, [(0, 0)] * (axes - 1) + [(1, 1), (0, 0)])
-        whole = np.concatenate([around[..., :-2, :], cells, around[..., 2:, :]], -1)
-        found = np.moveaxis(whole @ hat, -1, axis)
-    found = found + behind
+        # The parts of a full cell depend on its radius, so they must be computed for every full cell.
+        full, cut = np.zeros_like(full), full | cut
+        along = (np.arange(full.shape[0]) - 1)[:, None] + (np.arange(fine) + 0.5) / fine
+        radius = np.maximum(along * room.width[0], 0.0)[np.nonzero(cut)[0]]
+    of_full = _hat_parts(np.ones((1, *[2] * axes)), fine)[0]
+    of_cut = _hat_parts(ends[cut], fine, radius)
+    found = np.zeros(full.shape)
+    for number, neighbour in enumerate(np.ndindex((3,) * axes)):
+        offset = [n - 1 for n in neighbour]
+        part = np.where(full, of_full[number], 0.0)
+        part[cut] = of_cut[:, number]
+        if any(offset):
+            stays = _shifted(wall, [-n for n in offset])
+            found += np.where(stays, part, 0.0)
+            part = _shifted(np.where(stays, 0.0, part), offset)
+        found += part
     return np.maximum(found, 1e-6 * float(found.max())) * float(np.prod(room.width))
 
 
-def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
-    """Return the part of each cell's open volume that hat functions assign to neighbouring wall cells.
+def _hat_parts(ends: np.ndarray, fine: int, radius: np.ndarray | None = None) -> np.ndarray:
+    """Return the parts of the open volume of cells that count for each cell and its neighbours, in cell volumes.
 
-    The hat function of a cell falls linearly from 1 at its centre to 0 at the centres of the neighbouring cells. Each
-    cell has `fine` sample points along each axis. `found` holds the weights of these points: 0 inside a wall, and
-    elsewhere 1 or, in axisymmetric flow, the radius. `wall` is a mask of the wall cells.
+    Args:
+        ends: Signed distances of the wall at the corners of n cells, shape (n, 2, ..., 2).
+        fine: Number of sample points along each axis of a cell.
+        radius: Weights of the sample points along the first axis, shape (n, fine); all are 1 by default.
+
+    Returns:
+        Parts for the neighbours at the offsets -1, 0 and 1 along each axis, the last axis fastest, shape (n, 3^axes).
     """
-    axes, half = wall.ndim, fine // 2
-    shape = [n for length in wall.shape for n in (length, fine)]
-    inner = found.reshape(shape).transpose(*range(0, 2 * axes, 2), *range(1, 2 * axes, 2))
-    # Distance of each sample point from the cell's centre along an axis, in cell widths.
-    away = (np.arange(half) + 0.5) / fine
-    sum = np.zeros(wall.shape)
-    for side in np.ndindex((2,) * axes):
-        # The centre of a cell divides it into two halves along each axis; `side` tells for each axis whether the upper
-        # half is meant. Select the sample points in the common part of these halves, in order from the centre outward.
-        rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
-        part = inner[(..., *rays)]
-        for beyond in list(np.ndindex((2,) * axes))[1:]:
-            share = part
-            for goes in reversed(beyond):
-                share = share @ (away if goes else 1 - away)
-            shift = tuple((1 - 2 * upper) * goes for upper, goes in zip(side, beyond, strict=True))
-            sum += share * np.roll(wall, shift, range(axes))
-    return sum / fine**axes
+    axes, inner = ends.ndim - 1, (np.arange(fine) + 0.5) / fine
+    values = ends
+    for axis in range(1, axes + 1):
+        low, high = (np.expand_dims(np.take(values, end, axis), axis) for end in (0, 1))
+        values = low + inner.reshape([-1 if a == axis else 1 for a in range(axes + 1)]) * (high - low)
+    parts = (values > 0).astype(float)
+    if radius is not None:
+        parts = parts * radius.reshape(*radius.shape, *[1] * (axes - 1))
+    hats = np.maximum(1 - np.abs(inner[:, None] - np.array([-0.5, 0.5, 1.5])), 0.0) / fine
+    for _ in range(axes):
+        # Each product replaces the first remaining axis of sample points by an axis of neighbours at the end.
+        parts = np.tensordot(parts, hats, (1, 0))
+    return parts.reshape(len(ends), 3**axes)
+
+
+def _shifted(values: np.ndarray, offset: Sequence[int]) -> np.ndarray:
+    """Return an array whose value at i + `offset` is that of `values` at i, and 0 where there is no such i."""
+    found = np.zeros_like(values)
+    target = tuple(slice(max(n, 0), length + min(n, 0)) for n, length in zip(offset, values.shape, strict=True))
+    source = tuple(slice(max(-n, 0), length + min(-n, 0)) for n, length in zip(offset, values.shape, strict=True))
+    found[target] = values[source]
+    return found
 
 
 def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
@@ -305,6 +338,18 @@ def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
         count = values.shape[axis]
         values = np.stack([np.take(values, range(count - 1), axis), np.take(values, range(1, count), axis)], -1)
     return values
+
+
+def _open_fraction(corners: np.ndarray, ends: int, least: float = 0.0) -> np.ndarray:
+    """Return the fraction of each cell in which a field is positive, as :func:`_positive_fraction` computes it.
+
+    Only cells in which the field changes its sign need this computation; their fraction is at least `least`.
+    """
+    inner = tuple(range(-ends, 0))
+    low = corners.min(inner)
+    part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (corners.max(inner) > 0)
+    part[cut] = np.maximum(_positive_fraction(corners[cut], ends), least)
+    return part
 
 
 def _positive_fraction(corners: np.ndarray, ends: int) -> np.ndarray:
@@ -364,4 +409,4 @@ def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, in
             inside ^= crosses & (x[:, 0] < one[0] + (x[:, 1] - one[1]) * along[0] / rise)
         return np.where(inside, -nearest, nearest)
 
-    return distance
+    return CylindricalDistance(distance, axes)
