@@ -18,7 +18,7 @@ from warpcrete.standards import FUNNEL
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 
 VOLUME = 0.04
-"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
 In test runs of this scene the errors reached 0.021.
 """
@@ -52,7 +52,7 @@ class FunnelParameters(FreeConcrete, AggregateParameters):
 
 @scene_function(FunnelParameters)
 def scene(parameters: FunnelParameters) -> FreeScene:
-    """Model a V-funnel full of concrete whose outlet opens at once, and measure the time until light shines through.
+    """Model a V-funnel full of concrete that opens below at once, and measure the time until light shines through.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -29,7 +29,7 @@ SEEN = 1.5
 AROUND = 24
 """Number of sides of the prism that represents a round bar."""
 VOLUME = 0.07
-"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
 In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 """

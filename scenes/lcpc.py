@@ -37,8 +37,8 @@ THICK = 2.5
 ABOVE = 3
 """Height of the simulated space above the box, in cells of the flow's grid."""
 VOLUME = 0.06
-"""Largest accepted error of the concrete's volume below the free surface, as a fraction of the volume. With cells of 20
-mm, measured errors reach 0.040."""
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume. With
+cells of 20 mm, measured errors reach 0.040."""
 POURED = "concrete is not poured: it stands behind a gate at one end, which is lifted slowly"
 
 
@@ -58,9 +58,10 @@ def _at_rest(k: Outcome, place: int) -> float | None:
 
 
 def _yield_stress(k: Outcome) -> float | None:
-    """Return the yield stress that follows from the spread length [Pa].
+    """Return the yield stress [Pa] that follows from the length over which the concrete has spread.
 
-    It is None if the concrete would rest deeper than its column or reached the far end, or if its weight is not known.
+    The result is None if the concrete would rest deeper than its column, if it has reached the far end, or if its
+    weight is not known.
     """
     reach = k.last("front")
     if not k.size["column_length"] < reach <= k.size["length"] - AT_THE_END or not k.density * k.whole:
@@ -92,7 +93,7 @@ LCPC_BOX = StandardTest(
 
 @dataclass(frozen=True, kw_only=True)
 class LongBox:
-    """Dimensions of the box; defaults follow Roussel (2007), with 6 litres of concrete."""
+    """Dimensions of the LCPC box; defaults follow Roussel (2007), with 6 litres of concrete."""
 
     column_length: Annotated[
         float, "Length of the concrete at the start, when it fills the box to its height behind the gate [m]", Above()

@@ -26,12 +26,12 @@ TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 RELEASED = "the friction of the mould is neglected: concrete is released from below as the mould rises"
 QUARTER = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
 MAX_PART = 0.7
-"""Largest diameter of an aggregate, divided by the radius of the mould's top. The simulated quarter of the cone is as
-wide as this radius there."""
+"""Largest diameter of an aggregate divided by the radius of the mould's top. A quarter of the cone is simulated, and at
+the top this quarter is as wide as that radius."""
 SHELL, ABOVE = 3, 3
 """Thickness of the mould's wall, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
-"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
 In most test runs the error was at most 0.027, which it reached while the surface moved fastest. If a yield stress of 20
 Pa lets the concrete spread into a layer only a few cells thick, the error is 0.07 to 0.14. A run of this kind should

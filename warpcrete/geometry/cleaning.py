@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 COINCIDENT = 1e-6
-"""Distance below which two corners of a mesh are merged, relative to the largest coordinate of the mesh. STL files in
-single precision have a relative accuracy of 6e-8."""
+"""Distance below which two corners of a mesh are merged, divided by the largest coordinate of the mesh. In STL files,
+coordinates in single precision have a relative accuracy of 6e-8."""
 
 
 def default_tolerance(vertices: np.ndarray) -> float:

@@ -26,7 +26,8 @@ class MeshBore:
     radii: tuple[float, ...]
     """Radii of circles with the areas of the stored cross-sections [m]."""
     least: tuple[float, ...]
-    """Radii of the largest free circles about the axis in the stored cross-sections [m]."""
+    """Radii of the largest circles about the axis that fit into the stored cross-sections without touching the wall
+    [m]."""
 
     @property
     def ends(self) -> tuple[float, float]:

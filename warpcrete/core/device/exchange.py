@@ -19,7 +19,7 @@ MAXIMUM_BUFFERS = 2048
 
 
 class PinnedBuffers:
-    """Page-locked memory for a set of GPU arrays, and copies of the whole set in either direction as one launch.
+    """Page-locked memory for a set of GPU arrays; one launch copies the whole set to the GPU or from it.
 
     The set is copied array by array the first time. Later copies replay a CUDA graph, whose launch takes the host less
     time than a single copy. The graph refers to the arrays by address and does not keep them alive.

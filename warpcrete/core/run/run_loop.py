@@ -323,14 +323,14 @@ class Simulation:
         self.load_state_dict(self.read_checkpoint(path))
 
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
-        """Return the `state_dict` stored in a checkpoint, and restore the run's own data from this checkpoint.
+        """Return the `state_dict` stored in a checkpoint, and restore the data about the run from this checkpoint.
 
-        This data includes the wall times, the number of samples and the time of the next frame.
+        These data are the wall times, the number of samples, the time of the next frame and so on.
         """
         return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
 
     def _restored(self, contents: dict[str, Any]) -> dict[str, Any]:
-        """Restore the run's own data from the contents of a checkpoint, and return these contents."""
+        """Restore the data about the run, such as its wall times, from a checkpoint; return its contents."""
         run: RunRecord = contents["run"]
         self._resumed = run
         self._samples_taken, self.frames.next = run["samples"], run["next_frame"]
