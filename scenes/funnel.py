@@ -23,7 +23,8 @@ VOLUME = 0.04
 In test runs of this scene the errors reached 0.021.
 """
 MAX_PART = 0.9
-"""Largest diameter of an aggregate, divided by the width of the outlet in the simulated quarter of the funnel."""
+"""Largest diameter of an aggregate divided by half the width of the outlet of the V-funnel. Only a quarter of the
+V-funnel is simulated, and its outlet is half as wide."""
 REMARKS = (
     "a quarter of the funnel is simulated, between its planes of symmetry",
     "concrete is removed at the outlet, so the weight of what has flowed out does not pull on the rest",
@@ -98,7 +99,8 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: FunnelParameters) -> Iterator[Knob]:
-    coarsest = min(given.outlet_width, given.breadth) / 4  # at least four cells across the outlet in both directions
+    # Put at least four cells across the outlet in both directions.
+    coarsest = min(given.outlet_width, given.breadth) / 4
     fall = given.cone_height + given.outlet_height
     return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
 

@@ -18,12 +18,13 @@ from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
 from warpcrete.standards import FUNNEL
 
 FALL = 0.3
-"""Height of the outlet above the floor [m]. If it were smaller, grains on the floor could pile up to the outlet. If it
-were larger, falling grains would become so fast that these soft particles pass into one another."""
+"""Height of the V-funnel's outlet above the floor [m]. If it were smaller, grains on the floor could pile up to the
+outlet. If it were larger, falling grains would become so fast that these soft particles pass into one another."""
 DOOR_SPEED = 5.0
-"""Speed at which the trap door falls away [m/s]: the concrete starts from rest and cannot catch up with the door."""
+"""Speed at which the trap door falls away [m/s]. The concrete starts from rest and cannot catch up with the trap
+door."""
 EDGE = 0.01
-"""Distance by which the trap door extends beyond the edge of the outlet on each side [m]."""
+"""Distance by which the trap door extends beyond the edge of the V-funnel's outlet on each side [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

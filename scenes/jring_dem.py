@@ -22,7 +22,7 @@ from warpcrete.standards import J_RING
 from .slump_dem import SlumpElements, lifted_cone
 
 SIDES = 12
-"""Number of flat facets that approximate the round surface of a bar of the J-ring."""
+"""Number of flat sides that approximate the round surface of a bar of the J-ring."""
 
 
 @dataclass(frozen=True, kw_only=True)

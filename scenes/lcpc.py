@@ -28,7 +28,8 @@ from warpcrete.standards.standard_test import Sizes
 from warpcrete.theory.vessels import box_at_rest, box_yield_stress
 
 NEAR_END = 0.05
-"""Length at the pouring end over which the depth of the concrete is averaged [m]."""
+"""Length of the stretch at the near end of the LCPC box, where the concrete starts, over which its depth is averaged
+[m]."""
 AT_THE_END = 0.02
 """Distance from the far end of the box [m] within which concrete counts as having reached this end, so that the end
 wall holds it back."""

@@ -19,7 +19,7 @@ METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
     # `method_of` returns the first method in this list whose scene type fits. The scene type of suspensions is a
-    # subclass of that of free-surface flows, so suspensions must come first.
+    # subclass of the scene type of free-surface flows, so suspensions must come first.
     SUSPENSIONS,
     FREE_FLOWS,
     PARTS_OF_LINES,

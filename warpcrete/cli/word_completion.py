@@ -39,8 +39,7 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
     """
     last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
     if list(given[-2:-1]) == ["--method"]:
-        # If the previous word is the option `--method`, the word before the cursor is its value, so no option awaits a
-        # value.
+        # The last complete word is the value of `--method`, so the word to be completed does not belong to this option.
         last = ""
     with suppress(click.UsageError, WarpcreteError):
         given = by_method(list(given))

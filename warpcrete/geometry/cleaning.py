@@ -72,9 +72,9 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _cells(places: np.ndarray) -> np.ndarray:
-    """Return, for each point in `places` (n, 3), the number of the cell with edges of length 1 that contains it.
+    """Return, for each point in `places` (n, 3), the index of the unit cube that contains it.
 
-    Only cells that contain a point are numbered.
+    The cubes have edges of length 1 along the axes. Only cubes that contain a point have an index.
     """
     number = np.zeros(len(places), np.int64)
     for axis in np.floor(places).astype(np.int64).T:

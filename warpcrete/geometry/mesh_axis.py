@@ -111,7 +111,7 @@ def follow(
 
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """Turn each cross-section of a bore until it is perpendicular to the curve through all their centres.
+    """Turn the cross-sections of a bore, so that they become perpendicular to the curve through their centres.
 
     The function changes the centres `points` and the `radii` in place.
     """
@@ -302,8 +302,8 @@ def _next_section(
 def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:
     """Return the unit direction at point `last`, from the parabola through it and two earlier points.
 
-    The points of the parabola are at least `apart` [m] from each other. With fewer earlier points, the direction comes
-    from the chord or is `tangent`.
+    The points of the parabola are at least `apart` [m] from each other. With only one earlier point, the result is the
+    direction from that point to `last`. Without earlier points, the result is `tangent`.
     """
     chosen = [last]
     for point in reversed(points):

@@ -16,7 +16,7 @@ class MeshBore:
     scale: float
     """Factor from the file's length unit to metres: 0.001 for mm."""
     axis: Axis
-    """Centreline of the bore in the mesh's coordinates, starting at the mesh's origin."""
+    """Centreline of the bore in the mesh's own coordinates, starting at the mesh's origin."""
     narrowest: float
     """Smallest distance between two opposite places of the bore's wall [m]."""
     digest: str

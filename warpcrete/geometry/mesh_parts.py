@@ -68,7 +68,7 @@ def bore_of(
         scale: Factor from the file's length unit to metres.
         length: Required length of the axis [m]; any length if None.
         diameters: Required diameters at the start and at the end [m]; any diameters if None.
-        ways: Unit directions in which the axis may begin; the mesh of a pipeline part leads along its x.
+        ways: Unit directions in which the bore's axis may begin; a part of a pipeline begins along the mesh's x axis.
 
     Raises:
         SceneError: The file cannot be read, or its mesh has gaps, does not begin at its origin, is blocked, opens to
@@ -158,7 +158,7 @@ def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field:
 
 @functools.lru_cache(maxsize=8)
 def _surface(bore: MeshBore, field: str) -> InnerSurface:
-    """Return the inner surface of a mesh bore in the mesh's coordinates; results are cached per file content."""
+    """Return the inner surface of a mesh bore in the mesh's own coordinates; results are cached per file content."""
     mesh = load(bore.file, field, bore.scale)
     return InnerSurface(mesh.vertices, mesh.faces, bore.axis, bore.radii[0], field, bore.file)
 

@@ -31,7 +31,7 @@ ROUNDNESS_TOLERANCE = 0.01
 """Largest difference between the radius of a bore's wall and that of a cylinder, as a fraction of the cylinder's
 radius, for which the bore counts as cylindrical."""
 MAX_FACES = 500_000
-"""Largest number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
+"""Largest accepted number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4
 """Largest distance of a mesh's corner from the origin [m]."""
 
@@ -151,7 +151,7 @@ class Bore:
     def of(cls, reach: np.ndarray) -> Bore:
         """Return the size of a bore, calculated from the distances `reach` between its axis and its wall [m].
 
-        Every ray must have met the wall.
+        No distance may be -1, which stands for a ray that met no wall.
         """
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 

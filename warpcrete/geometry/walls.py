@@ -126,14 +126,14 @@ that the axis occupies."""
 
 
 class _Wall:
-    """Base class of walls of all shapes, which have a name, a frame and an optional motion."""
+    """Base class of walls of all shapes, which have a name, a coordinate frame and an optional motion."""
 
     name: str
     motion: Motion | None
 
     @property
     def origin(self) -> np.ndarray:
-        """Origin of the wall's frame at the start of the simulation [m], shape (3,)."""
+        """Origin of the wall's own coordinate frame at the start of the simulation [m], shape (3,)."""
         return np.zeros(3)
 
     @property

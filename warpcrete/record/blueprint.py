@@ -95,8 +95,8 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     if kept is not None:
         import rerun as rr
 
-        # In this view, bodies that are in front of the cutting plane at the start have the radius 0, which hides them.
-        # The view therefore needs no second copy of the bodies' positions in the recording.
+        # In the view "Cut through the middle", bodies that are in front of the cutting plane at the start have the
+        # radius 0, which hides them. The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
         found.append(_view(display, "Cut through the middle", contents, hidden))
     if network:

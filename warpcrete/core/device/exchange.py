@@ -116,7 +116,7 @@ class Exchange:
         self._last_write = self._last_write_before_read = self._last_completed_write = 0
 
     def read(self, *arrays: DeviceArray) -> list[HostArray]:
-        """Wait until all work launched so far is complete, and return copies of the arrays in host memory."""
+        """Wait until all work launched so far is complete, and return copies of device arrays in host memory."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
         buffers = self._buffers("read", arrays)
@@ -125,7 +125,7 @@ class Exchange:
         return [view.copy() for view in buffers.views]
 
     def begin_read(self, *arrays: DeviceArray) -> None:
-        """Start an asynchronous read, whose values :meth:`finish_read` returns; only one may be in flight."""
+        """Start an asynchronous read, whose values :meth:`finish_read` returns; only one read may be in flight."""
         self._pending_arrays = arrays
         if self.device.is_cuda:
             before = self._last_write

@@ -290,8 +290,8 @@ class Launcher:
         """
         left = list(sizes)
         while left:
-            # During core contention, or if it is not yet known whether there is contention, check for it after each
-            # graph.
+            # During core contention, or while it is not known whether there is contention, check for it after each
+            # launch graph.
             contended = self._pool is not None and self.contention.use_one_thread()
             count = 1 if self._pool is not None and (contended or self.contention.is_uncertain) else len(left)
             now, left = left[:count], left[count:]

@@ -125,7 +125,7 @@ class Lines:
     forces: np.ndarray
     """Force between the two bodies that each drawn line joins [N], shape (n,)."""
     radii: np.ndarray
-    """Radii with which the lines are drawn [m], shape (n,)."""
+    """Radii with which the lines between bodies are drawn, as thin tubes [m], shape (n,)."""
     colours: np.ndarray
     """Colours of n lines that are drawn between bodies, as RGB bytes, shape (n, 3)."""
 
@@ -143,7 +143,7 @@ class Display(ABC):
     has_network: ClassVar[bool] = False
     """True if there are lines between bodies to draw."""
     has_surface: ClassVar[bool] = False
-    """True if the surface of the concrete is drawn instead of its bodies."""
+    """True if the surface of the concrete is drawn instead of bodies."""
 
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         self.simulation = simulation

@@ -175,7 +175,7 @@ class Simulation:
         self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
         # Wall time that a resumed run had taken before its checkpoint was written [s].
         self._time_before_resume = 0.0
-        self._samples_taken = 0  # Number of rows in the time series, not counting the row at t = 0.
+        self._samples_taken = 0  # Number of rows in the time series so far, not counting the row at t = 0.
         self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
         self._ended_run: Run | None = None
@@ -193,7 +193,7 @@ class Simulation:
         self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
         self.recorders = [*output.recorders(self), *self.recorders]
 
-    # The following members are defined by each simulation method.
+    # The following members must be defined by the subclass of each simulation method.
 
     @abstractmethod
     def set_up(self) -> None:
@@ -428,7 +428,7 @@ class Simulation:
         full: list[Exception] = []
         try:
             try:
-                if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
+                if not self.rows:  # Save the state at t = 0 first, because packing and settling took a long time.
                     self._checkpoint()
                 self._recording.begin({} if self._resumed is None else self._resumed["recorders"])
                 if self._ended_run is not None:
