@@ -29,7 +29,7 @@ EDGE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class FunnelElements(VesselParameters):
-    """Dimensions of the funnel; defaults follow EN 12350-9."""
+    """Dimensions of the V-funnel; defaults follow EN 12350-9."""
 
     HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0, "plastic": 1.0}
 

@@ -123,14 +123,14 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
-    """Yield the upright bars in the simulated half of the box; a bar on the symmetry plane is yielded whole."""
+    """Yield the upright bars in the simulated half of the L-box; a bar on the symmetry plane is yielded whole."""
     # Import trimesh only here, because this takes half a second, which runs without bars need not spend.
     import trimesh
 
     pitch = GAPS[given.bars] + given.bar_diameter
     first = 0.0 if given.bars % 2 else pitch / 2
     for n in range(math.ceil(given.bars / 2)):
-        # The bar begins two cells below the floor, so that no gap remains between bar and floor, and ends at the height
+        # The bar begins two cells below the floor, so that no gap remains between bar and floor. It ends at the height
         # of the opening.
         high = given.opening + 2 * given.spacing
         bar = trimesh.creation.cylinder(given.bar_diameter / 2, high, AROUND)
@@ -142,7 +142,7 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
-    # With coarser cells, the grid would miss the bars or hardly resolve the opening.
+    # With coarser cells, the grid would miss the bars of the L-box or hardly resolve the opening.
     coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
     return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
 

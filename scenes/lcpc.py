@@ -31,12 +31,12 @@ NEAR_END = 0.05
 """Length of the stretch at the near end of the LCPC box, where the concrete starts, over which its depth is averaged
 [m]."""
 AT_THE_END = 0.02
-"""Distance from the far end of the box [m] within which concrete counts as having reached this end, so that the end
-wall holds it back."""
+"""Distance from the far end of the LCPC box [m] within which concrete counts as having reached this end, so that the
+end wall holds it back."""
 THICK = 2.5
-"""Thickness of the gate, in cells of the flow's grid."""
+"""Thickness of the LCPC box's gate, in cells of the flow's grid."""
 ABOVE = 3
-"""Height of the simulated space above the box, in cells of the flow's grid."""
+"""Height of the simulated space above the LCPC box, in cells of the flow's grid."""
 VOLUME = 0.06
 """Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume. With
 cells of 20 mm, measured errors reach 0.040."""
@@ -49,7 +49,7 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _at_rest(k: Outcome, place: int) -> float | None:
-    """Return a depth or a length of the concrete at rest by theory [m], which `place` selects.
+    """Return a depth or a length of the concrete at rest in the LCPC box by theory [m], which `place` selects.
 
     A `place` of 0 selects the depth at the near end, 1 the depth at the far end, and 2 the length that concrete covers.
     The result is None for concrete so stiff that it would rest deeper than the column in which it starts.
@@ -112,7 +112,7 @@ class LongBox:
                    f"use {self.column_length + 0.3:g} m or more")  # fmt: skip
 
 
-# The following definitions are those of the scene that simulates the box as a flow.
+# The following definitions are those of the scene that simulates the LCPC box as a flow.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +180,7 @@ def _knobs(given: LongBoxFlow) -> Iterator[Knob]:
 trading = Trading(_knobs, quantities=("spread_length", "h0"))
 
 
-# The following definitions are those of the scene that simulates the box by discrete elements.
+# The following definitions are those of the scene that simulates the LCPC box by discrete elements.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ MAX_PART = 0.7
 """Largest diameter of an aggregate divided by the radius of the mould's top. A quarter of the cone is simulated, and at
 the top this quarter is as wide as that radius."""
 SHELL, ABOVE = 3, 3
-"""Thickness of the mould's wall, and height of the simulated space above the mould, both in grid cells."""
+"""Thickness of the slump cone's mould, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
 """Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
@@ -73,7 +73,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
     room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
     outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))
-    # Fit a whole number of cells into the height of the mould and into the radius of its base.
+    # Fit a whole number of cells into the height of the mould, and also into the radius of its base.
     rows, rings = max(4, round(height / given.spacing)), max(4, round(base / given.spacing))
     thick = SHELL * base / rings
     gate = ((base, 0.0), (base + thick, 0.0), (top + thick, height), (top, height)) if given.lift_time else ()

@@ -27,7 +27,7 @@ METHODS: tuple[Method, ...] = (
 
 
 def method_of(scene: Any) -> Method:
-    """Return the method that simulates a scene; raises :class:`SceneError` if no method simulates its type."""
+    """Return the simulation method of a scene; raises :class:`SceneError` if no simulation method takes its type."""
     for method in METHODS:
         if isinstance(scene, method.scene_type):
             return method

@@ -92,8 +92,8 @@ def joined(axis: Axis) -> Axis:
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
     """Refuse a pipe that passes its own inlet or outlet plane again, or that is too long to be simulated.
 
-    The inlet plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] beyond the
-    pipe. The outlet plane crosses the end of the pipe at right angles and has no limit.
+    The inlet plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
+    axis. The outlet plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > MAX_LENGTH_RATIO * 2 * bores.largest:
         refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters",

@@ -70,7 +70,7 @@ class PinnedBuffers:
 
 
 class _Copying:
-    """Stage that copies device arrays into page-locked host memory."""
+    """Stage of a launch graph that copies device arrays into page-locked host memory."""
 
     def __init__(self, buffers: PinnedBuffers, arrays: Sequence[DeviceArray]) -> None:
         self._buffers, self._arrays = buffers, arrays

@@ -62,7 +62,7 @@ class RunRecord(TypedDict):
     samples: int
     """Number of rows in the time series, not counting the row at t = 0."""
     next_frame: float
-    """Simulated time of the next frame [s]."""
+    """Simulated time at which recorders record the next frame [s]."""
     spent: dict[str, float]
     """Wall time of each phase of the run [s], by the phase's name, such as "packing"."""
     over: bool
