@@ -58,9 +58,10 @@ def modules() -> dict[str, ModuleType]:
 
 
 def _second(file: ModuleType) -> ModuleType:
-    """Return a module, like those of other scenes, for the discrete element scene in a file that also holds a flow.
+    """Return a module for the discrete element scene in a file that also holds the scene of a flow.
 
-    The module can be imported as NAME_dem, because worker processes of studies import scenes by name.
+    The module is like the modules of other scenes. It can be imported as NAME_dem, because worker processes of studies
+    import scenes by name.
     """
     name = f"{file.__name__}_dem"
     if name not in sys.modules:

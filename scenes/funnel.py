@@ -18,12 +18,13 @@ from warpcrete.standards import FUNNEL
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 
 VOLUME = 0.04
-"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
 In test runs of this scene the errors reached 0.021.
 """
 MAX_PART = 0.9
-"""Largest diameter of an aggregate, divided by the width of the outlet in the simulated quarter of the funnel."""
+"""Largest diameter of an aggregate divided by the width of the simulated outlet. Only a quarter of the V-funnel is
+simulated, so this width is half the smaller side of the whole outlet."""
 REMARKS = (
     "a quarter of the funnel is simulated, between its planes of symmetry",
     "concrete is removed at the outlet, so the weight of what has flowed out does not pull on the rest",
@@ -38,7 +39,7 @@ AGGREGATE_REMARKS = (
 
 @dataclass(frozen=True, kw_only=True)
 class FunnelParameters(FreeConcrete, AggregateParameters):
-    """Dimensions of the funnel; defaults follow EN 12350-9."""
+    """Dimensions of the V-funnel; defaults follow EN 12350-9."""
 
     top_width: Annotated[float, "Inner width at the top [m]", Above()] = 0.515
     outlet_width: Annotated[float, "Inner width of the outlet [m]", Above()] = 0.065
@@ -52,7 +53,7 @@ class FunnelParameters(FreeConcrete, AggregateParameters):
 
 @scene_function(FunnelParameters)
 def scene(parameters: FunnelParameters) -> FreeScene:
-    """Model a V-funnel full of concrete whose outlet opens at once, and measure the time until light shines through.
+    """Model a V-funnel full of concrete that opens below at once, and measure the time until light shines through.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -67,8 +68,8 @@ def scene(parameters: FunnelParameters) -> FreeScene:
         refuse("aggregate_largest", given.aggregate_largest,
                f"is too large: a quarter of the funnel is simulated, and its outlet is only {quarter:g} m wide",
                f"use {MAX_PART * quarter:.2g} m or less")  # fmt: skip
-    # Choose the cell size such that the height of the funnel is a whole number of cells. Two more rows of cells lie
-    # above the funnel.
+    # Choose the cell size such that the height of the V-funnel is a whole number of cells. Two more rows of cells lie
+    # above the V-funnel.
     rows = max(8, round(whole / given.spacing))
     cell = whole / rows
     width, out = cell * math.ceil(max(brim, narrow) / cell + 1), 10 * cell
@@ -98,7 +99,8 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: FunnelParameters) -> Iterator[Knob]:
-    coarsest = min(given.outlet_width, given.breadth) / 4  # at least four cells across the outlet in both directions
+    # Put at least four cells across the V-funnel's outlet in both directions.
+    coarsest = min(given.outlet_width, given.breadth) / 4
     fall = given.cone_height + given.outlet_height
     return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
 

@@ -18,17 +18,18 @@ from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
 from warpcrete.standards import FUNNEL
 
 FALL = 0.3
-"""Height of the outlet above the floor [m]. If it were smaller, grains on the floor could pile up to the outlet. If it
-were larger, falling grains would become so fast that these soft particles pass into one another."""
+"""Height of the V-funnel's outlet above the floor [m]. If it were smaller, grains on the floor could pile up to the
+outlet. If it were larger, falling grains would become so fast that these soft particles pass into one another."""
 DOOR_SPEED = 5.0
-"""Speed at which the trap door falls away [m/s]: the concrete starts from rest and cannot catch up with the door."""
+"""Speed at which the trap door falls away [m/s]. The concrete starts from rest and cannot catch up with the trap
+door."""
 EDGE = 0.01
-"""Distance by which the trap door extends beyond the edge of the outlet on each side [m]."""
+"""Distance by which the trap door extends beyond the edge of the V-funnel's outlet on each side [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FunnelElements(VesselParameters):
-    """Dimensions of the funnel; defaults follow EN 12350-9."""
+    """Dimensions of the V-funnel; defaults follow EN 12350-9."""
 
     HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0, "plastic": 1.0}
 
@@ -41,7 +42,7 @@ class FunnelElements(VesselParameters):
 
 @scene_function(FunnelElements)
 def scene(parameters: FunnelElements) -> Scene:
-    """Model a V-funnel full of grains whose outlet opens at once, and measure the time until light shines through.
+    """Model a V-funnel full of grains that opens at its lower end at once; measure the time until light shines through.
 
     Light shines through when the grains in the funnel, seen from above, cover less than half of the outlet. The trap
     door falls away at 5 m/s, and the grains that have left lie on a floor 0.3 m below.

@@ -22,12 +22,12 @@ from warpcrete.standards import J_RING
 from .slump_dem import SlumpElements, lifted_cone
 
 SIDES = 12
-"""Number of flat facets that approximate the round surface of a bar of the J-ring."""
+"""Number of flat sides that approximate the round surface of a bar of the J-ring."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RingElements(SlumpElements):
-    """Dimensions of the ring of bars; defaults follow EN 12350-12."""
+    """Dimensions of the J-ring, a ring of bars; defaults follow EN 12350-12."""
 
     bars: Annotated[int, "Number of bars of the ring; 16 leave gaps of 41 mm, 12 of 59 mm", Within(3)] = 16
     bar_diameter: Annotated[float, "Diameter of the bars [m]", Above()] = 0.018

@@ -19,17 +19,17 @@ from warpcrete.standards import L_BOX
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 
 GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
-"""Free distance between neighbouring bars [m], by the number of bars (EN 12350-10)."""
+"""Free distance between neighbouring bars of the L-box [m], by the number of bars (EN 12350-10)."""
 THICK = 2.5
-"""Thickness of the column's front wall and of the gate, in grid cells."""
+"""Thickness of the gate and of the front wall of the L-box's column, in grid cells."""
 FEWEST = 3
-"""Minimum number of grid cells over the height of the opening below the column's front wall."""
+"""Minimum number of grid cells over the height of the opening below the front wall of the L-box's column."""
 SEEN = 1.5
 """Minimum number of grid cells across the diameter of a bar of the L-box; a coarser grid would miss the bar."""
 AROUND = 24
-"""Number of sides of the prism that represents a round bar."""
+"""Number of sides of the prism that represents a round bar of the L-box."""
 VOLUME = 0.07
-"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
 In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 """
@@ -37,7 +37,7 @@ In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 
 @dataclass(frozen=True, kw_only=True)
 class BoxParameters(FreeConcrete, AggregateParameters):
-    """Dimensions of the box; defaults follow EN 12350-10."""
+    """Dimensions of the L-box; defaults follow EN 12350-10."""
 
     column_width: Annotated[float, "Inner width of the column, along the box [m]", Above()] = 0.1
     column_height: Annotated[float, "Height of the concrete in the column at the start [m]", Above()] = 0.6
@@ -56,7 +56,7 @@ class BoxParameters(FreeConcrete, AggregateParameters):
 
 @scene_function(BoxParameters)
 def scene(parameters: BoxParameters) -> FreeScene:
-    """Model a column of concrete that flows into a box when its gate is lifted (L-box test).
+    """Model a column of concrete that flows into the L-box when the gate between column and box is lifted.
 
     The results are the ratio H2/H1 of the depth at the box's far end to that at the gate, and the times T200 and T400
     at which the front is 200 and 400 mm away from the gate. Raises :class:`warpcrete.SceneError` for parameters that
@@ -123,14 +123,14 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
-    """Yield the upright bars in the simulated half of the box; a bar on the symmetry plane is yielded whole."""
+    """Yield the upright bars in the simulated half of the L-box; a bar on the symmetry plane is yielded whole."""
     # Import trimesh only here, because this takes half a second, which runs without bars need not spend.
     import trimesh
 
     pitch = GAPS[given.bars] + given.bar_diameter
     first = 0.0 if given.bars % 2 else pitch / 2
     for n in range(math.ceil(given.bars / 2)):
-        # The bar begins two cells below the floor, so that no gap remains between bar and floor, and ends at the height
+        # The bar begins two cells below the floor, so that no gap remains between bar and floor. It ends at the height
         # of the opening.
         high = given.opening + 2 * given.spacing
         bar = trimesh.creation.cylinder(given.bar_diameter / 2, high, AROUND)
@@ -142,7 +142,7 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
-    # Coarser cells would miss bars, or hardly resolve the opening.
+    # With coarser cells, the grid would miss the bars of the L-box or hardly resolve the opening.
     coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
     return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
 

@@ -18,12 +18,12 @@ from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 from warpcrete.standards import L_BOX
 
 ABOVE = 0.2
-"""Height by which the box's front wall extends above the concrete in the column [m]."""
+"""Height by which the front wall of the L-box's column extends above the concrete in the column [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxElements(VesselParameters):
-    """Dimensions of the box without bars; defaults follow EN 12350-10."""
+    """Dimensions of the L-box without bars; defaults follow EN 12350-10."""
 
     column_width: Annotated[float, "Inner width of the column, along the box [m]", Above()] = 0.1
     column_height: Annotated[
@@ -37,7 +37,7 @@ class BoxElements(VesselParameters):
 
 @scene_function(BoxElements)
 def scene(parameters: BoxElements) -> Scene:
-    """Model a column of grains that flows into a box when its gate is lifted (L-box test).
+    """Model a column of grains that flows into the L-box when the gate between column and box is lifted.
 
     There are three results. One is the ratio H2/H1 of the depth at the box's far end to that at the gate. The others
     are the times T200 and T400 at which the front is 200 and 400 mm away from the gate.

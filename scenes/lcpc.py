@@ -28,17 +28,18 @@ from warpcrete.standards.standard_test import Sizes
 from warpcrete.theory.vessels import box_at_rest, box_yield_stress
 
 NEAR_END = 0.05
-"""Length at the pouring end over which the depth of the concrete is averaged [m]."""
+"""Length of the stretch at the near end of the LCPC box, where the concrete starts, over which its depth is averaged
+[m]."""
 AT_THE_END = 0.02
-"""Distance from the far end of the box [m] within which concrete counts as having reached this end, so that the end
-wall holds it back."""
+"""Distance from the far end of the LCPC box [m] within which concrete counts as having reached this end, so that the
+end wall holds it back."""
 THICK = 2.5
-"""Thickness of the gate, in cells of the flow's grid."""
+"""Thickness of the LCPC box's gate, in cells of the flow's grid."""
 ABOVE = 3
-"""Height of the simulated space above the box, in cells of the flow's grid."""
+"""Height of the simulated space above the LCPC box, in cells of the flow's grid."""
 VOLUME = 0.06
-"""Largest accepted error of the concrete's volume below the free surface, as a fraction of the volume. With cells of 20
-mm, measured errors reach 0.040."""
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume. With
+cells of 20 mm, measured errors reach 0.040."""
 POURED = "concrete is not poured: it stands behind a gate at one end, which is lifted slowly"
 
 
@@ -48,7 +49,7 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _at_rest(k: Outcome, place: int) -> float | None:
-    """Return a depth or a length of the concrete at rest by theory [m], which `place` selects.
+    """Return a depth or a length of the concrete at rest in the LCPC box by theory [m], which `place` selects.
 
     A `place` of 0 selects the depth at the near end, 1 the depth at the far end, and 2 the length that concrete covers.
     The result is None for concrete so stiff that it would rest deeper than the column in which it starts.
@@ -58,9 +59,10 @@ def _at_rest(k: Outcome, place: int) -> float | None:
 
 
 def _yield_stress(k: Outcome) -> float | None:
-    """Return the yield stress that follows from the spread length [Pa].
+    """Return the yield stress [Pa] that follows from the length over which the concrete has spread.
 
-    It is None if the concrete would rest deeper than its column or reached the far end, or if its weight is not known.
+    The result is None if the concrete would rest deeper than its column, if it has reached the far end, or if its
+    weight is not known.
     """
     reach = k.last("front")
     if not k.size["column_length"] < reach <= k.size["length"] - AT_THE_END or not k.density * k.whole:
@@ -92,7 +94,7 @@ LCPC_BOX = StandardTest(
 
 @dataclass(frozen=True, kw_only=True)
 class LongBox:
-    """Dimensions of the box; defaults follow Roussel (2007), with 6 litres of concrete."""
+    """Dimensions of the LCPC box; defaults follow Roussel (2007), with 6 litres of concrete."""
 
     column_length: Annotated[
         float, "Length of the concrete at the start, when it fills the box to its height behind the gate [m]", Above()
@@ -110,7 +112,7 @@ class LongBox:
                    f"use {self.column_length + 0.3:g} m or more")  # fmt: skip
 
 
-# The following definitions are those of the scene that simulates the box as a flow.
+# The following definitions are those of the scene that simulates the LCPC box as a flow.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +180,7 @@ def _knobs(given: LongBoxFlow) -> Iterator[Knob]:
 trading = Trading(_knobs, quantities=("spread_length", "h0"))
 
 
-# The following definitions are those of the scene that simulates the box by discrete elements.
+# The following definitions are those of the scene that simulates the LCPC box by discrete elements.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,8 +41,8 @@ from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Sectio
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
-"""Largest relative deviation of the simulated from the theoretical pressure gradient that a valid run may have in its
-straight stretches."""
+"""Largest accepted difference between simulated and theoretical pressure gradient in straight pipe, divided by the
+theoretical pressure gradient."""
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 
@@ -126,14 +126,14 @@ class _PipeCourse:
 
     axis: Axis
     bores: Bores
-    """Inner radii of the pipe's wall along the pipe [m]; the slip layer lies within them."""
+    """Inner radii of the pipe's wall at places along its axis [m]; the slip layer lies inside the wall."""
     wall: MeshWall | None = None
     insert: tuple[float, float] | None = None
     parts: tuple[Section, ...] = ()
 
 
 def _unit(given: PartParameters) -> _PipeCourse:
-    """Return the axis and the inner radii of a pipe that is a single part, and its wall if the wall is a mesh."""
+    """Return axis, inner radii and wall of a pipe that is a single part; the wall is None unless it is a mesh."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)

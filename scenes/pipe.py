@@ -53,17 +53,19 @@ PAPER_CONCRETES = ("zhan", "zhan-table1")
 MIN_AGGREGATES = 30
 """Minimum number of aggregates in a valid run; a smaller number does not represent concrete."""
 MAX_LEAK = 0.01
-"""Maximum fraction of the aggregates that may slip past the plug."""
+"""Maximum fraction of the aggregates that may slip past the plug of balls at the front end of the concrete."""
 PAUSE_LEFT_AT_REST = 0.05
-"""Fraction of the piston's last pause that is still left when the concrete's long rest is applied. The simulation takes
-no time steps for this rest."""
+"""Fraction of the piston's last pause that is still left when the concrete's long rest is applied. In this rest the
+yield stress grows, but the simulation takes no time steps."""
 SLICES, MAX_SLICES = 2.0, 1000
-"""Resolution of the stress along the pipe that recordings show.
+"""Resolution of the plot of the stress along the pipe, in recordings.
 
-`SLICES` is the number of slices per pipe diameter, and `MAX_SLICES` the maximum number of slices in the whole pipe.
+`SLICES` is the number of slices per length of one pipe diameter, and `MAX_SLICES` the maximum number of slices in the
+whole pipe.
 """
 MAX_BALANCE_ERROR = 0.01
-"""Largest error of the momentum balance that a run may have, as a fraction of the largest impulse."""
+"""Largest error of the aggregates' momentum balance in a valid run, divided by the largest impulse (force summed over
+time) in the balance."""
 
 
 @scene_function(PipeParameters)
@@ -172,7 +174,7 @@ trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
 
 
 def _past_plug(run: Run) -> tuple[int, int] | None:
-    """Return how many aggregates slipped past the plug, and the total number; None if the plug is not made of balls."""
+    """Return how many aggregates slipped past the plug, and the total number; None without a plug of bonded balls."""
     bodies, axis = run.bodies, run.scene.pipe.axis  # type: ignore[attr-defined]
     plug = np.array([group == "plug" for group in bodies.group], bool)
     if not plug.any():
@@ -217,7 +219,7 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
 
 
 def _plug(given: PipeParameters, axis: Axis, pipe: Wall) -> Plug:
-    """Return the plug, which fills the bore at the front end of the concrete."""
+    """Return the plug that closes the pipe in front of the concrete and resists the flow with a constant force."""
     bore = _uneven_bore(given, axis, pipe, given.length, given.front) if given.plug == "balls" else None
     inner = bore.smallest if bore is not None else given.radius
     return plug_of(given, axis, given.length, given.radius, given.layers, inner)
@@ -237,7 +239,7 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
 
 
 def _stations(given: PipeParameters, axis: Axis) -> Stations:
-    """Return the slices in which stresses are measured, from the piston's start to the concrete's front at the end.
+    """Return the slices in which stresses are measured, from the piston's start to the concrete's final front.
 
     A slice is half as long as the pipe is wide, or longer in a long pipe.
     """
@@ -263,8 +265,8 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
-    # Apply the long rest of the concrete shortly before the end of the piston's last pause. The simulation takes no
-    # time steps for the rest, so the piston starts again soon after it.
+    # Apply the long rest of the concrete, in which its yield stress grows, shortly before the end of the piston's last
+    # pause. The simulation takes no time steps for the long rest, so the piston starts again soon after it.
     at = given.stops.count * given.stops.period - PAUSE_LEFT_AT_REST * given.pause
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"

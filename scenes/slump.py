@@ -26,12 +26,12 @@ TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 RELEASED = "the friction of the mould is neglected: concrete is released from below as the mould rises"
 QUARTER = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
 MAX_PART = 0.7
-"""Largest diameter of an aggregate, divided by the radius of the mould's top. The simulated quarter of the cone is as
-wide as this radius there."""
+"""Largest diameter of an aggregate divided by the radius of the mould's top. A quarter of the cone is simulated, and at
+the top this quarter is as wide as that radius."""
 SHELL, ABOVE = 3, 3
-"""Thickness of the mould's wall, and height of the simulated space above the mould, both in grid cells."""
+"""Thickness of the slump cone's mould, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
-"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+"""Largest accepted numerical error of the volume below the free surface, as a fraction of the concrete's volume.
 
 In most test runs the error was at most 0.027, which it reached while the surface moved fastest. If a yield stress of 20
 Pa lets the concrete spread into a layer only a few cells thick, the error is 0.07 to 0.14. A run of this kind should
@@ -73,7 +73,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
     room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
     outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))
-    # Fit a whole number of cells into the height of the mould and into the radius of its base.
+    # Fit a whole number of cells into the height of the mould, and also into the radius of its base.
     rows, rings = max(4, round(height / given.spacing)), max(4, round(base / given.spacing))
     thick = SHELL * base / rings
     gate = ((base, 0.0), (base + thick, 0.0), (top + thick, height), (top, height)) if given.lift_time else ()
@@ -128,7 +128,7 @@ check = check_flow(VOLUME)
 
 
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
-    # At least four cells over the radius of the mould's top, and over its height.
+    # The coarsest grid has four cells over the radius of the mould's top, or over the mould's height.
     coarsest = min(given.top_diameter / 8, given.mould_height / 4)
     return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
 

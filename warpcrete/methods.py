@@ -19,7 +19,7 @@ METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
     # `method_of` returns the first method in this list whose scene type fits. The scene type of suspensions is a
-    # subclass of that of free-surface flows, so suspensions must come first.
+    # subclass of the scene type of free-surface flows, so suspensions must come first.
     SUSPENSIONS,
     FREE_FLOWS,
     PARTS_OF_LINES,
@@ -27,7 +27,7 @@ METHODS: tuple[Method, ...] = (
 
 
 def method_of(scene: Any) -> Method:
-    """Return the method that simulates a scene; raises :class:`SceneError` if no method simulates its type."""
+    """Return the simulation method of a scene; raises :class:`SceneError` if no simulation method takes its type."""
     for method in METHODS:
         if isinstance(scene, method.scene_type):
             return method

@@ -149,7 +149,7 @@ def _simulated(
 
 @contextmanager
 def _interruptible(folder: Path | None) -> Iterator[None]:
-    """After a Ctrl-C in the block, print how to continue, and exit with the exit code of an interruption."""
+    """If Ctrl-C interrupts the `with` block, print how to continue and exit with the exit code of an interruption."""
     try:
         yield
     except KeyboardInterrupt:

@@ -222,8 +222,8 @@ def validate_command(**settings: Any) -> None:
 def reproduce_command(**settings: Any) -> None:
     """Repeat the runs of PAPER, zhan (discrete elements) or xu (flows), and compare the results with the paper's.
 
-    The report shows the paper's values next to those of literal and calibrated runs, and judges each of its trends. The
-    exit code is 130 if the command was interrupted.
+    The report shows the paper's values next to those of literal and calibrated runs, and judges each trend that the
+    paper reports. The exit code is 130 if the command was interrupted.
     """
     load("reproduce").run(**settings)
 

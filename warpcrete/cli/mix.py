@@ -1,4 +1,4 @@
-"""Command `warpcrete mix`: properties that follow from a mix, and a file of the concrete without its mix."""
+"""Command `warpcrete mix`: properties that follow from a mix, and a file that states them instead of the mix."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class Quantity(click.ParamType):
         return quantity_of(value, self.field, self.called)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Return the typed number with each unit that the parameter accepts."""
+        """Return the typed number, followed by each unit that the parameter accepts, as completions."""
         return completion.amounts(self.field.units, incomplete)
 
 

@@ -176,7 +176,7 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the report's line on the pipeline's estimated pressure, as a list with one pair of label and text.
+    """Return the estimated pressure of the whole pipeline for the report, as a list with one pair of label and text.
 
     The list is empty if no option requests this estimate.
     """

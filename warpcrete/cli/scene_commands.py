@@ -32,7 +32,7 @@ def scenes() -> dict[str, ModuleType]:
 
 
 def by_method(arguments: list[str]) -> list[str]:
-    """Remove `--method NAME` from a command's words and complete the scene's name with the method.
+    """Remove `--method NAME` from a command's words, and append the simulation method to the scene's name if necessary.
 
     For example, `slump --method dem` becomes `slump-dem`.
     """

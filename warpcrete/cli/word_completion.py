@@ -39,7 +39,8 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
     """
     last = next((word for word in reversed(given) if word.startswith("--")), "--")[2:]
     if list(given[-2:-1]) == ["--method"]:
-        last = ""  # The value of `--method` is complete, so the next word does not belong to this option.
+        # The last complete word is the value of `--method`, so the word to be completed does not belong to this option.
+        last = ""
     with suppress(click.UsageError, WarpcreteError):
         given = by_method(list(given))
     scene = next((word for word in given[:1] if not word.startswith("-")), None)

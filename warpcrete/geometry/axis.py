@@ -155,8 +155,9 @@ class Axis:
             return rows[0]["begin"] + (points - rows[0]["start"]) @ rows[0]["tangent"]
         length, distance = np.zeros(len(points)), np.full(len(points), np.inf)
         for row in rows:
-            # Compute the components along the axis, away from the arc's centre, and perpendicular to both, as separate
-            # numbers. For many points, this takes a third of the time of operations on vectors.
+            # Compute three components as separate numbers: along the axis, away from the arc's centre, and
+            # perpendicular to these two directions. For many points, this takes a third of the time of operations on
+            # vectors.
             local = points - (row["start"] - row["radius"] * row["outward"])
             a, b = local @ row["tangent"], local @ row["outward"]
             if row["arc"]:

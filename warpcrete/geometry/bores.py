@@ -1,4 +1,7 @@
-"""Inner radius of a round pipe along its axis, made of straight pieces and cones, with volumes and surfaces."""
+"""Inner radius of a round pipe along its axis, and the volumes and wall areas that follow from it.
+
+The pipe may consist of several cylinders and truncated cones.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,10 @@ from ..core.errors import refuse
 from .axis import Arc, Axis
 
 FACETS = 32
-"""Number of facets around the circumference of a pipe that is drawn with triangles."""
+"""Default number of facets around the circumference of a pipe whose wall is a mesh of triangles."""
 VOLUME_SAMPLES = 400
-"""Number of arc lengths in a table of the pipe's volume up to each arc length. The table serves to find the place
-before which a given fraction of the volume lies."""
+"""Number of arc lengths at which the volume of a pipe, from its start up to each arc length, is tabulated. The table
+serves to find the arc length before which a given fraction of the whole volume lies."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,9 @@ class Bores:
         return np.asarray(np.interp(s, self.places, self.radii))
 
     def _edges(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Divide the pipe between the arc lengths `begin` and `end` [m] into truncated cones.
+        """Divide the pipe between the arc lengths `begin` and `end` [m] into truncated cones and cylinders.
 
-        Return the arc lengths [m] of their ends, from `begin` to `end`, and the inner radii at these places [m].
+        Return the arc lengths [m] at which these pieces meet, with `begin` and `end`, and the inner radii there [m].
         """
         places = np.array(self.places)
         s = np.concatenate([[begin], places[(places > begin) & (places < end)], [end]])
@@ -104,8 +107,8 @@ class Bores:
         rings = [[start], [stop]] + [[p] for p in self.places if 0 < p < axis.length]
         begin = 0.0
         for piece in axis.pieces:
-            # Facets in bends are as long as they are wide. Straight facets are limited to four radii in length, because
-            # the bounding boxes of long triangles slow down mesh queries.
+            # In bends, facets are as long as they are wide. In straight pipe, facets are at most four pipe radii long,
+            # because the bounding boxes of longer triangles would slow down mesh queries.
             width = 2 * np.pi * self.largest / facets if isinstance(piece, Arc) else 4 * self.largest
             rings.append(list(np.linspace(begin, begin + piece.length, max(2, 1 + int(np.ceil(piece.length / width))))))
             begin += piece.length

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 COINCIDENT = 1e-6
-"""Distance below which two corners of a mesh are merged, relative to the largest coordinate of the mesh. STL files in
-single precision have a relative accuracy of 6e-8."""
+"""Distance below which two corners of a mesh are merged, divided by the largest coordinate of the mesh. In STL files,
+coordinates in single precision have a relative accuracy of 6e-8."""
 
 
 def default_tolerance(vertices: np.ndarray) -> float:
@@ -72,9 +72,9 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _cells(places: np.ndarray) -> np.ndarray:
-    """Return, for each point in `places` (n, 3), the number of the cell with edges of length 1 that contains it.
+    """Return, for each point in `places` (n, 3), the index of the unit cube that contains it.
 
-    Only cells that contain a point are numbered.
+    The cubes have edges of length 1 along the axes. Only cubes that contain a point have an index.
     """
     number = np.zeros(len(places), np.int64)
     for axis in np.floor(places).astype(np.int64).T:

@@ -32,15 +32,16 @@ from .pipe_line import Part
 MAX_BEND_ANGLE = 135.0
 """Largest angle of a single bend [degrees]."""
 BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Additional pressure loss of a bend, as a fraction of the loss in straight pipe of the same length. The first tuple
-holds ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated
-flows of the concrete no1, the highest loss of three concretes, through bends of 150 mm pipe at 30 m3/h. The loss of a
-hose is computed from this table."""
+"""Additional pressure loss of a bend, divided by the loss in straight pipe of the same length. The first tuple holds
+ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated flows
+through bends of 150 mm pipe at 30 m3/h, for the concrete no1, which has the highest loss of three concretes. The loss
+of a hose is computed from this table."""
 MAX_HOSE_KINK = 20.0
 """Largest angle [degrees] at the start of a hose, between the direction of the pipeline and the tangent of the curve
 through the hose's points. A larger angle is refused as a kink."""
 HOSE_LAYER = (0.1, 10.0)
-"""Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
+"""Usual range of the resistance of the slip layer in a hose divided by that of the slip layer in a pipe. A warning is
+given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 
@@ -276,7 +277,7 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction stated in a part's entries, relative to straight pipe of the same length; None if missing."""
+    """Return the friction stated in a part's entries, divided by that of straight pipe of its length, or None."""
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     if "factor" in said:
@@ -297,7 +298,7 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
 
 
 def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
-    """Return the resistance of a hose's slip layer relative to that of a pipe."""
+    """Return the resistance of the slip layer in a hose divided by that of the slip layer in a pipe."""
     layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
     positive(f"{field}: layer", layer, "")
     if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:

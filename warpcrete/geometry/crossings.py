@@ -10,15 +10,16 @@ import numpy as np
 from .axis import Axis
 
 HALF_TURN = 0.51 * math.pi
-"""Smallest distance along the axis, in pipe diameters, between two pieces that are checked for a crossing. In a tight
-bend, pieces nearer to each other along the axis may be close together without crossing."""
+"""Smallest accepted distance along the axis between two pieces of a pipe that are checked for a crossing, divided by
+the pipe's diameter. In a tight bend, pieces nearer to each other along the axis may be close together without
+crossing."""
 
 
 def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
     """Return the indices of the first two spans of a pipe that come closer to each other than `gap` [m], or None.
 
-    A span is a section of the pipe, given by its length [m], its diameter [m] and the number of points along it.
-    Between these points the axis is taken to be straight. Each span begins where the previous span ends. The distance
+    A span is a piece of the pipe, given by its length [m], its diameter [m] and the number of points on its axis. The
+    axis is taken to be straight between these points. Each span begins where the previous span ends. The distance
     between two spans is measured between their walls.
     """
     begin = 0.0
@@ -36,8 +37,8 @@ def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: f
     for k in range(len(edges)):
         later = np.arange(k + 1, len(edges))
         apart = 0.5 * (wide[k] + wide[later]) + gap
-        # The tightest bend has a radius of half a diameter. On such a bend, sections less than half a turn apart are
-        # always closer than a diameter, so only sections farther along the axis are compared.
+        # The tightest bend has a centreline radius of half a pipe diameter. On this bend, two pieces less than half a
+        # turn apart are always closer than a diameter, so only pieces farther apart along the axis are compared.
         far = start[later] - end[k] > HALF_TURN * apart
         near = later[far][distances(ends[k], ends[later[far]]) < apart[far]]
         if len(near):

@@ -13,22 +13,25 @@ MAX_RADIUS_ERROR = 0.1
 """Largest difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the pipe's
 radius."""
 DIRECTIONS_AROUND = 24
-"""Number of directions in which the wall's distance is measured at each cross-section."""
+"""Number of directions around a pipe's axis in which the distance to the wall is measured at each cross-section."""
 INSET = 1e-3
-"""Smallest distance, in radii, between a cross-section and a rim or lid. Rays exactly at a rim or lid may miss the
-wall."""
+"""Smallest distance between a cross-section and a rim or lid of the mesh, divided by the pipe's radius. Rays exactly at
+a rim or lid may miss the wall."""
 MAX_SHORTFALL = 0.02
-"""Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
+"""Largest accepted length by which a mesh is shorter than its pipeline part, divided by the pipe's radius."""
 LID_COSINE, LID_DISTANCE = 0.9, 0.1
 """Limits by which a triangle counts as part of a lid on an end of the pipe.
 
 The cosine of the angle between the triangle's normal and the pipe's axis must exceed the first number. The triangle
-must also lie beyond the end of the pipe, or at most the second number times the radius before it.
+must also lie beyond the end of the pipe, or before the end at a distance of at most the second number times the pipe's
+radius.
 """
 VISIBILITY_TOLERANCE = 1e-3
-"""Distance in radii in front of a facet within which another surface does not hide the facet."""
+"""Largest distance between a facet and a surface in front of it, divided by the pipe's radius, at which the surface
+does not count as hiding the facet."""
 OFFSET = 1e-4
-"""Distance in radii from a facet, on both of its sides, of the points from which the facet's visibility is tested."""
+"""Distance between a facet and the points, one on either side, at which its visibility is tested, divided by the pipe's
+radius."""
 CORNER_WEIGHT = 0.8
 """Weight of a corner in the weighted mean of this corner and the triangle's centre. The visibility of a triangle is
 tested at its centre, and at the weighted means for its three corners."""
@@ -165,9 +168,10 @@ class InnerSurface:
         return closed
 
     def _closes(self, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return which facets are lids, which lie across the axis at an end of the pipe or beyond, shape (f,), bool.
+        """Return whether each facet is part of a lid, which closes an end of the pipe, shape (f,), bool.
 
-        `middles` are the centres of the facets [m], and `normals` their unit normals, shape (f, 3) each.
+        A facet is part of a lid if it lies across the axis, near an end of the pipe or beyond. `middles` are the
+        centres of the facets [m], and `normals` their unit normals, shape (f, 3) each.
         """
         s = self.axis.along(middles)
         tangents = self.axis.at(s)[1]
@@ -195,10 +199,11 @@ class InnerSurface:
     ) -> None:
         """Refuse an inner surface with open edges between its ends.
 
-        An open edge is either a hole in the mesh, or an edge that hides a part of the wall from the axis. `vertices`
-        and `faces` are those of the original mesh. `whole` holds the indices of the original triangles that have an
-        area, and `kept` the indices of the inner surface's triangles. Triangles without area are counted too, because
-        they close edges that CAD programs have split.
+        An open edge belongs to only one triangle of the inner surface. It is either the border of a hole in the mesh,
+        or an edge that hides a part of the wall from the axis. `vertices` and `faces` are those of the original mesh.
+        `whole` holds the indices of the original triangles that have an area, and `kept` the indices of the inner
+        surface's triangles. Triangles without area are counted too, because they close edges that CAD programs have
+        split.
         """
         corners = np.sort(merged_corners(vertices, default_tolerance(vertices))[faces], axis=1)
         _, first = np.unique(corners, axis=0, return_index=True)
@@ -259,7 +264,8 @@ def pipe_in(
     """Return the inner surface of a mesh, after checking that the mesh is a pipe of about `radius` [m].
 
     The check covers the first `length` [m] of the pipe. Raises :class:`SceneError` if the mesh is not a pipe around
-    `axis`, or if the distance of its wall from the axis differs from `radius` by more than a tenth of `radius`.
+    `axis`, or if the distance of its wall from the axis anywhere differs from `radius` by more than a tenth of
+    `radius`.
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))

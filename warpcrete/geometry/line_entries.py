@@ -50,7 +50,7 @@ STATED = {
     "factor": ("1", "Friction divided by that of straight pipe of its length, instead of the program's model"),
     "equivalent": ("m", "Length of straight level pipe with the friction of the part, instead of the program's model"),
 }
-"""Entries with which any part may state its friction."""
+"""Entries of a pipeline file that state the friction of a part; they are allowed for every kind of part."""
 PARTS = {kind: {**entries, **STATED} for kind, entries in PARTS.items()}
 LIMITED_AS = {
     "largest_stone": "size_max",
@@ -68,12 +68,12 @@ concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
 BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
-"""Default radius of a bend: the larger of a length [m] and a number of diameters. JSCE's rule for pumping lines counts
-bends with radii of 0.5 and 1 m."""
+"""Default radius of a bend: the larger of the first number [m] and the second number times the pipe's diameter. JSCE's
+rule for pumping lines counts bends with radii of 0.5 and 1 m."""
 HOSE_FACTOR = 2.0
 """Ratio of a hose's friction to that of straight pipe of the same length, for a hose of which only the length is known.
 The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
 VALVE_DIAMETERS = 4.0
-"""Default length of a valve [diameters]."""
+"""Default length of a valve, divided by its inner diameter."""
 FACTORS = (0.1, 100.0)
-"""Smallest and largest `factor` that a part may state."""
+"""Smallest and largest accepted value of a part's entry `factor`, its friction divided by that of straight pipe."""

@@ -137,7 +137,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
 
 
 def _pump(given: Mapping[str, Any]) -> Pump | None:
-    """Return the data sheet of the pump, or None if the entry is missing."""
+    """Return the data sheet of the pump that the pipeline's entries describe, or None without an entry `pump`."""
     if "pump" not in given:
         return None
     with errors_located_at(given, "pump"):

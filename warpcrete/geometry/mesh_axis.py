@@ -13,13 +13,15 @@ from .curves import biarc
 from .meshes import FARTHEST_WALL, SurfaceQueries, fan
 
 AROUND = 36
-"""Number of directions in which the wall's distance is measured at each cross-section."""
+"""Number of directions around the axis in which the distance to a bore's wall is measured at each cross-section."""
 ADVANCE = 0.25
-"""Distance between neighbouring cross-sections, in radii of the bore."""
+"""Distance between neighbouring cross-sections of a bore, divided by the bore's radius."""
 MIN_END_STEP = 1 / 256
-"""Smallest step, in radii, of the search for the last cross-section before the end of a bore."""
+"""Limit of the search for the last cross-section before the end of a bore. The search halves its step as it approaches
+the end, and stops when the step is at most a quarter of this number times the bore's radius."""
 MIN_ADVANCE = ADVANCE / 16
-"""Smallest distance between neighbouring cross-sections, in radii, in the search along a bore."""
+"""Smallest distance between neighbouring cross-sections in the search along a bore, divided by the bore's radius. A
+bore that cannot be followed by this distance has ended."""
 MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
 """Two constants of the iteration that turns a new cross-section towards the local direction of the bore. The first is
 the number of repetitions. The second is the fraction of the remaining angle by which each repetition turns the
@@ -27,18 +29,19 @@ cross-section."""
 MAX_TURN_PER_STEP = 0.6
 """Largest angle between the directions of neighbouring cross-sections [rad]."""
 END_CHECK_DISTANCES = (0.1, 0.3)
-"""Distances beyond an end of a bore, in radii, at which the surroundings of the axis are checked. At these places most
-directions must be free of walls."""
+"""Two distances beyond an end of a bore, divided by the bore's radius. At both places, at least half of the rays
+perpendicular to the axis must meet no wall, so that the bore really ends."""
 MAX_SECTIONS = 4000
 """Largest number of cross-sections of a bore."""
 TURNING_ROUNDS = 3
 """Number of times that all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
-"""Number of cross-sections on each side of a cross-section whose centres determine the direction of the bore there."""
+"""Number of neighbouring cross-sections, on each side, whose centres are used to determine the direction of the bore at
+a cross-section."""
 AXIS_TOLERANCES = (0.004, 0.008, 0.016, 0.032, 0.064)
-"""Largest distance between the fitted axis and the centres of the cross-sections, in radii. The values are tried in
-turn, until the axis nowhere bends more sharply than the bore allows. A bend whose mesh has few rings of triangles has
-kinks, which the axis must round."""
+"""Largest accepted distances between the fitted axis and the centres of the cross-sections, divided by the bore's
+radius. The values are tried in turn, from small to large, until the axis bends gently enough for a simulation. A large
+value rounds the kinks of a bend whose mesh has few rings of triangles."""
 LEAST_TURN = 1e-3
 """Smallest angle of an arc [rad]; an arc that turns less is replaced by a straight piece."""
 STRAIGHT_TOLERANCE = 0.004
@@ -47,13 +50,17 @@ cross-section along this piece [rad]."""
 LEAST_STRAIGHT = 4
 """Smallest number of intervals between neighbouring cross-sections that a straight piece of the axis spans."""
 NEAREST = 1e-3
-"""Distance between the start of the bore and its first cross-section, relative to the size of the mesh."""
+"""Distance from the start of a bore at which its first cross-section is measured, divided by the longest edge of the
+box around the mesh."""
 ASIDE = 0.02
-"""Largest distance, in radii, between the start of the bore and the centre of the first cross-section."""
+"""Largest accepted sideways distance of the centre of the first cross-section from the start of the bore, divided by
+the bore's radius."""
 RADIUS_TOLERANCE = 0.02
-"""Largest relative change of a cross-section's radius when the cross-section is shifted or turned a little."""
+"""Largest accepted change of a cross-section's radius, as a fraction of the radius, when the cross-section is shifted
+or turned. A larger change means that its rays meet something other than the bore's wall, for example a lid."""
 OPENING_RATIO = 3.0
-"""Ratio of the radii of successive cross-sections above which the wall is taken to have an opening."""
+"""Largest accepted ratio of the radius of a cross-section to that of the previous one. At a larger ratio, the bore
+counts as open to the side."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,9 @@ def follow(
 
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """Turn cross-sections perpendicular to the curve through their centres.
+    """Turn the cross-sections of a bore, so that they become perpendicular to the curve through their centres.
 
-    The function changes the arrays `points` and `radii` in place.
+    The function changes the centres `points` and the `radii` in place.
     """
     for _ in range(TURNING_ROUNDS):
         tangents = directions(points, ahead)
@@ -119,14 +126,15 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _extended_to_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the last cross-section towards the bore's end, as far as it remains closed and of the same size."""
+    """Move the last cross-section towards the bore's end, as far as it remains closed and keeps its radius."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > MIN_END_STEP / 4 * radii[-1]:
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
         further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
-        # Near a lid, some rays of a slightly tilted cross-section end on the lid. The measured radius then changes.
+        # Near a lid, some rays of a slightly tilted cross-section end on the lid instead of the wall, and the measured
+        # radius changes. A cross-section with a changed radius is therefore rejected.
         if further is None or abs(further[1] / radii[-1] - 1) > RADIUS_TOLERANCE:
             step *= 0.5
         else:
@@ -251,8 +259,8 @@ def _follow_bore(
     else:
         refuse(field, name, f"is too long: its length exceeds its radius by a factor of more than {MAX_SECTIONS // 4}",
                "split the mesh into several files")  # fmt: skip
-    # Drop the last cross-section, because its rays may end on a lid. Also drop cross-sections close to the previous
-    # one, because the direction between two close centres is inaccurate.
+    # Drop the last cross-section, because its rays may end on a lid. Also drop every cross-section whose centre is
+    # close to the previous centre, because the direction between two close centres is inaccurate.
     kept = [0]
     for k in range(1, len(points) - 1):
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
@@ -294,8 +302,8 @@ def _next_section(
 def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:
     """Return the unit direction at point `last`, from the parabola through it and two earlier points.
 
-    The points of the parabola are at least `apart` [m] from each other. With fewer earlier points, the direction comes
-    from the chord or is `tangent`.
+    The points of the parabola are at least `apart` [m] from each other. With only one earlier point, the result is the
+    direction from that point to `last`. Without earlier points, the result is `tangent`.
     """
     chosen = [last]
     for point in reversed(points):
@@ -361,7 +369,7 @@ def _section(
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            # There is no cross-section if its area is zero, because every ray meets a surface at the point itself.
+            # An area of zero means that every ray meets a surface at the point itself, so there is no cross-section.
             return None
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)

@@ -16,7 +16,7 @@ class MeshBore:
     scale: float
     """Factor from the file's length unit to metres: 0.001 for mm."""
     axis: Axis
-    """Centreline of the bore in the mesh's coordinates, starting at the mesh's origin."""
+    """Centreline of the bore in the mesh's own coordinates, starting at the mesh's origin."""
     narrowest: float
     """Smallest distance between two opposite places of the bore's wall [m]."""
     digest: str
@@ -26,7 +26,8 @@ class MeshBore:
     radii: tuple[float, ...]
     """Radii of circles with the areas of the stored cross-sections [m]."""
     least: tuple[float, ...]
-    """Radii of the largest free circles about the axis in the stored cross-sections [m]."""
+    """Radii of the largest circles about the axis that fit into the stored cross-sections without touching the wall
+    [m]."""
 
     @property
     def ends(self) -> tuple[float, float]:

@@ -20,21 +20,25 @@ from .mesh_bores import MeshBore
 from .meshes import load
 
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
-"""Largest relative differences between a mesh and the round pipe to which it connects at its ends. The first number is
-for the diameter of a circle with the area of the mesh's cross-section, and the second number is for the distance of the
-mesh's wall from the axis in any direction."""
+"""Largest accepted differences between the end of a mesh and the round pipe that meets it, as fractions of the pipe's
+diameter and radius. The first number applies to the diameter of a circle with the area of the mesh's cross-section, and
+the second number to the distance of the mesh's wall from the axis in any direction."""
 STRAIGHT_LENGTH_TOLERANCE = 0.002
-"""Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
+"""Largest accepted difference between the length of a straight mesh bore and the length stated for its part, divided by
+the smaller diameter of the bore's two ends."""
 MEASURED = 0.01
-"""Largest relative difference between the stated length of a bent part and the length measured on its mesh."""
+"""Largest accepted difference between the stated length of a bent part and the length measured on its mesh, as a
+fraction of the stated length."""
 OVERLAP = 0.005
-"""Length, in diameters, by which round pipe overlaps with the end of a mesh."""
+"""Length by which a round pipe overlaps with the end of a mesh bore, divided by the pipe's diameter."""
 FINE = 0.005
-"""Distance along the axis, in diameters, between neighbouring places at which a bore is measured."""
+"""Distance along the axis between neighbouring places at which a mesh bore is measured, divided by the bore's
+diameter."""
 STEPS = 4000
 """Largest number of places at which one bore is measured."""
 PROFILE = 0.05
-"""Distance along the axis, in diameters, between neighbouring places at which the radius of a mesh bore is stored."""
+"""Distance along the axis between neighbouring places at which the radius of a mesh bore is stored, divided by the
+bore's diameter."""
 Way = tuple[float, float, float]
 Fields = tuple[str, str]
 WAYS: tuple[Way, ...] = (
@@ -45,7 +49,7 @@ WAYS: tuple[Way, ...] = (
     (0.0, 0.0, -1.0),
     (0.0, -1.0, 0.0),
 )
-"""Directions in which the bore of a mesh may start at the mesh's origin."""
+"""Directions in which the bore of a mesh may lead away from the mesh's origin, in the order in which they are tried."""
 
 
 def bore_of(
@@ -64,7 +68,7 @@ def bore_of(
         scale: Factor from the file's length unit to metres.
         length: Required length of the axis [m]; any length if None.
         diameters: Required diameters at the start and at the end [m]; any diameters if None.
-        ways: Unit directions in which the axis may begin; the mesh of a pipeline part leads along its x.
+        ways: Unit directions in which the bore's axis may begin; a part of a pipeline begins along the mesh's x axis.
 
     Raises:
         SceneError: The file cannot be read, or its mesh has gaps, does not begin at its origin, is blocked, opens to
@@ -154,7 +158,7 @@ def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field:
 
 @functools.lru_cache(maxsize=8)
 def _surface(bore: MeshBore, field: str) -> InnerSurface:
-    """Return the inner surface of a mesh bore in the mesh's coordinates; results are cached per file content."""
+    """Return the inner surface of a mesh bore in the mesh's own coordinates; results are cached per file content."""
     mesh = load(bore.file, field, bore.scale)
     return InnerSurface(mesh.vertices, mesh.faces, bore.axis, bore.radii[0], field, bore.file)
 

@@ -22,14 +22,16 @@ if TYPE_CHECKING:  # Import trimesh only when a mesh is read, because the import
     import trimesh
 
 FARTHEST_WALL = 10.0
-"""Length of the rays that search for a wall, in pipe radii."""
+"""Length of the rays that search for a pipe's wall, divided by the pipe's radius."""
 FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
-"""Rotations of a fan of rays, as fractions of the angle between two rays. The first rotation keeps the rays away from
-the edges of regular tubes. Rays that still meet no wall are repeated with the second rotation added."""
+"""Two rotations of a fan of rays, each divided by the angle between two neighbouring rays. Every fan is turned by the
+first one, which keeps the rays away from the edges of regular tubes. If a ray meets no wall, the fan is turned further
+by the second one and tried again."""
 ROUNDNESS_TOLERANCE = 0.01
-"""Largest difference, in radii, between a pipe's wall and a cylinder for the wall to count as cylindrical."""
+"""Largest difference between the radius of a bore's wall and that of a cylinder, as a fraction of the cylinder's
+radius, for which the bore counts as cylindrical."""
 MAX_FACES = 500_000
-"""Largest number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
+"""Largest accepted number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4
 """Largest distance of a mesh's corner from the origin [m]."""
 
@@ -149,7 +151,7 @@ class Bore:
     def of(cls, reach: np.ndarray) -> Bore:
         """Return the size of a bore, calculated from the distances `reach` between its axis and its wall [m].
 
-        Every ray must have met the wall.
+        No distance may be -1, which stands for a ray that met no wall.
         """
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 
@@ -262,7 +264,7 @@ class SurfaceQueries:
         return self.rays(starts.reshape(-1, 3), ways.reshape(-1, 3), reach).reshape(len(points), count)
 
     def distances(self, points: np.ndarray) -> np.ndarray:
-        """Return the distance [m] of each of `points` (n, 3) from the surface, shape (n,)."""
+        """Return the distance [m] of each of `points` (n, 3) from the mesh, shape (n,)."""
         reach = 4 * (self._extent + float(np.abs(points).max(initial=0.0)))
         return self._query(distances, points=_points(points), reach=reach)
 

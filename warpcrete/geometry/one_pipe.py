@@ -20,7 +20,7 @@ from .mesh_parts import WAYS, Way, bore_of
 from .pipe_line import PipeLine
 
 MAX_LENGTH_RATIO = 10_000
-"""Largest length of a simulated pipe, in pipe diameters."""
+"""Largest length of a simulated pipe divided by the pipe's diameter."""
 
 
 def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -40,8 +40,8 @@ def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
 def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
     """Return the parameters that follow from the mesh `wall` of a scene: `unit` and the inlet's `diameter` [m].
 
-    The result is empty without a mesh, or if the parameters name a unit other than `mesh`. `ways` are the directions in
-    which the bore may begin at the mesh's origin.
+    The parameter `unit` is the kind of pipe, here "mesh". The result is empty without a mesh, or if the parameters name
+    another unit. `ways` are the directions in which the bore may begin at the mesh's origin.
     """
     wall, unit = values.get("wall"), values.get("unit", "mesh")
     if wall is None or unit != "mesh" or values.get("line") is not None:
@@ -79,7 +79,7 @@ def check_straight_ends(line: PipeLine, name: Any) -> None:
 
 
 def joined(axis: Axis) -> Axis:
-    """Return the same axis with successive straight pieces joined into one piece."""
+    """Return an axis of the same shape whose successive straight pieces are joined into one piece."""
     pieces = list(axis.pieces[:1])
     for piece in axis.pieces[1:]:
         if isinstance(piece, Line) and isinstance(pieces[-1], Line):
@@ -90,10 +90,10 @@ def joined(axis: Axis) -> Axis:
 
 
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
-    """Refuse a pipe that returns past the planes at its ends, or that is too long to be simulated.
+    """Refuse a pipe that passes its own inlet or outlet plane again, or that is too long to be simulated.
 
-    The first plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
-    axis. The second plane crosses the end of the pipe at right angles and has no limit.
+    The inlet plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
+    axis. The outlet plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > MAX_LENGTH_RATIO * 2 * bores.largest:
         refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters",

@@ -13,8 +13,8 @@ from .mesh_bores import MeshBore
 from .pumps import Pump
 
 BLOCKING_RATIO = 3.0
-"""Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
-stone."""
+"""Ratio of the pipe's diameter to that of the largest stone below which pipes are known to block. ACI 304.2R requires 3
+for crushed stone."""
 
 
 @dataclass(frozen=True)
@@ -37,21 +37,21 @@ class Part:
     angle: float = 0.0
     """Angle of a bend [degrees]; 0 for other parts."""
     relative_loss: float = 1.0
-    """Friction of a hose by the program's model, relative to straight pipe of its length; 1 for other parts."""
+    """Friction of a hose by the program's model, divided by that of straight pipe of its length; 1 for other parts."""
     layer: float = 1.0
-    """Resistance of the slip layer in a hose relative to that in a pipe; 1 for other parts."""
+    """Resistance of the slip layer in a hose divided by that of the slip layer in a pipe; 1 for other parts."""
     mesh: MeshBore | None = None
     """Bore that a mesh file describes; None for other parts."""
     factor: float | None = None
-    """Friction of the part as stated in the pipeline file, relative to straight pipe of the same length and inner
-    diameters; None if the file does not state it."""
+    """Friction of the part as stated in the pipeline file, divided by that of straight pipe of the same length and
+    inner diameters; None if the file does not state it."""
     factor_range: tuple[float, float] | None = None
-    """Lowest and highest friction relative to straight pipe that fit the pressures measured on a line; None if `factor`
-    does not come from such a fit."""
+    """Lowest and highest `factor` that agree with the pressures measured on a real pipeline; None if `factor` was not
+    fitted to measured pressures."""
 
     @property
     def relative(self) -> float:
-        """Friction relative to straight pipe of equal length: `factor` if the file states it, else `relative_loss`."""
+        """Friction divided by that of straight pipe of its length: the stated `factor`, else `relative_loss`."""
         return self.relative_loss if self.factor is None else self.factor
 
     @property
@@ -120,12 +120,12 @@ class PipeLine:
 
     @property
     def bores(self) -> Bores:
-        """Inner radii along the axis; for a cross-section of a mesh, the radius of the circle of equal area."""
+        """Inner radii along the axis. A cross-section of a mesh has the radius of the circle with the same area."""
         return self._profile("radii")
 
     @property
     def clear(self) -> Bores:
-        """Radii of the largest circles about the axis that do not touch the wall, along the axis."""
+        """Radii of the largest circles about the axis that fit into the bore without touching its wall."""
         return self._profile("least")
 
     def _profile(self, of: str) -> Bores:

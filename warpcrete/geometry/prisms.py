@@ -12,23 +12,23 @@ if TYPE_CHECKING:  # Do not import trimesh at run time, because that takes half 
     import trimesh
 
 SIDES = 48
-"""Number of sides of the regular polygon that approximates the circular cross-section of a solid."""
+"""Default number of sides of the regular polygon that approximates the circular cross-section of a truncated cone."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Closed mesh between two rings of equally many corners; its faces point outward."""
+    """Closed mesh between two rings with n corners each; its faces point outward."""
 
     vertices: np.ndarray
     """Corners of the mesh [m], shape (v, 3)."""
     sides: np.ndarray
-    """Faces between the two rings, two for each pair of neighbouring corners of a ring, shape (2 n, 3)."""
+    """Triangles between the two rings of corners, two for each edge of a ring, shape (2 n, 3)."""
     ends: np.ndarray
-    """Triangles that close the two ends of the solid, shape (2 n, 3)."""
+    """Triangles that close the two ends of the solid, n at each end, shape (2 n, 3)."""
 
     @property
     def faces(self) -> np.ndarray:
-        """All faces of the solid, shape (4 n, 3)."""
+        """All triangles of the solid, whose two ends have n corners each, shape (4 n, 3)."""
         return np.concatenate([self.sides, self.ends])
 
     def without(self, *edges: int) -> np.ndarray:

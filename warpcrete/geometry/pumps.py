@@ -19,7 +19,8 @@ PUMP = {
 """Entries of a pump in a pipeline file, with their units and meaning. If the file has a single value instead of these
 entries, this value is the pressure."""
 WEAKEST = 1e5
-"""Smallest pressure of a pump [Pa]; a smaller number is most likely in bar or MPa without its unit."""
+"""Smallest accepted value of a pump's pressure limit [Pa]. A smaller number is most likely in bar or MPa without its
+unit."""
 
 
 @dataclass(frozen=True)

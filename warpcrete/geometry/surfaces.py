@@ -104,9 +104,9 @@ class Surfaces:
 
 
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
-    """Return an adjacency list for each of `count` corners.
+    """Return an adjacency list for each of the `count` corners of a mesh.
 
-    A list begins with the lowest index of the faces at the corner. The other ends of the corner's edges follow.
+    A list begins with the lowest index of the faces at the corner. Then follow the corners that edges connect to it.
     """
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))

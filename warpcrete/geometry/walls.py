@@ -1,4 +1,4 @@
-"""Walls and their motions as frozen, validated dataclasses in SI units, for both methods."""
+"""Walls and their motions as frozen, validated dataclasses in SI units, for flows and for discrete elements."""
 
 from __future__ import annotations
 
@@ -55,14 +55,15 @@ class Prescribed:
     """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Final velocity [m/s]."""
+    """Velocity after the rise of the speed [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Final angular velocity about `pivot` [rad/s]; if the wall also has a velocity, the pivot moves with it."""
+    """Final angular velocity about the point `pivot` [rad/s]. If the wall also has a velocity, this point moves with
+    the wall."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ramp_time: float = 0.0
     """Duration of the linear rise of the speed [s]."""
     start_time: float = 0.0
-    """Time at which the motion starts [s]."""
+    """Simulated time at which the motion of the wall starts [s]."""
     stops: Stops | None = None
 
     def __post_init__(self) -> None:
@@ -98,7 +99,7 @@ class Driven:
     damping: float = 0.0
     """Coefficient of viscous damping [N s/m]."""
     start_time: float = 0.0
-    """Time at which the motion starts [s]."""
+    """Simulated time at which the motion of the wall starts [s]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "direction", vector("direction", self.direction))
@@ -125,14 +126,14 @@ that the axis occupies."""
 
 
 class _Wall:
-    """Base class of walls of all shapes, which have a name, a frame and an optional motion."""
+    """Base class of walls of all shapes, which have a name, a coordinate frame and an optional motion."""
 
     name: str
     motion: Motion | None
 
     @property
     def origin(self) -> np.ndarray:
-        """Origin of the wall's frame at the start of the simulation [m], shape (3,)."""
+        """Origin of the wall's own coordinate frame at the start of the simulation [m], shape (3,)."""
         return np.zeros(3)
 
     @property
@@ -190,7 +191,7 @@ class PlaneWall(_Wall):
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return vertices [m] (v, 3) and faces (f, 3) of a thin disc that shows the plane, or None.
 
-        The disc is given in the wall's frame. An infinite plane, with `drawn_radius` 0, is not drawn.
+        The coordinates are those of the wall's own frame. An infinite plane, with `drawn_radius` 0, is not drawn.
         """
         if self.drawn_radius <= 0:
             return None
@@ -251,7 +252,7 @@ class PipeWall(_Wall):
         row.first, row.last = add_axis(self.axis)
 
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return vertices [m] (v, 3) and faces (f, 3) of the pipe in the wall's frame."""
+        """Return vertices [m] (v, 3) and faces (f, 3) of the pipe in the wall's own coordinate frame."""
         return self.axis.tube(self.radius, SIDES)
 
 
@@ -264,8 +265,8 @@ class MeshWall(_Wall):
 
     name: str
     vertices: np.ndarray
-    """Corners of the mesh in the wall's frame [m], shape (v, 3). The wall's frame initially coincides with the frame of
-    the world."""
+    """Corners of the mesh in the wall's own coordinate frame [m], shape (v, 3). This frame moves with the wall. At the
+    start it coincides with the coordinate frame of the scene."""
     faces: np.ndarray
     """Corner indices of each triangle, shape (f, 3)."""
     material: str = "wall"
@@ -316,7 +317,7 @@ class MeshWall(_Wall):
         row.extent = float(np.linalg.norm(self.vertices, axis=1).max())
 
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return vertices [m] (v, 3) and faces (f, 3) of the mesh in the wall's frame."""
+        """Return vertices [m] (v, 3) and faces (f, 3) of the mesh in the wall's own coordinate frame."""
         return self.vertices, self.faces
 
     def __repr__(self) -> str:

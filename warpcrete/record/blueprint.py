@@ -27,7 +27,7 @@ CUT_OPACITY = 150
 
 
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
-    """Return the layout of the views for a recorder's data, for a run of about `duration` [s] of simulated time."""
+    """Return the layout of the Rerun viewer for what a display shows, for a run of `duration` [s] of simulated time."""
     import rerun.blueprint as rrb
 
     scenes = _arranged(display, _scenes(display, network))
@@ -95,8 +95,8 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     if kept is not None:
         import rerun as rr
 
-        # In this view, bodies that are in front of the cutting plane at the start have the radius 0, which hides them.
-        # The view therefore needs no second copy of the bodies' positions in the recording.
+        # In the view "Cut through the middle", bodies that are in front of the cutting plane at the start have the
+        # radius 0, which hides them. The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
         found.append(_view(display, "Cut through the middle", contents, hidden))
     if network:
@@ -141,7 +141,8 @@ def cut_walls(display: Display) -> list[DrawnWall]:
         places = rotate(np.broadcast_to(orientation, (len(middles), 4)), middles) + position
         kept = wall.faces[places[:, 1] >= display.cut]
         if 0 < len(kept) < len(wall.faces):
-            # The remaining half lies behind the bodies and hides none, so it may be more opaque than the whole wall.
+            # The half of the wall that the cut leaves lies behind the bodies and hides none, so it may be more opaque
+            # than the whole wall.
             colour = (*wall.colour[:3], max(wall.colour[3], CUT_OPACITY))
             found.append(DrawnWall(wall.name, wall.vertices, kept, False, colour))
     return found

@@ -64,7 +64,7 @@ def legend(display: Display) -> bytes | None:
 
 
 def paint_legend(paint: Paint) -> bytes | None:
-    """Return the colour bar of walls that show a quantity as a PNG, or None while there are no values to show."""
+    """Return a PNG with the colour bar of walls that show a quantity, or None while there are no values to show."""
     return _bar(0.0, paint.upper, paint.palette) if paint.upper > 0 else None
 
 

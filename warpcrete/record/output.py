@@ -39,7 +39,7 @@ class RunFolder:
     recordings: Sequence[str] | None = None
     """Names of the recordings to write: `rerun`, `usd` or `paraview`; None selects those that the command writes."""
     colour: str | None = None
-    """Quantity that colours bodies; None selects a suitable one for the method."""
+    """Quantity that colours bodies; None selects a suitable quantity for the simulation method."""
     network: bool = False
     """True to record lines between bodies: bonds, and force chains whose width shows the contact force."""
     live: bool | str = False
@@ -74,7 +74,7 @@ class RunFolder:
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}
 
     def recorders(self, simulation: Simulation) -> list[Recorder]:
-        """Return the recorders of this folder; raises :class:`SceneError` for a setting of another method."""
+        """Return the recorders of this folder; raises :class:`SceneError` for another simulation method's setting."""
         display = method_of(simulation.scene).display
         if self.colour is not None and self.colour not in display.colourings:
             refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")

@@ -22,7 +22,7 @@ class DrawSettings:
     """Settings for drawing a run: colours, contact network, and viewer."""
 
     colouring: str | None = None
-    """Quantity that the colours show; None selects a suitable one for the method."""
+    """Quantity that the colours show; None selects a suitable quantity for the simulation method."""
     network: bool = False
     live: bool | str = False
     """Viewer that shows the run while it is computed: True opens a new Rerun viewer; a URL selects a running viewer."""

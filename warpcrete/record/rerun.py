@@ -30,11 +30,12 @@ from .joining import join
 from .legend import legend, paint_legend
 
 PATIENCE = 4.0
-"""Longest wait [s] for a viewer to receive the remaining data, or for a file that has stopped growing."""
+"""Longest wait [s] for a viewer to receive the remaining data, or for a recording's file that has stopped growing."""
 CLOSE_TIMEOUT = 30.0
-"""Longest time [s] for opening the file, or for closing the file if a viewer has not received the whole recording."""
+"""Longest time [s] for opening the recording's file, or for closing it if a viewer has not received the whole
+recording."""
 POLL_INTERVAL = 0.5
-"""Time [s] between two checks whether the file has grown."""
+"""Time [s] between two checks whether the recording's file has grown."""
 TEXTURE_MARGIN = 512
 """Number of texels that repeat the first colour at the start of the texture. A renderer may sample colours slightly
 outside the triangles at the edges of a mesh, and therefore slightly outside the colour scale."""
@@ -132,14 +133,16 @@ class RerunRecorder(Recorder):
                 return
             for path in self._parts_from(state["parts"]):
                 path.unlink()
-            if not simulation.at_end:  # Parts of a finished run may be missing because they are joined already.
+            # Parts of the recording of a finished run may be missing, because they are joined into one file already.
+            if not simulation.at_end:
                 for number in range(1, state["parts"]):
                     if not self._part(number).is_file():
                         warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
-        if not self.live:  # A newly opened viewer has no data yet, so the positions of all bars must be sent again.
+        # A newly opened viewer has no data yet, so the positions of all bars of bar charts must be sent again.
+        if not self.live:
             self._places = dict(state["places"])
         if self.live:
             self._describe(display)
@@ -270,7 +273,8 @@ class RerunRecorder(Recorder):
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
                 fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
-                # Converting the positions of bars takes most of the time, so send them only when they have changed.
+                # Converting the positions of the bars of a bar chart takes most of the time, so send them only when
+                # they have changed.
                 if not np.array_equal(self._places.get(path, ()), middle):
                     self._places[path] = middle
                     fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
@@ -278,7 +282,7 @@ class RerunRecorder(Recorder):
                 self._log(path, self._rr.BarChart.from_fields(**fields))
 
     def _bars(self, values: np.ndarray) -> Any:
-        """Return heights of bars as a tensor in Rerun's format.
+        """Return the heights of the bars of a bar chart as a tensor in Rerun's format.
 
         A new tensor takes ten times as long to convert as a changed one. Therefore one tensor is kept for each number
         of bars, and only its values are replaced.
@@ -381,10 +385,11 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        # Tensors that hold the heights of bars in Rerun's format, by the number of bars. They are kept because
-        # replacing the values of a tensor is faster than creating a new one.
+        # Tensors in Rerun's format for the heights of the bars of a bar chart, by the number of bars. They are kept
+        # because replacing the values of a tensor is faster than creating a new one.
         self._tensors: dict[int, Any] = {}
-        # Positions of bars and of surface vertices that were recorded last, by their path in the recording.
+        # Positions of the bars of bar charts, and of surface vertices, that were recorded last. The key is their path
+        # in the recording.
         self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)

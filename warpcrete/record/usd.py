@@ -1,7 +1,7 @@
 """Recorder of a USD scene: bodies with time samples, walls, materials, light and a camera.
 
 One point instancer, with a prototype for each shape, shows all rigid bodies. A mesh shows the surface of the concrete
-of flows on a grid. The particles of other flows are points.
+if a flow is computed on a grid. Points show the particles of flows that are computed with moving particles.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -71,7 +71,7 @@ class UsdRecorder(Recorder):
         self._build(simulation, Usd.Stage.Open(layer))
 
     def _build(self, simulation: RecordedSimulation, stage: Any) -> None:
-        """Define everything on the stage that does not change in time.
+        """Define all objects of the USD stage that do not change in time.
 
         Objects that exist on the stage already are left as they are.
         """

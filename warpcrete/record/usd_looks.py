@@ -17,8 +17,8 @@ LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
 """Minimum opacity of walls that are drawn as glass, and opacity of walls whose colours show a quantity such as wear."""
 SUN, SKY = 0.6, 0.5
-"""Intensities of the sun and of the sky. The intensity of the sun does not depend on the size of its disc, and the sky
-shines from all sides."""
+"""Intensities of the sun and of the sky light, in USD's units of light. The intensity of the sun does not depend on the
+size of its disc, and the sky shines from all sides."""
 SUN_ANGLE = 4.0
 """Angular size of the sun's disc [degrees], which softens the edges of shadows."""
 

@@ -7,7 +7,7 @@ from ..theory.vessels import box_at_rest
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
 
 FAR_END = 0.05
-"""Length at the far end of the box over which the depth is averaged [m]."""
+"""Length of the stretch at the far end of the L-box over which the depth of the concrete is averaged [m]."""
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:

@@ -14,7 +14,7 @@ MOULD = ("top_diameter", "base_diameter", "mould_height")
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
-    # The height is averaged over half the diameter of the mould's top, where a stiff heap stays level.
+    # The height is averaged over a circle with half the diameter of the mould's top, where a stiff heap stays level.
     return {"top": concrete.top(size["top_diameter"] / 4), "spread": concrete.spread()}
 
 

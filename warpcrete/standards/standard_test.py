@@ -34,7 +34,7 @@ class Specimen:
     """Function that takes a radius about the vessel's vertical axis [m], and returns the mean height of the concrete's
     surface within this radius [m]."""
     spread: Callable[[], float]
-    """Function that returns the diameter of a heap [m]."""
+    """Function that returns the diameter [m] of the heap of concrete, as seen from above."""
     height_around: Callable[[float, float], float]
     """Function that takes two radii about the vessel's vertical axis [m], and returns the mean height of the concrete's
     surface between these radii [m]."""
@@ -70,7 +70,7 @@ class Outcome:
     """Density of the concrete in the full vessel [kg/m3]."""
     gravity: float = 9.81
     whole: float = 0.0
-    """Volume of all concrete [m3]."""
+    """Volume of all concrete in the test, inside the vessel and outside it [m3]."""
 
     def last(self, name: str) -> float:
         """Return the last value of the column `name` of the time series."""
@@ -218,7 +218,7 @@ TESTS: dict[str, StandardTest] = {}
 
 
 def _by_name(name: str, module: str) -> StandardTest:
-    if name not in TESTS:  # The scene's file defines the test; a worker process may not have imported it yet.
+    if name not in TESTS:  # A worker process may not have imported the scene's file yet, which defines the test.
         importlib.import_module(module)
     return TESTS[name]
 

@@ -188,7 +188,7 @@ class Kernel(Protocol):
 
     @property
     def adj(self) -> KernelCode:
-        """Code of the kernel."""
+        """Code of the kernel as Warp has parsed it from Python."""
         ...
 
     @property

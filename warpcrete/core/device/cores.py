@@ -18,8 +18,8 @@ from pathlib import Path
 WINDOW = 0.01
 """Wall time spent on time steps between two checks for core contention [s]."""
 CONTENTION_FRACTION = 0.4
-"""Largest acceptable ratio of the total time that all threads waited for a core to the stepping time; a larger ratio
-counts as contention."""
+"""Largest acceptable value of a ratio: the time that all threads together waited for a core, divided by the wall time
+of the steps. A larger ratio counts as contention."""
 BACKOFF_TIMES = 0.5, 8.0
 """Shortest and longest backoff time [s]. After core contention, one thread does all work for this time; then several
 threads are tried again."""

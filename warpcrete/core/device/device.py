@@ -33,7 +33,7 @@ def parallel(device: wp.Device) -> bool:
 
 @contextmanager
 def divide_work_like_gpu() -> Generator[None]:
-    """Make the CPU divide work as a GPU does, as far as the CPU can, while the block runs.
+    """Make the CPU divide work as a GPU does, as far as the CPU can, inside the `with` block.
 
     This is slow. It lets tests run the GPU's code paths on a machine without a GPU.
     """

@@ -19,7 +19,7 @@ MAXIMUM_BUFFERS = 2048
 
 
 class PinnedBuffers:
-    """Page-locked memory for a set of GPU arrays, and copies of the whole set in either direction as one launch.
+    """Page-locked memory for a set of GPU arrays; one launch copies the whole set to the GPU or from it.
 
     The set is copied array by array the first time. Later copies replay a CUDA graph, whose launch takes the host less
     time than a single copy. The graph refers to the arrays by address and does not keep them alive.
@@ -70,7 +70,7 @@ class PinnedBuffers:
 
 
 class _Copying:
-    """Stage that copies device arrays into page-locked host memory."""
+    """Stage of a launch graph that copies device arrays into page-locked host memory."""
 
     def __init__(self, buffers: PinnedBuffers, arrays: Sequence[DeviceArray]) -> None:
         self._buffers, self._arrays = buffers, arrays
@@ -116,7 +116,7 @@ class Exchange:
         self._last_write = self._last_write_before_read = self._last_completed_write = 0
 
     def read(self, *arrays: DeviceArray) -> list[HostArray]:
-        """Wait until all work launched so far is complete, and return copies of the arrays in host memory."""
+        """Wait until all work launched so far is complete, and return copies of device arrays in host memory."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
         buffers = self._buffers("read", arrays)
@@ -125,7 +125,7 @@ class Exchange:
         return [view.copy() for view in buffers.views]
 
     def begin_read(self, *arrays: DeviceArray) -> None:
-        """Start an asynchronous read, whose values :meth:`finish_read` returns; only one may be in flight."""
+        """Start an asynchronous read, whose values :meth:`finish_read` returns; only one read may be in flight."""
         self._pending_arrays = arrays
         if self.device.is_cuda:
             before = self._last_write

@@ -56,7 +56,7 @@ class Recordable(Protocol):
 
 
 class Copy:
-    """Stage that copies one array to another array of the same length."""
+    """Stage of a launch graph that copies one array to another array of the same length."""
 
     def __init__(self, target: DeviceArray, source: DeviceArray) -> None:
         self.target, self.source = target, source
@@ -69,7 +69,7 @@ class Copy:
 
 
 class Zero:
-    """Stage that sets an array to zero."""
+    """Stage of a launch graph that sets an array to zero."""
 
     def __init__(self, array: DeviceArray) -> None:
         self.array = array

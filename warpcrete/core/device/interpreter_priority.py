@@ -12,20 +12,21 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time of a single wait of a recorder [s]. A recorder waits while the run uses Python's interpreter, until the
-run in turn waits for the device. After this time, the recorder works although the run is busy."""
+"""Longest time [s] for which a recorder's thread waits in one call of :func:`yield_to_run`. The thread waits until the
+run no longer needs Python's interpreter, because the run itself waits for the device. After this time, the recorder
+goes on although the run is busy."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0
 """Number of runs of this process that wait for their device or recorders, and the lock for changing this number.
 
-While any run waits, the recorders of all runs may work, so that a busy run does not block the recorders of another run.
+While any run waits, the recorders of all runs may work, so that a busy run does not block the recorders of other runs.
 """
 
 
 @contextmanager
 def run_is_waiting() -> Generator[None]:
-    """Mark a run as waiting for its device or its recorders while the block runs, so that recorders may work."""
+    """Mark a run as waiting for its device or recorders inside the `with` block, so that recorders may work."""
     global _waiting_runs
     with _count_lock:
         _waiting_runs += 1

@@ -27,7 +27,7 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def defer_interrupts() -> Generator[None]:
-    """Defer Ctrl-C and SIGTERM until the block has ended; outside the main thread, do nothing."""
+    """Defer Ctrl-C and SIGTERM until the `with` block has ended; outside the main thread, do nothing."""
     if not _in_main_thread():
         yield
         return

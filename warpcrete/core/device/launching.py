@@ -153,7 +153,7 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 
 @contextmanager
 def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
-    """Report the progress of compiling while the block runs.
+    """Report the progress of compiling inside the `with` block.
 
     If compiling takes longer than `COMPILE_PROGRESS_DELAY`, the function `tell` is called with the word "compiling" and
     the fraction done.
@@ -282,7 +282,7 @@ class Launcher:
         ended: Callable[[], bool],
         appended: GraphLaunch | None = None,
     ) -> None:
-        """Replay one graph for each entry of `sizes`, which is the number of steps in the graph.
+        """Replay one launch graph for each entry of `sizes`, which is the number of steps in the graph.
 
         `step` contains the stages of each thread. `single_thread_step` returns the same step for one thread that does
         all the work. The stages of `appended`, which only a GPU uses, are added at the end of each graph. On a CPU,
@@ -290,8 +290,8 @@ class Launcher:
         """
         left = list(sizes)
         while left:
-            # During core contention, or if it is not yet known whether there is contention, check for it after each
-            # graph.
+            # During core contention, or while it is not known whether there is contention, check for it after each
+            # launch graph.
             contended = self._pool is not None and self.contention.use_one_thread()
             count = 1 if self._pool is not None and (contended or self.contention.is_uncertain) else len(left)
             now, left = left[:count], left[count:]
@@ -310,7 +310,7 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Launch the stages with `every` > 1 between two graphs, if they are due and the graphs do not contain them.
+        """Between two launch graphs, run the due stages with `every` > 1, unless the graphs contain these stages.
 
         A stage with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain it. `sizes` are
         the numbers of steps in the graphs that have just been replayed.

@@ -26,11 +26,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class DrawnWall:
-    """Wall as a triangle mesh in the wall's own frame."""
+    """Wall as a triangle mesh, in coordinates that move with the wall."""
 
     name: str
     vertices: np.ndarray
-    """Positions of v vertices in the wall's own frame [m], shape (v, 3)."""
+    """Positions of v vertices in the wall's own coordinate frame [m], shape (v, 3)."""
     faces: np.ndarray
     """Indices of the three vertices of each of the wall's f triangles, shape (f, 3)."""
     moves: bool
@@ -39,15 +39,15 @@ class DrawnWall:
 
 @dataclass(frozen=True)
 class Prototype:
-    """Shape of rigid bodies at unit size, as a clump of spheres; several bodies share one shape."""
+    """Shape of rigid bodies as a clump of spheres, to be multiplied by a body's size; several bodies share a shape."""
 
     name: str
     offsets: np.ndarray
-    """Centres of the clump's spheres at unit size, relative to the centroid, shape (k, 3)."""
+    """Centres of the clump's spheres relative to its centroid, divided by the body's size, shape (k, 3)."""
     radii: np.ndarray
-    """Radii of the clump's spheres at unit size, shape (k,)."""
+    """Radii of the clump's spheres divided by the body's size, shape (k,)."""
     extent: float
-    """Largest distance of the clump's surface from its centroid, at unit size."""
+    """Largest distance of the clump's surface from its centroid, divided by the body's size."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class RigidBodies:
     prototype: np.ndarray
     """Index of each body's shape in `prototypes`, shape (n,)."""
     sizes: np.ndarray
-    """Size of each body [m], by which its unit-size shape is multiplied, shape (n,)."""
+    """Size of each body [m], shape (n,): the factor by which its shape at unit size is multiplied."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Lines:
     forces: np.ndarray
     """Force between the two bodies that each drawn line joins [N], shape (n,)."""
     radii: np.ndarray
-    """Radii with which the lines are drawn [m], shape (n,)."""
+    """Radii with which the lines between bodies are drawn, as thin tubes [m], shape (n,)."""
     colours: np.ndarray
     """Colours of n lines that are drawn between bodies, as RGB bytes, shape (n, 3)."""
 
@@ -143,7 +143,7 @@ class Display(ABC):
     has_network: ClassVar[bool] = False
     """True if there are lines between bodies to draw."""
     has_surface: ClassVar[bool] = False
-    """True if the surface of the concrete is drawn instead of its bodies."""
+    """True if the surface of the concrete is drawn instead of bodies."""
 
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         self.simulation = simulation
@@ -344,7 +344,7 @@ class Display(ABC):
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
         """Return a camera position and the point to look at, both of shape (3,) [m].
 
-        The camera looks from one side, from a distance of `distance` times the size of the scene.
+        The camera looks from one side, from a distance of `distance` times the diagonal of the box around the scene.
         """
         lower, upper = self.bounds()
         centre = 0.5 * (lower + upper)

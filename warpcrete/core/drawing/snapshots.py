@@ -109,7 +109,7 @@ class PendingCopies:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Snapshot of a run for drawing."""
+    """State of a run at one time, copied for drawing while the run goes on."""
 
     time: float
     """Simulated time of the snapshot [s]."""

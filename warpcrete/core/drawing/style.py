@@ -71,6 +71,6 @@ def _end(handle: Any) -> float:
 
 
 def open_frame(*plots: Any) -> None:
-    """Hide the upper and the right edge of the frames of plots."""
+    """Hide the upper and the right edge of the frame that Matplotlib draws around each plot."""
     for axes in plots:
         axes.spines[["top", "right"]].set_visible(False)

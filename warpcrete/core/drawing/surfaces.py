@@ -15,9 +15,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 PLANE_WEIGHT = 1e-6
-"""Weight of a point on a cutting plane or on a side of the grid, relative to a point on the free surface.
+"""Weight of a point on a cutting plane or on a side of the grid, divided by the weight of a point on the free surface.
 
-A vertex of the surface is the weighted mean of all these points that lie on edges of one grid cell."""
+Each vertex of a surface is the weighted mean of the points of these kinds that lie on the edges of one grid cell.
+"""
 FACETS = 64
 """Number of facets around the axis of a surface of revolution."""
 
@@ -87,12 +88,12 @@ class Cut:
     """Plane that cuts concrete open; the concrete is kept on the side to which the normal points."""
 
     normal: np.ndarray
-    """Unit vector across the plane, shape (d,)."""
+    """Unit normal of the plane in d dimensions, shape (d,)."""
     offset: float
     """Distance of the plane from the origin, along the normal [m]."""
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """Return the distance of points behind the plane [m], negative in front of it; points have shape (..., d)."""
+        """Return the distance of points (..., d) behind the plane [m] in d dimensions, negative in front of it."""
         return points @ self.normal - self.offset
 
 
@@ -159,10 +160,10 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.nd
 
 
 class _Net:
-    """Surface net of a level-set function in two or three dimensions: vertices, and sides that connect them."""
+    """Surface net of a level-set function in two or three dimensions: vertices, and sides whose corners they are."""
 
     points: np.ndarray
-    """Positions of the vertices [m], shape (v, d)."""
+    """Positions of the vertices in d dimensions [m], shape (v, d)."""
     fields: dict[str, np.ndarray]
     """Physical quantities at the vertices, averaged over adjacent nodes in concrete, each of shape (v,)."""
     sides: np.ndarray
@@ -224,13 +225,13 @@ class _Net:
         return np.cumsum(used) - 1
 
     def _crossings(self, axis: int) -> tuple[np.ndarray, ...]:
-        """Return the edges along one axis on which the level changes its sign, or which cross the cut in concrete.
+        """Return the grid edges along one axis that cross the surface of the concrete: one end is inside, one outside.
 
-        The results, for m edges in d dimensions, are:
+        With a cut, only concrete behind the cutting plane counts. The results, for m edges in d dimensions, are:
 
-        - the cells around each edge in the order of the side's vertices, shape (m, 2 or 4),
-        - the point at which the level, or the depth behind the cut, is zero, shape (m, d),
-        - the index of the node of the edge that lies in concrete, shape (m,),
+        - the indices of the grid cells around each edge, in the order of the corners of a side, shape (m, 2 or 4),
+        - the point of the edge at which the level, or the depth behind the cut, is zero, shape (m, d),
+        - the index of the end node that lies in concrete, shape (m,),
         - whether the edge crosses the free surface inside the grid, shape (m,),
         - whether the edge crosses the cut, shape (m,).
         """
@@ -292,12 +293,12 @@ class _Net:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Return values with one more node at both ends of each axis, which has the value of its neighbour."""
+    """Return values with one more node at both ends of each axis; a new node gets the value of the node beside it."""
     return np.pad(values.astype(float), 1, mode="edge") if values.size else np.zeros([2] * values.ndim)
 
 
 def _padded_places(place: np.ndarray) -> np.ndarray:
-    """Return the coordinates of nodes with one more node at both ends, which continues the spacing there."""
+    """Return the coordinates of nodes along an axis, extended by one node at both ends with the spacing there."""
     if len(place) < 2:
         return np.concatenate([place - 1, place, place + 1]) if len(place) else np.arange(2.0)
     return np.concatenate([[2 * place[0] - place[1]], place, [2 * place[-1] - place[-2]]])

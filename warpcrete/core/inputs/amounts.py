@@ -119,7 +119,7 @@ def _compiled(unit: str) -> tuple[re.Pattern[str], ...]:
 
 
 def _decimal(text: str) -> float:
-    """Return a number with a decimal point or an unambiguous decimal comma."""
+    """Return the number in a text with a decimal point or an unambiguous decimal comma."""
     return float(text.replace(",", "."))
 
 

@@ -32,7 +32,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def names_from_file() -> Generator[None]:
-    """Forbid imports of modules that an input file names, while the block runs; also usable as a decorator.
+    """Forbid imports of modules that an input file names, inside the `with` block; also usable as a decorator.
 
     Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
     """
@@ -45,7 +45,7 @@ def names_from_file() -> Generator[None]:
 
 @contextmanager
 def trusted_files() -> Generator[None]:
-    """Allow imports of modules that input files name, while the block runs, because the user trusts the files."""
+    """Allow imports of modules that input files name, inside the `with` block, because the user trusts the files."""
     token = _trusted.set(True)
     try:
         yield
@@ -55,7 +55,7 @@ def trusted_files() -> Generator[None]:
 
 @contextmanager
 def _folder_on_path() -> Generator[None]:
-    """Add the current folder to the end of Python's module search path, while the block runs.
+    """Add the current folder to the end of Python's module search path, inside the `with` block.
 
     `python -m` puts the current folder first. Here it comes last, so that a local file cannot hide an installed
     package.

@@ -42,7 +42,8 @@ def _feed(digest: Digest, value: object) -> None:
     elif is_host_array(value):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif is_mapping(value):
-        # Do not sort the entries: their order numbers the kinds of bonds, so it must change the fingerprint.
+        # Do not sort the entries. Their order determines the numbers of the kinds of bonds, so another order must give
+        # another fingerprint.
         for key, item in value.items():
             _feed(digest, key)
             _feed(digest, item)

@@ -16,8 +16,8 @@ class Level:
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Values of the scene's parameters that this setting of the accuracy parameter (knob) changes, by name."""
     cost: float = 1.0
-    """Expected wall time of a run at this level, relative to the other levels of the same knob. A level is a value of
-    the accuracy parameter that the knob changes. The expected time is used only for planning, before wall times are
+    """Expected wall time of a run at this level, on a scale that all levels of the same knob share. A level is one
+    setting of the accuracy parameter (the knob). The expected time is used only for planning, before wall times are
     measured."""
     key: str = ""
     """Name that this level of a knob has in all scenes. A knob is a parameter that trades accuracy for run time. For

@@ -163,7 +163,7 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
-        return ""  # Limits that belong to a unit are too wide to suggest another unit.
+        return ""  # Limits that hold for all quantities in a unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
         return ""  # A number this small or large does not result from a wrong unit, so suggest none.
     for other, factor in UNITS.get(unit, {}).items():

@@ -28,7 +28,7 @@ _files: ContextVar[dict[str, str] | None] = ContextVar("files", default=None)
 
 @contextmanager
 def files_read() -> Generator[dict[str, str]]:
-    """Collect the SHA-256 of every input file that is read inside the block, by absolute path."""
+    """Collect the SHA-256 of every input file that is read inside the `with` block, by absolute path."""
     found: dict[str, str] = {}
     token = _files.set(found)
     try:

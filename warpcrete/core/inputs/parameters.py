@@ -96,9 +96,9 @@ class Needs:
 
 @dataclass(frozen=True)
 class FileIf:
-    """Rule that a text names a file if `test` holds for the text.
+    """Rule that the value of a parameter is the path of a file if the function `test` returns true for the value.
 
-    Such a text is stored as an absolute path, which is valid in any working folder.
+    The path is stored as an absolute path, which is valid in any working folder.
     """
 
     test: Callable[[str], bool]
@@ -294,7 +294,7 @@ class Declared:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
-        """Return further parameters that follow from `values`, such as the yield stress of a concrete named there."""
+        """Return further parameters that follow from `values`; for example, a concrete implies a yield stress."""
         return {}
 
     def check_needed(self) -> None:

@@ -34,7 +34,7 @@ KINDS = ((stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR
 
 @contextmanager
 def errors_located_at(container: Any, key: Any) -> Generator[None]:
-    """Add the file name and line number of an entry to each :class:`SceneError` that is raised inside the block.
+    """Add the file name and line number of an entry to each :class:`SceneError` that is raised inside the `with` block.
 
     The entry is `container[key]`, and the container is a :class:`FileMapping` or a :class:`FileList`.
     """

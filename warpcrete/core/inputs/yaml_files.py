@@ -118,7 +118,8 @@ class _Values:
         self.path = path
         self.values = 0
         self.open: set[int] = set()
-        """Values of `id()` of the YAML nodes whose contents are being read; a node met again would contain itself."""
+        """Values of `id()` of the YAML nodes whose contents are being read. If the reader meets one of these nodes, the
+        node contains itself."""
 
     def value(self, node: Any) -> Any:
         line = node.start_mark.line + 1

@@ -126,7 +126,7 @@ def _is_at(file: int, path: Path) -> bool:
 
 @contextmanager
 def locked_folder(folder: Path, record: str) -> Generator[None]:
-    """Lock an existing folder while the block runs, then clean up what killed processes left in the folders inside it.
+    """Lock an existing folder inside the `with` block, then clean up what killed processes left in its subfolders.
 
     Raises :class:`RunFolderError` if the folder does not contain the file `record`, or if another process holds the
     lock.
@@ -165,7 +165,7 @@ def make_folder(folder: Path) -> FolderLock:
 
 @contextmanager
 def new_folder(folder: Path) -> Generator[None]:
-    """Create a new folder, and hold its lock while the block runs.
+    """Create a new folder, and hold its lock inside the `with` block.
 
     After the block, remove those of the created folders that are still empty.
     """

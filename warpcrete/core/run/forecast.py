@@ -36,7 +36,7 @@ class Forecast:
     chosen."""
     steps: float
     parts: Mapping[str, float]
-    """Wall time of each part of the run [s], without recordings."""
+    """Wall time of each part of the run's work, without recordings [s], by the name of the part."""
     frame: Mapping[str, float] = field(default_factory=dict[str, float])
     """Wall time that each recording takes for one frame [s], by the recording's name; empty if not measured."""
     duration: float = 0.0

@@ -7,8 +7,8 @@ import numpy as np
 from ..errors import positive
 
 MINIMUM_FRAMES, LONGEST_FRAME_INTERVAL = 30, 0.04
-"""Minimum number of frames of a run, and longest simulated time between two frames [s], if the user sets no frame
-interval."""
+"""Minimum number of recorded frames of a run, and longest simulated time between two frames [s], if the user sets no
+frame interval."""
 
 
 class Frames:
@@ -28,9 +28,9 @@ class Frames:
             min(LONGEST_FRAME_INTERVAL, expected / MINIMUM_FRAMES) if expected > 0 else LONGEST_FRAME_INTERVAL
         )
         self.interval = default_interval if interval is None else interval
-        """Simulated time between two frames at the start of the run [s]."""
+        """Simulated time between two recorded frames at the start of the run [s]."""
         self.next = 0.0
-        """Simulated time at which the next frame is due [s]."""
+        """Simulated time at which recorders record the next frame [s]."""
         self.schedule_next(0.0)
 
     def due(self, time: float) -> bool:
@@ -46,7 +46,7 @@ class Frames:
         return self.next < sample - self._time_step
 
     def schedule_next(self, time: float) -> None:
-        """Set the time of the next frame, after a frame was taken at `time` [s]."""
+        """Set the time at which recorders record the next frame, after they recorded a frame at `time` [s]."""
         if self._requested_interval is None and time > self._expected_duration:
             self.next = time + min(LONGEST_FRAME_INTERVAL, time / MINIMUM_FRAMES)
         else:

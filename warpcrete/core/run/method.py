@@ -29,8 +29,8 @@ class Quantity:
     name: str
     unit: str
     of: Callable[[Any], float | None]
-    """Function that takes the method's data about a run and returns the value of the quantity in `unit`, or None if the
-    quantity is undefined for this run."""
+    """Function that takes the simulation method's data about a run. It returns the value of the quantity in `unit`, or
+    None if the quantity is undefined for this run."""
     label: str = ""
     """Name of the quantity in the report; without a label, the quantity is not reported."""
     words: Callable[[Run], str] | None = None
@@ -119,12 +119,12 @@ class Method:
 
     @property
     def scene_type(self) -> type:
-        """Type of the scenes that this method simulates."""
+        """Type of the scenes that this simulation method simulates."""
         return self.simulation.scene_type
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All quantities that runs of this method may have.
+        """All quantities that runs of this simulation method may have.
 
         The list is made anew at each access, because a user may have added standard tests with quantities of their own.
         """

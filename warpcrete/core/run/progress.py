@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tqdm.auto import tqdm
 
 REDRAW_INTERVAL = 0.2
-"""Shortest time between two updates of a bar [s]."""
+"""Shortest time between two updates of a progress bar [s]."""
 LINES_PER_PHASE = 10
 """Number of lines that report one phase of the work in a log file. A very short phase has fewer lines, and a very long
 phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two lines."""
@@ -50,7 +50,7 @@ class ProgressBar:
             self.close()
             self._phase = phase
             self._start = self._shown = now
-            # A resumed run does not begin at zero, but at the fraction that an earlier process has done.
+            # The progress bar of a resumed run begins at the fraction that an earlier process has done, not at zero.
             self._first = min(fraction, 1.0)
             self._tenths = int(LINES_PER_PHASE * self._first + 1e-9)
         if self._as_lines:

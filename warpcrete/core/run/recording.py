@@ -30,7 +30,7 @@ class Recording:
         self._states: dict[str, object] = {}  # Data that each recorder stored in the last checkpoint, by class name.
 
     def begin(self, states: Mapping[str, object]) -> None:
-        """Start every recorder, or resume it if `states` has its state from a checkpoint."""
+        """Start every recorder, or resume the recorder if `states` contains its state from a checkpoint."""
         self._states = dict(states)
         for recorder in self.recorders:
             self.active.append(recorder)

@@ -62,7 +62,7 @@ class RunRecord(TypedDict):
     samples: int
     """Number of rows in the time series, not counting the row at t = 0."""
     next_frame: float
-    """Simulated time of the next frame [s]."""
+    """Simulated time at which recorders record the next frame [s]."""
     spent: dict[str, float]
     """Wall time of each phase of the run [s], by the phase's name, such as "packing"."""
     over: bool
@@ -175,7 +175,7 @@ class Simulation:
         self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
         # Wall time that a resumed run had taken before its checkpoint was written [s].
         self._time_before_resume = 0.0
-        self._samples_taken = 0  # Number of rows in the time series, not counting the row at t = 0.
+        self._samples_taken = 0  # Number of rows in the time series so far, not counting the row at t = 0.
         self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
         self._ended_run: Run | None = None
@@ -193,7 +193,7 @@ class Simulation:
         self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
         self.recorders = [*output.recorders(self), *self.recorders]
 
-    # The following members are defined by each simulation method.
+    # The following members must be defined by the subclass of each simulation method.
 
     @abstractmethod
     def set_up(self) -> None:
@@ -323,14 +323,14 @@ class Simulation:
         self.load_state_dict(self.read_checkpoint(path))
 
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
-        """Return the `state_dict` stored in a checkpoint, and restore the run's own data from this checkpoint.
+        """Return the `state_dict` stored in a checkpoint, and restore the data about the run from this checkpoint.
 
-        This data includes the wall times, the number of samples and the time of the next frame.
+        These data are the wall times, the number of samples, the time of the next frame and so on.
         """
         return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
 
     def _restored(self, contents: dict[str, Any]) -> dict[str, Any]:
-        """Restore the run's own data from the contents of a checkpoint, and return these contents."""
+        """Restore the data about the run, such as its wall times, from a checkpoint; return its contents."""
         run: RunRecord = contents["run"]
         self._resumed = run
         self._samples_taken, self.frames.next = run["samples"], run["next_frame"]
@@ -428,7 +428,7 @@ class Simulation:
         full: list[Exception] = []
         try:
             try:
-                if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
+                if not self.rows:  # Save the state at t = 0 first, because packing and settling took a long time.
                     self._checkpoint()
                 self._recording.begin({} if self._resumed is None else self._resumed["recorders"])
                 if self._ended_run is not None:
