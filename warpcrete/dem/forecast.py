@@ -41,9 +41,9 @@ TIMING_TIME = 0.7  # Wall time during which steps are measured [s].
 # The forecast times a copy of the scene with at most this number of spheres, on a GPU (True) or a CPU (False). With
 # more spheres the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
-# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. In a
-# straight pipe (STRAIGHT), concrete moves as a plug. In a bend (BENT), neighbours move relative to each other, so the
-# lists become stale earlier.
+# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the lists' skin (the largest gap
+# of a listed pair). In a straight pipe (STRAIGHT), concrete moves like a rigid body. In a bend (BENT), neighbours move
+# relative to each other, so the lists become stale earlier.
 STRAIGHT, BENT = 1.25, 0.5
 # Number of bonds in a settled packing divided by the number in an unsettled packing. In test runs this ratio was 1.2 to
 # 1.3.
@@ -200,8 +200,8 @@ class _ShortenedCopy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # The subtracted time of the list rebuilds may be too long, if other programs slowed down its measurement. A
-            # step must still get a positive time.
+            # The time of the list rebuilds is subtracted from the measured time. It may be too long, because other
+            # programs may have slowed down its measurement. Make sure that a step still gets a positive time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)

@@ -63,9 +63,11 @@ class ElementSimulation(Simulation):
         """Build the model and initialise the attributes that the preparation up to t = 0 changes."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
-        self._settled: int | None = None  # completed intervals of settling; None before settling and from t = 0 on
+        # Number of completed intervals of the settling before t = 0. It is None before the settling begins and after it
+        # ends.
+        self._settled: int | None = None
         self.rested: float | None = None
-        """Travel of the piston [m] at which the concrete rested (see `Scene.rest`); None before the rest."""
+        """Travel of the piston [m] at the moment of the concrete's rest (see `Scene.rest`); None before this moment."""
 
     @property
     def prepared(self) -> bool:
@@ -157,7 +159,7 @@ class ElementSimulation(Simulation):
 
     @contextmanager
     def _walls_held(self) -> Iterator[None]:
-        """Hold prescribed walls still within this context manager, because their motion starts at t = 0."""
+        """Hold all walls with prescribed motion still within this context manager, because they first move at t = 0."""
         self.stepper.change(held=1)
         try:
             yield

@@ -223,9 +223,9 @@ def oblique(device, precision) -> list[Row]:
 def normalised(device, precision) -> list[Row]:
     """Compare impacts of steel at constant normal speed with published normalised curves (Chung & Ooi 2011, test 5).
 
-    The published curves hold for a tangential stiffness of half that of a rigid plane, and for a shear force that stays
-    constant while the normal load decreases. The simulations therefore use these settings. The closed form for full
-    slip holds for all settings.
+    The published curves hold if the tangential stiffness is half of that of a contact with a rigid plane, and if the
+    shear force stays constant while the normal load decreases. The simulations therefore use these settings. The closed
+    form for full slip holds for all settings.
     """
     radius, normal, friction = 0.01, 5.0, 0.3
     unit = friction * normal

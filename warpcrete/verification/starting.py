@@ -33,7 +33,7 @@ EXACT_STEP_RATIO = 5e-4
 
 
 def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.ndarray:
-    """Return the apparent viscosity at given shear rates [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
+    """Return the apparent viscosity of Bingham concrete at given shear rates [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
     bent = np.maximum(regularisation * np.abs(rate), 1e-12)
     return concrete.viscosity + concrete.yield_stress * regularisation * -np.expm1(-bent) / bent
 
@@ -56,8 +56,8 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
         # computes.
         for _ in range(6):
             c = apparent(concrete, scene.regularisation, np.diff(velocity) / h) * area[1:-1] / h
-            # The wall resists the flow by the shear across the outer half of the last cell and by the slip layer, which
-            # act in series.
+            # Two resistances in series act on the flow at the wall: the slip layer, and the shear across the outer half
+            # of the cell next to the wall.
             half = 2 * float(apparent(concrete, scene.regularisation, np.array(2 * (velocity[-1] - slip) / h))) / h
             layer = concrete.slip_viscosity
             ease, fixed = half * layer / (half + layer), half * concrete.slip_yield / (half + layer)

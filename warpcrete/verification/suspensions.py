@@ -105,7 +105,7 @@ def take(flow: SuspensionFlow, steps: int) -> np.ndarray:
 
 
 def settling(across: int, shift: float, ratio: float, device: str, precision: str) -> float:
-    """Return the settling speed of a sphere on the axis of a closed cylinder, divided by the exact one.
+    """Return the settling speed of a sphere on the axis of a closed cylinder, divided by the exact speed.
 
     `across` is the number of cells across the sphere. `shift` is the offset of the sphere's centre from a corner of a
     cell along each axis, in cells. `ratio` is the radius of the sphere divided by that of the cylinder. The exact speed

@@ -39,7 +39,7 @@ class Core:
     rate: float
     """Mean shear rate in the core [1/s]."""
     fraction: float
-    """Volume fraction of the spheres in the core."""
+    """Volume fraction of the spheres in the core (middle part) of the box."""
 
     @property
     def viscosity(self) -> float:
@@ -117,7 +117,7 @@ def random_structure(fraction: float, seed: int, device: str, precision: str, ac
 def sheared_structure(fraction: float, seed: int, device: str, precision: str) -> tuple[Core, float]:
     """Return the mean values in the core (middle part) of a suspension, averaged over shear strains from 1 to 2.
 
-    The second result is the part of the spheres' volume in which they overlap at the end.
+    The second result is the volume of all overlaps between spheres at the end, divided by the volume of the spheres.
     """
     flow = suspension(fraction, seed, device, precision, wide=6, strain=0.1)
     flow.take(10)

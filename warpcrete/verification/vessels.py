@@ -22,7 +22,7 @@ from .case import Case, Row
 
 PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=NO_SLIP_VISCOSITY, slip_yield=0.0)
 INNER, OUTER, TURNS = 0.05, 0.1, 1.0
-"""Radii of the inner and outer cylinder [m], and angular velocity of the inner one [rad/s]."""
+"""Radii of the inner and outer cylinder [m], and angular velocity of the inner cylinder [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
 """Radius of the round pipe [m], and mean velocity of the flow in it [m/s]."""
 

@@ -167,7 +167,7 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """True if the kernel launches of a step have been set and still match the arrays and CPU chunks."""
+        """True if the kernel launches of a step are set, and still match the arrays and each CPU thread's bodies."""
 
         return self._step is not None
 

@@ -326,8 +326,8 @@ class NeighborLists:
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere.
 
-        Only the search for half lists needs this length. The result is empty for full lists, and if the scenes have no
-        bonds.
+        Only the search for the half lists of a CPU needs this length. The result is empty for the full lists of a GPU,
+        and if the scenes have no bonds.
         """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):

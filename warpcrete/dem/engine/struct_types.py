@@ -185,7 +185,7 @@ class Grid(Protocol):
 
 
 class Estimate(Protocol):
-    """Arrays for the estimate of the stable step: sums of stiffness and damping, and smallest and largest values."""
+    """Arrays for the estimate of the stable step, such as the contact stiffness and damping of each sphere and wall."""
 
     sums: DeviceArray
     wall_load: DeviceArray

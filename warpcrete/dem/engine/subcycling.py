@@ -41,8 +41,8 @@ RESIDENT_BLOCKS = 2
 Two blocks of 128 threads fit even if each thread uses the maximum number of registers.
 """
 OF_BODIES = ("position", "orientation")
-"""Names of the arrays with one row per sub-cycled body that checkpoints contain, because the next step depends on
-them."""
+"""Names of the arrays with one row per sub-cycled body. Checkpoints contain these arrays, because the next step depends
+on them."""
 OF_ENDS = ("force", "torque")
 """Names of the arrays with two rows per sub-cycled pair, one for each body, that checkpoints contain."""
 BODY_ARRAYS = (
@@ -140,7 +140,7 @@ class Subcycles:
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Return the data of scene `s` for a checkpoint: sub-cycled pairs, and the arrays OF_BODIES and OF_ENDS."""
+        """Return the checkpoint data of scene `s`: sub-cycled pairs, and the arrays named in OF_BODIES and OF_ENDS."""
         if not self._by_scene[s]:
             return {}
         pairs = self._by_scene[s]

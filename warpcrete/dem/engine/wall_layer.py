@@ -45,7 +45,11 @@ class Structure:
         return DeviceArray(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
 
     def stage(self) -> Stage:
-        """Return the launch that computes the present yield stress of each scene's lubrication layer from the slip."""
+        """Return the launch that computes the present yield stress of each scene's lubrication layer.
+
+        The layer gained yield stress while the concrete was at rest. The more it has slipped along the wall since the
+        rest, the more of this gain is lost.
+        """
         b = self.batch
         return b.stage(
             breakdown_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,

@@ -60,8 +60,8 @@ class BlockageWatch:
         self.found: dict[str, float] = {}
         """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
         self.slowest = np.nan
-        """Ratio of the advance of the slowest part to that of the piston, by volume, between the last two checks.
-        Before the second check it is NaN."""
+        """Advance of the slowest part of the concrete, divided by the advance of the piston, between the last two
+        checks. Both are measured by volume. Before the second check the ratio is NaN."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0

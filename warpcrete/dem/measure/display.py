@@ -56,7 +56,8 @@ colour scale.
 RINGS = 10
 """Number of rings of a velocity profile between the axis and the wall."""
 STRETCH = (0.2, 0.8)
-"""Range of the concrete, as fractions of its length, over which a velocity profile is averaged."""
+"""Two fractions of the number of bodies, counted along the pipe from the rear. A velocity profile is averaged over the
+bodies between them, because the velocity differs near both ends of the concrete."""
 ENERGIES = {
     "kinetic_energy": ("kinetic [J]", RUN),
     "elastic_energy": ("elastic [J]", SECOND),
@@ -186,7 +187,10 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity profile across the pipe, and the stresses along it if they are measured in slices."""
+        """Return the curves to plot: velocity over the radius of the pipe, and stresses along the pipe.
+
+        The stresses are left out if the scene does not measure them in slices.
+        """
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
@@ -282,7 +286,8 @@ class ElementDisplay(Display):
 
         A plane is a single patch, so it has no distribution of wear that could be drawn.
         """
-        sampler = getattr(self.simulation, "sampler", None)  # wear is recorded only from t = 0 on
+        # The sampler, which records the wear, exists only from t = 0 on.
+        sampler = getattr(self.simulation, "sampler", None)
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
         return sampler.wear.walls[number]
@@ -349,7 +354,8 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        # Without hydration, the second kind of bond belongs to a body group such as the plug.
+        # If the scene has no hydrated bonds, kind 2 stands for other bonds, for example those inside a body group. Draw
+        # all bonds alike.
         if not self.simulation.scene.hydration:
             return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)

@@ -110,7 +110,10 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Read the sums computed on the device; return one array for each name in `what` ("bodies" or "contacts")."""
+    """Read sums over all bodies or contacts from the device; return one array for each name in `what`.
+
+    Each name is "bodies" or "contacts".
+    """
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
     return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))

@@ -160,7 +160,11 @@ def stroke_start(scene: Scene, travel: float) -> float:
 
 
 def past_ramp(scene: Scene, travel: float) -> bool:
-    """Return whether the piston had its final speed in the whole final window of a run that ends at `travel` [m]."""
+    """Return whether the piston had its final speed throughout the final window of a run that ends at `travel` [m].
+
+    The final window is the last fraction WINDOW of the piston's travel, or of its last stroke if the piston stops
+    between strokes.
+    """
     return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
 
 

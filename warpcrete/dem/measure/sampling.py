@@ -93,10 +93,10 @@ class Sampler:
         self._drive_work = 0.0
         wear = model.scene.wear
         self.wear = WearMap(model.walls, wear) if model.features.wear and wear is not None else None
-        """Wear of the walls up to the last row; None if the scene does not request it."""
+        """Wear of the walls up to the last row of the time series; None if the scene does not request it."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all rows so far and everything on which the next row depends, for a checkpoint."""
+        """Return all rows of the time series so far and everything on which the next row depends, for a checkpoint."""
         return {
             "columns": list(self.rows[0]) if self.rows else [],
             "rows": np.array([list(row.values()) for row in self.rows]),
@@ -110,7 +110,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows, and the other data that the next row depends on, from a `state_dict`."""
+        """Restore the rows of the time series, and the other data that the next row depends on, from a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])

@@ -34,15 +34,16 @@ FRONT = 0.98
 """The front of the concrete is defined as the point along the pipe behind which this fraction of the solid volume lies.
 Ahead of the front, concrete does not fill the whole cross-section."""
 FARTHEST = 8
-"""The search for the front is limited to the 1/FARTHEST of all bodies that are farthest along the pipe, to save
-time."""
+"""The search for the front of the concrete looks only at 1/FARTHEST of all bodies, to save time. These are the bodies
+that are farthest along the pipe."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
 READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
         "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
-"""Names of the arrays of a state that a measurement in the slices reads, in addition to the contact forces."""
+"""Names of the arrays of a state that a measurement in the slices of a pipe reads, in addition to the contact
+forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
 """Units of the columns of a table of stations. `pressure` is the mean normal stress, and `axial_stress` the normal
@@ -278,7 +279,11 @@ def read_arrays(model: Model, state: State) -> StationArrays:
 
 
 class _Spheres:
-    """Spheres of a state, in order of permanent numbers; the spheres of a plug have a solid volume of 0 here."""
+    """Spheres of a state, in order of permanent numbers.
+
+    The balls of the plug, which closes the front of the concrete, are no aggregates. Their solid volume is therefore
+    set to 0 here.
+    """
 
     def __init__(self, seen: StationArrays, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
@@ -311,7 +316,8 @@ class _Spheres:
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):
-            # The fraction of a sphere's volume below a plane z radii above its centre is (2 + 3 z - z^3) / 4.
+            # The fraction of a sphere's volume below a plane is (2 + 3 z - z^3) / 4. Here z is the height of the plane
+            # above the sphere's centre, divided by the sphere's radius.
             z = [np.clip((edges[slices + k] - self.s[here]) / self.radius[here], -1, 1) for k in (0, 1)]
             below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
             volume = self.share[here] * (under - below)

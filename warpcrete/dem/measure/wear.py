@@ -32,7 +32,8 @@ They are the work of sliding [J], the energy lost in impacts [J], and normal for
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 RAY_TOLERANCE = 1e-4
-"""Tolerance of the test whether a triangle is visible from the axis, divided by the triangle's distance from the axis.
+"""Tolerance of the test whether a triangle of a wall is visible from the pipe's axis, divided by the triangle's
+distance from the axis.
 
 The test follows a ray from the axis towards the triangle to the first surface that it hits. The triangle counts as
 visible if it lies behind that surface by no more than the tolerance.
@@ -151,7 +152,7 @@ class MeshPatches(Patches):
         return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
 
     def seen_from(self, axis: Axis) -> np.ndarray:
-        """Return a mask of the triangles that are visible from the axis, shape (f,).
+        """Return a mask of the triangles that are visible from the axis of the pipe, shape (f,).
 
         If the mesh describes a wall with an inner and an outer surface, these are the triangles of the inner surface.
         """

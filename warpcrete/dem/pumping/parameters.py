@@ -193,7 +193,7 @@ class PipeParameters(
 
     @property
     def layers(self) -> int:
-        """Number of layers of balls in the plug.
+        """Number of layers of balls in the plug that closes the front of the concrete.
 
         In a level pipe the weight of the concrete pushes hardest on the lower edge of the plug, harder than the plug's
         pressure can balance. A thin plug would tip over, and the concrete would flow out past it.
@@ -251,9 +251,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pressure minus the plug
-        # pressure is proportional to the length. Give each shorter length the factor by which this difference must be
-        # multiplied to obtain the pressure in the full length.
+        # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pumping pressure minus the
+        # counterpressure at the front of the concrete is proportional to the length of the pipe. For each shorter
+        # length, give the factor by which this difference must be multiplied to obtain its value in the full length.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

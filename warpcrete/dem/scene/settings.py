@@ -165,11 +165,11 @@ class Rest(Declared):
     """Rest of the concrete for minutes at one moment of a run: a formula gives the build-up of its structure.
 
     The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t, with the duration t of the rest and the growth
-    rate A_thix (Roussel 2006). The same stress is added to the tensile strength and cohesion of the scene's bonds, and
-    to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry, and
-    contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a group, for example the
-    plug, do not change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals
-    has the strength from before the rest.
+    rate A_thix (Roussel 2006). The increase A_thix t is also added to the tensile strength and cohesion of the scene's
+    bonds, and to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry,
+    and contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a body group do not
+    change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals has the
+    strength from before the rest.
 
     Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
     the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest, so it
@@ -192,7 +192,7 @@ class Rest(Declared):
 
     @property
     def gained(self) -> float:
-        """Stress by which strengths and yield stress grow during the rest [Pa]."""
+        """Increase A_thix t of the yield stress and of the bonds' strengths during the rest [Pa]."""
         return self.growth * self.duration
 
     @property

@@ -63,7 +63,7 @@ class Stations:
     def clear(self, low: float, high: float) -> np.ndarray:
         """Return a mask of the slices between two arc lengths [m], shape (slices,).
 
-        Slices whose middle is within CLEAR radii of either arc length are left out.
+        A slice is left out if its middle is closer than CLEAR times the pipe's radius to either arc length.
         """
         off = CLEAR * self.bores.at([low, high])
         return (self.places > low + off[0]) & (self.places < high - off[1])

@@ -13,7 +13,8 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Fraction of each pause of the piston, at its end, over which the pressure held in the pause is averaged."""
+"""Length of the last part of a pause of the piston, divided by the length of the pause. The mean pressure in this part
+is reported as the pressure held in the pause."""
 
 
 @dataclass(frozen=True)
