@@ -92,7 +92,7 @@ def draw(
     total = np.cumsum(np.pi / 6 * sizes**3)
     count = int(np.searchsorted(total, wanted)) + 1
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
-        count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted one.
+        count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted volume.
     sizes = sizes[:count]
     # Shapes are drawn independently of sizes, so on average a shape's fraction by number equals its fraction by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)

@@ -267,8 +267,8 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The tolerances allow for the lever arm of friction, the distance of the plane from the sphere's centre. It is 0.05
-    # % shorter than the sphere's radius, because the sphere overlaps with the plane.
+    # The tolerances allow for the overlap of sphere and plane. The overlap shortens the lever arm of friction, which is
+    # the distance of the plane from the sphere's centre, by 0.05 % of the radius.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

@@ -88,7 +88,7 @@ def _energy(model, state) -> float:
 def shake(table: BodyTable, seed: int = 5) -> None:
     """Give the bodies random velocities and spins.
 
-    They excite all modes of vibration, including the stiffest ones, which become unstable first.
+    This random motion excites all modes of vibration, including the stiffest modes, which become unstable first.
     """
     random = np.random.default_rng(seed)
     table.velocity = random.normal(scale=0.05, size=table.velocity.shape)

@@ -35,9 +35,9 @@ class Core:
     """Mean values in the core of a sheared suspension, which is the middle part of the simulated box."""
 
     stress: float
-    """Mean shear stress in the core, divided by the viscosity of the mortar [1/s]."""
+    """Mean shear stress in the core (middle part) of the box, divided by the viscosity of the mortar [1/s]."""
     rate: float
-    """Mean shear rate in the core [1/s]."""
+    """Mean shear rate in the core (middle part) of the box [1/s]."""
     fraction: float
     """Volume fraction of the spheres in the core (middle part) of the box."""
 
@@ -54,8 +54,9 @@ def suspension(
 ) -> SuspensionFlow:  # fmt: skip
     """Return a suspension of equal spheres at random places between two moving walls.
 
-    `across` is the number of cells across a sphere. Along the first two axes, the room is `wide` sphere diameters wide,
-    and along the third axis it is `long` diameters long. Each time step shears it by the shear strain `strain`.
+    `across` is the number of cells across a sphere. The simulated box is `wide` sphere diameters wide along the first
+    two axes, and `long` sphere diameters long along the third axis. Each time step shears the suspension by the shear
+    strain `strain`.
     """
     width = 2 * RADIUS / across
     cells = (wide * across, wide * across, long * across)
@@ -100,7 +101,7 @@ def velocity_area(long: int, middle: slice, width: float) -> float:
 
 
 def mean_core(cores: list[Core]) -> Core:
-    """Return the mean stress, shear rate and volume fraction over the cores of several suspensions."""
+    """Return the mean stress, shear rate and volume fraction over the cores (middle parts) of several suspensions."""
     return Core(*(float(np.mean([getattr(c, name) for c in cores])) for name in ("stress", "rate", "fraction")))
 
 
@@ -140,10 +141,10 @@ def overlapping_part(flow: SuspensionFlow) -> float:
 def yield_factor(fraction: float, seed: int, bingham: float, device: str, precision: str) -> tuple[float, float]:
     """Return the factor by which spheres at random places raise the yield stress, and the expected factor.
 
-    `bingham` is the yield stress of the mortar, divided by its viscosity and the shear rate of the room. The factor
-    follows from the stress in the core minus the stress without yield stress at the same shear rate; the difference is
-    divided by the yield stress of the mortar. The expected factor is sqrt((1 - fraction) f), where f is the computed
-    relative viscosity of the same structure (Chateau, Ovarlez & Trung 2008).
+    `bingham` is the yield stress of the mortar, divided by its viscosity and by the shear rate of the box. The factor
+    follows from the stress in the core (middle part) of the box minus the stress without yield stress at the same shear
+    rate; the difference is divided by the yield stress of the mortar. The expected factor is sqrt((1 - fraction) f),
+    where f is the computed relative viscosity of the same structure (Chateau, Ovarlez & Trung 2008).
     """
     plain = random_structure(fraction, seed, device, precision)
     flow = suspension(

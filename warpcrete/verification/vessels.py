@@ -170,7 +170,7 @@ def pipe_gradient(yield_stress: float) -> float:
 def pipe_in_space(device: str, precision: str) -> list[Row]:
     """Compare the pressure gradient in a round pipe without slip with theory, for Bingham numbers of 0, 1 and 10.
 
-    The pipe has 20 cells across.
+    The pipe is 20 cells wide.
     """
     found = []
     # The measured errors of the pressure gradient are -0.66, -0.49 and -0.71 % for the Bingham numbers 0, 1 and 10.

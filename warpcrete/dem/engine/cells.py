@@ -86,8 +86,8 @@ class Cells:
         # The cell indices from `low` to `high` are `high - low + 1` cells. One more, empty cell separates the blocks of
         # two scenes.
         sizes = high - low + 2
-        # Choose the axis along which the longest block is shortest, and place the blocks of all scenes side by side
-        # along it.
+        # Find the axis along which the longest block of cells is shorter than along the other axes. Place the blocks of
+        # all scenes side by side along this axis.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()

@@ -47,7 +47,8 @@ class Features:
     subcycling: bool
     """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
-    """True if the kernel for clumps moves the bodies, because some have several spheres or bonds are sub-cycled."""
+    """True if the kernel for clumps moves the bodies, because some bodies consist of several spheres or some bonds are
+    sub-cycled."""
     rotation: bool
     """True if bodies rotate; single spheres without friction, shear damping and bonds need no rotation."""
     drives: bool

@@ -85,8 +85,9 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = new((0, 0) if f.half_list else (KEPT, n))
         self._boxes = new((batch.threads, 2), t.vec3)
-        # `_total` and `_face_total` receive the number of list entries of each scene. The last element of `_total`
-        # receives the largest number of neighbours of a sphere for which the search buffer `_finds` was too small.
+        # `_total` receives the number of neighbour list entries of each scene, and `_face_total` the number of mesh
+        # candidates. The last element of `_total` receives the largest number of neighbours of a sphere for which the
+        # search buffer `_finds` was too small.
         self._total, self._face_total = new(scenes + 1), new(scenes + 1)
         self._identity = DeviceArray(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = new(n), new(n)

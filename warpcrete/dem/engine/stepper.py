@@ -215,7 +215,7 @@ class Stepper:
             self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
-        """Choose the number of sub-cycling rounds per time step, which are short steps for the hydrated bonds."""
+        """Choose the number of sub-cycling rounds per time step; a round is a shorter step for the hydrated bonds."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
         # An estimate ignores the hydrated bonds while the number of sub-cycling rounds is 0, as it still is here.

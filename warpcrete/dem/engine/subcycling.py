@@ -44,7 +44,8 @@ OF_BODIES = ("position", "orientation")
 """Names of the arrays with one row per sub-cycled body. Checkpoints contain these arrays, because the next step depends
 on them."""
 OF_ENDS = ("force", "torque")
-"""Names of the arrays with two rows per sub-cycled pair, one for each body, that checkpoints contain."""
+"""Names of the arrays that have two rows for each sub-cycled pair, one row for each body of the pair. Checkpoints
+contain these arrays."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,
@@ -108,7 +109,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Make those pairs of scene `s` that have hydrated bonds now the sub-cycled pairs of this scene."""
+        """Use the pairs of scene `s` whose bonds are hydrated at present as the sub-cycled pairs of this scene."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)

@@ -65,9 +65,10 @@ class Structure:
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Set gain and slip of scene `s` to those of scene `index` of `other`, from whose batch the scene comes.
+        """Copy gain and slip of the lubrication layer of scene `index` of `other` to scene `s` of this batch.
 
-        The copied values are the gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
+        The two are the same scene, which has moved from the batch of `other` to this batch. The copied values are the
+        gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
         """
         self._set(s, other._gained[index], other._travel_at_rest[index])
 

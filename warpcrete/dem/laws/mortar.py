@@ -93,7 +93,8 @@ class BinghamMortar(ContactLaw):
             ks, cs = kn * p.shear_to_normal, drag
             if p.bending > scalar(0.0):
                 # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
-                # limits the step at most as much as a shear stiffness k_r / r^2, so add this.
+                # limits the step at most as much as a shear stiffness k_r / r^2, so add k_r / r^2 to the shear
+                # stiffness.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square

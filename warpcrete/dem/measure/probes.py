@@ -75,14 +75,17 @@ class BodySums:
 
 
 def body_sums(model: Model, state: State) -> BodySums:
-    """Return energies, momentum and drive forces of all bodies."""
+    """Return energies, momentum and driving forces of all bodies."""
     if state.body_count:
         launch_recorded(state, "bodies", lambda: _body_stages(model, state))
     return _bodies_of(state, *_read(state, "bodies"))
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
-    """Return number, overlaps, energies and bonds of all contacts, with the coordination number if it is requested."""
+    """Return sums over all contacts: their number, overlaps, energies and bonds.
+
+    The coordination number is computed only if `coordination` is True.
+    """
     if state.sphere_count:
         launch_recorded(state, "contacts", lambda: _contact_stages(model, state))
     return _contacts_of(state, *_read(state, "contacts"), coordination)

@@ -174,7 +174,7 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Update mean wall forces and the work of the drives; return the impulses on all walls, shape (walls, 6)."""
+        """Update mean wall forces and the work of driving forces; return all walls' impulses, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
         # The impulse on a wall is the sum of its forces over time. In the leapfrog scheme this sum reaches to the
         # middle of the last step, so the time over which the mean wall force is taken also ends there.

@@ -27,10 +27,11 @@ UNITS = dict.fromkeys(
 - `mixing`: Lacey's mixing index of large and small stones, 0 if they are separate and 1 if mixed at random.
 """
 POINTS = 64
-"""Number of points that represent a sphere's volume, so that it can be divided between inner and outer half of the
-radius."""
+"""Number of points that represent the volume of a sphere. Each point lies in the inner or the outer half of the pipe's
+radius, so the points divide the volume between these halves."""
 ENDS = 0.05
-"""Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
+"""Fraction of the aggregate at either end of the concrete that the segregation measurement leaves out, because the
+aggregate is packed less densely there."""
 RINGS, STATIONS = 3, 5
 """Number of rings of equal area, and of sections along the pipe with equally many stones. Rings and sections divide the
 pipe into the cells of the mixing index."""
@@ -158,7 +159,9 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    by_chance = apart_wholly * len(count) / count.sum()  # sr^2 is the mean of s0^2 / n over the cells, weighted with n.
+    # A random mixture would have the mean of apart_wholly / n over all cells, weighted with the number n of stones in a
+    # cell.
+    by_chance = apart_wholly * len(count) / count.sum()
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 
 

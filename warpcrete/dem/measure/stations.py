@@ -46,10 +46,11 @@ READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.bo
 forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
-"""Units of the columns of a table of stations. `pressure` is the mean normal stress, and `axial_stress` the normal
-stress along the pipe, which transmits the piston's force; both are positive in compression. `wall_stress` is the shear
-stress of the wall against the flow. `velocity` is the mean velocity of the solids along the pipe. The other columns
-contain the mean velocity in a ring; their names end with the mean radius of the ring, divided by the pipe's radius."""
+"""Units of the columns of a table of stations (slices of a pipe). `place` is the arc length of a slice. `pressure` is
+the mean normal stress, and `axial_stress` the normal stress along the pipe, which transmits the piston's force; both
+are positive in compression. `wall_stress` is the shear stress of the wall against the flow. `velocity` is the mean
+velocity of the solids along the pipe. The columns of `PROFILE` contain the mean velocity in a ring; their names end
+with the mean radius of the ring, divided by the pipe's radius."""
 
 
 @dataclass
@@ -150,7 +151,7 @@ def stresses_along(
     - `s` (n,): arc length [m],
     - `tangent` (n, 3): tangent of the pipe's axis at this arc length,
     - `size` (n,): size [m],
-    - `fills` (n,): False for bodies of a plug.
+    - `fills` (n,): True for aggregates, False for the balls that close the front of the concrete.
     """
     edges, t = np.array(stations.edges), tangent
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
@@ -380,8 +381,8 @@ def _of_contacts(
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Distribute each row of `values` (n, k) evenly between its `begin` and `end` [m]; return sums per slice (m, k)."""
-    # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread its value
-    # over a small length, because the code divides by the length.
+    # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread the
+    # contact's value over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))

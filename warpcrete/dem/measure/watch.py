@@ -38,7 +38,7 @@ class Watch:
         self.scale = 0.0  # largest energy (kinetic plus elastic) or work in the rows of the time series so far [J]
 
     def state_dict(self) -> dict[str, float]:
-        """Return the energies of earlier rows, with which later rows are compared, to store them in a checkpoint."""
+        """Return the energies in earlier rows of the time series; later rows are compared with them."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
@@ -95,5 +95,5 @@ class Watch:
 
 
 def _free(row: dict[str, float]) -> float:
-    """Return the stored energy minus the work of walls and drives [J]; only dissipation may change this difference."""
+    """Return the stored energy minus the work of walls and driving forces [J]; only dissipation may change it."""
     return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])

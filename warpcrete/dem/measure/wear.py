@@ -51,7 +51,10 @@ class Patches(ABC):
         """Return the patch number of each of `points` (n, 3), given in the wall's frame [m]."""
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return vertices (v, 3) [m], faces (f, 3) and each vertex's patch (v,), or None if the wall is not drawn."""
+        """Return vertices [m], triangles, and the patch of each vertex; None if the wall is not drawn.
+
+        The shapes are (v, 3), (f, 3) and (v,).
+        """
         return None
 
 
@@ -186,7 +189,8 @@ class WornWall:
     done: np.ndarray
     """Sums of the wear quantities :data:`COLUMNS` over the time since t = 0, for each patch, shape (patches, 3)."""
     coefficient: float
-    """Dimensionless wear coefficient of Archard's law, divided by the hardness of the wall [m2/N]."""
+    """Coefficient K/H of Archard's law [m2/N]: the dimensionless wear coefficient K divided by the hardness H of the
+    wall."""
 
     def __repr__(self) -> str:
         return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
@@ -255,7 +259,7 @@ class WearMap:
 
     @property
     def main(self) -> WornWall | None:
-        """Most worn pipe or mesh; without pipes and meshes, the most worn plane of finite area, or None."""
+        """Most worn wall among pipes and meshes; without these, among planes of finite area; otherwise None."""
         found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
         shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

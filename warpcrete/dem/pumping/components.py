@@ -152,7 +152,7 @@ def fractions_of(text: str | None) -> tuple[float, ...] | None:
 
 
 MOST_BALLS = 600_000
-"""Maximum number of balls in a plug."""
+"""Maximum number of balls in the plug that closes the front of the concrete."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Plug:
 
 
 def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
-    """Return the plug at the arc length `at` [m] of a pipe's axis.
+    """Return the plug that closes the front of the concrete at the arc length `at` [m] of a pipe's axis.
 
     `given` holds the parameters of the scene. A plug of balls has `layers` layers and fills a bore of radius `inner`
     [m]. The plug resists the flow with a constant force: the plug pressure times the area of a circle of radius
@@ -180,7 +180,8 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
         points = plug_points(axis, inner, at, given.plug_ball, layers)
         bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
-        # The bonds are stiff enough for the plug to keep its shape, but so soft that they do not limit the time step.
+        # The balls of the plug close the front of the concrete. Their bonds are stiff enough for the plug to keep its
+        # shape, but so soft that they do not limit the time step.
         bonds = Bonds(
             effective_modulus=2 * stiffness_of(given), tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
         )

@@ -222,9 +222,9 @@ def _middle(line: PipeLine) -> tuple[float, float] | None:
 
 
 def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
-    """Yield the sections of a line whose bore is a mesh.
+    """Yield the parts of a pumping line whose bore is a mesh.
 
-    Their arc lengths include the run-up of `travel` [m] before the line.
+    The arc lengths of these parts include the straight pipe of the length `travel` [m] before the line.
     """
     for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
         if part.mesh:
@@ -308,9 +308,10 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
 
 
 def plug_layers(given: PartElements, diameter: float) -> int:
-    """Return the number of layers of balls in the plug of a pipe with this `diameter` [m].
+    """Return the number of layers of balls in the plug that closes the front of the concrete.
 
-    By default the plug is so thick that the weight of the concrete cannot tip it over in a level pipe.
+    By default the plug is so thick that the weight of the concrete cannot tip it over in a level pipe of this
+    `diameter` [m].
     """
     if given.plug_layers is not None:
         return given.plug_layers

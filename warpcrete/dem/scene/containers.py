@@ -15,7 +15,8 @@ from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
 
 START_RADIUS_RATIO = 0.95
-"""Fraction of the local radius within which aggregates are placed, so that they fit a pipe of eight or more facets."""
+"""Radius within which aggregates are placed, divided by the pipe's inner radius at the same arc length. It is below 1,
+so that the aggregates also fit a pipe of eight or more facets."""
 
 
 def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarray:

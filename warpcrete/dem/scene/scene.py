@@ -205,8 +205,8 @@ class Scene(Parametrised):
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
-    """Bonds between the bodies of a group, by the name of the group; they are made before settling, for example in a
-    plug."""
+    """Bonds between the bodies of a group, by the name of the group. They are made before settling. An example is the
+    group of balls that closes the front of the concrete."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0

@@ -91,7 +91,7 @@ class TimeStep(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Settle(Declared):
-    """Settling before t = 0: prescribed walls stand still, gravity and drives act, and motion is damped."""
+    """Settling before t = 0: walls with prescribed motion stand still, other forces act, and motion is damped."""
 
     called = "settle"
 
