@@ -340,8 +340,8 @@ def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTab
 
     The copies fill the pipe up to the arc length `length` [m].
     """
-    # Copies of a body keep its offset from the axis in the axis' local frame (tangent, normal, binormal), so that the
-    # copied packing follows bends.
+    # Copies of a body keep the body's offset from the axis in the axis' local frame (tangent, normal, binormal), so
+    # that the copied packing follows bends.
     grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
     points, tangents, normal, side = axis.frame(grid)
     place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])

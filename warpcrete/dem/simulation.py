@@ -33,7 +33,7 @@ from .scene.bodies import BodyTable, placed_bodies
 from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
-QUIET = 1e-5  # Ratio of kinetic to elastic energy below which a packing counts as settled.
+QUIET = 1e-5  # Ratio of kinetic to elastic energy below which a packing counts as settled before t = 0.
 SETTLING_PARTS = 50  # number of intervals into which settling is divided; after each, the motion is checked
 
 
@@ -88,7 +88,7 @@ class ElementSimulation(Simulation):
         return ElementDisplay(self, colouring)
 
     def prepare(self) -> None:
-        """Prepare the state at t = 0: pack, place bodies, bond groups, settle, and bond contacts."""
+        """Prepare the state at t = 0: pack, place bodies, bond body groups, settle, and bond contacts."""
         scene = self.scene
         started = wall_clock.perf_counter()
         self.tell("packing", 0.0)

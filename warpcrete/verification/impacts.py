@@ -198,9 +198,9 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # The error of a final spin is divided by the expected spin. The impact at 5 degrees causes hardly any spin, because
-    # its spin follows from the small difference between the tangential restitution and 1. It is left out here, and its
-    # restitution is compared above.
+    # The error of a final spin is divided by the expected spin. The impact at 5 degrees is left out here, because its
+    # spin follows from the small difference between the tangential restitution and 1, and is therefore nearly zero. The
+    # restitution of this impact is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))

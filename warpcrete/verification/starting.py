@@ -25,7 +25,7 @@ START_CASES = (
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
 """Flows that are compared with the one-dimensional solution. A time step on the grid uses the mean of the viscosities
-at its start and at its end. With a yield stress, this is accurate only in short steps."""
+at its start and at its end. With a yield stress, only short time steps are accurate with this mean."""
 LONGEST = 2e-3
 """Longest time step on the grid [s]."""
 EXACT_STEP_RATIO = 5e-4

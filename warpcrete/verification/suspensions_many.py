@@ -32,7 +32,7 @@ SEEDS = 3
 
 @dataclass(frozen=True)
 class Core:
-    """Mean values in the core of a sheared suspension, which is the middle part of the simulated box."""
+    """Mean values in the core of a sheared suspension; the core is the middle part of the simulated box."""
 
     stress: float
     """Mean shear stress in the core (middle part) of the box, divided by the viscosity of the mortar [1/s]."""
@@ -96,7 +96,7 @@ def core_of(flow: SuspensionFlow) -> Core:
 
 
 def velocity_area(long: int, middle: slice, width: float) -> float:
-    """Return the area of that part of a wall that lies beside the core (middle part) of the box [m2]."""
+    """Return the area of that part of a box wall that lies beside the core (middle part) of the box [m2]."""
     return long * (middle.stop - middle.start) * width**2
 
 

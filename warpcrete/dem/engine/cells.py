@@ -48,7 +48,7 @@ class Cells:
         self._fitted: HostArray = np.zeros(batch.count, dtype=bool)
         self._full = np.array([state.sphere_count > 0 for state in batch.states])
         self._mean_radius = np.array([state.mean_radius for state in batch.states])
-        """Mean radius of each scene's spheres at full size [m], shape (scenes,)."""
+        """Mean radius of each scene's spheres when they are fully grown [m], shape (scenes,)."""
         self._dims = np.ones(3, dtype=int)
         self._width = 0.0
         self.made = 0

@@ -21,8 +21,8 @@ from .stepper_protocol import SceneStepper
 
 BONDS_PER_SPHERE = 4  # Assumed number of bonded pairs per sphere in a dense packing, with a reserve.
 PAIRS_PER_SPHERE = (
-    # Assumed entries per sphere in a half list (CPU) of a dense packing, with a reserve; a full list (GPU) has twice as
-    # many.
+    # Assumed number of list entries per sphere in a half list (CPU) of a dense packing, with a reserve; a full list
+    # (GPU) has twice as many.
     8
 )
 

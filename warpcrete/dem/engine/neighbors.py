@@ -317,7 +317,8 @@ class NeighborLists:
             Phase("candidates", fill_faces),
             # Find the new list entries of the sub-cycled pairs, and the array indices of the sub-cycled bodies.
             Phase("subcycles", b.subcycles.locating()),
-            # Compute the mean velocity of each scene's spheres, because the skin limits only motion relative to it.
+            # Compute the mean velocity of each scene's spheres, because the skin limits only their motion relative to
+            # this mean.
             Phase("drift", [b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes)]),
             Phase("fresh", [b.stage(lists.clear_stale, b.count, lanes=self._lanes)]),
             # Select the near links, which are the pairs that may touch within the next steps.

@@ -322,8 +322,8 @@ class Stepper:
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Advance the scene to `goal`: a time, reached to within one step, or a number of steps of the current size.
 
-        This coroutine yields whenever the batch must step. It must be resumed when the scene has halted, because the
-        scene has reached the goal or needs a new estimate of its stable step.
+        This coroutine yields whenever the batch must step. It must be resumed when the scene has halted. The scene
+        halts when it has reached the goal or needs a new estimate of its stable step.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)

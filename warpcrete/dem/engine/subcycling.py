@@ -30,8 +30,8 @@ from .struct_types import Subcycled
 MARGIN = 1.1
 """Safety factor for the number of sub-cycling rounds.
 
-This number is chosen once in a run. With the factor, the rounds stay stable in later time steps that are up to `MARGIN`
-times as long as the step for which the number was chosen.
+The number of rounds is chosen once in a run. With the factor, the rounds stay stable in later time steps that are up to
+`MARGIN` times as long as the step for which the number was chosen.
 """
 ROUND_BLOCK = 128
 """Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""

@@ -6,9 +6,10 @@ spring slips when its moment reaches mu_r R N. Here mu_r is the coefficient of r
 normal spring. R is R1 R2 / (R1 + R2) for spheres of the radii R1 and R2, or the sphere's radius against a wall. The
 stiffness of the rolling spring is k_s R^2, with the shear stiffness k_s of the contact (Iwashita & Oda 1998).
 
-The dashpot is a fraction of the critical one and acts while the spring does not slip. Unlike in the paper, the sum of
-spring and dashpot is limited to mu_r R N. Otherwise, when a spinning sphere meets a floor, the dashpot would brake it
-in the first step by much more than friction could. Rotation about the normal (twist) is free, as in the paper.
+The dashpot is a fraction of the critical dashpot and acts while the spring does not slip. Unlike in the paper, the sum
+of spring and dashpot is limited to mu_r R N. Otherwise, when a spinning sphere meets a floor, the dashpot would brake
+the sphere in the first step by much more than friction could. Rotation about the normal (twist) is free, as in the
+paper.
 """
 
 from dataclasses import dataclass, field

@@ -43,7 +43,7 @@ GRADIENT = 200e3
 OPPOSITE = np.radians(150.0)
 """Smallest angle [rad] around the pipe's axis between two wall contacts that counts as opposite sides of the wall."""
 QUADRATURE = 24
-"""Number of directions across the axis in which the bore's radius is measured to find its area."""
+"""Number of directions across the axis in which the bore's radius is measured to find the area of its cross-section."""
 
 
 class BlockageWatch:
@@ -62,7 +62,7 @@ class BlockageWatch:
         """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
         self.slowest = np.nan
         """Advance of the slowest part of the concrete, divided by the advance of the piston, between the last two
-        checks. Both are measured by volume. Before the second check the ratio is NaN."""
+        checks. Both advances are measured by volume. Before the second check the ratio is NaN."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0
@@ -153,7 +153,7 @@ class BlockageWatch:
 
 
 def blockage_travel(diameter: float, length: float, modulus: float) -> float:
-    """Return the piston travel [m] after which concrete that still stands counts as blocked.
+    """Return the piston travel [m] after which concrete that has not moved counts as blocked.
 
     The piston compresses the concrete, which delays the motion of the front. The travel must exceed this compression.
     It is therefore the compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient

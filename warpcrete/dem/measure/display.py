@@ -87,8 +87,9 @@ class ElementDisplay(Display):
     def _limit(self) -> float:
         """Return the value at the top of the colour scale for the quantity by which the aggregates are coloured.
 
-        For contact forces the top is a large force [N], for sizes the largest size [m], and for speeds 1.5 times the
-        speed of the piston or of the fastest driven wall [m/s].
+        For contact forces the top is 5 % of the stress scale of the contact law times the square of the largest size
+        [N]. For sizes it is the largest size [m]. For speeds it is 1.5 times the speed of the piston or of the fastest
+        driven wall [m/s].
         """
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))

@@ -60,7 +60,7 @@ class BodySums:
     momentum: np.ndarray
     """Total momentum at the middle of the last step [kg m/s], shape (3,)."""
     mass: float
-    """Total mass [kg]."""
+    """Total mass of all bodies [kg]."""
     centroid: np.ndarray
     """Centroid of all bodies [m], shape (3,)."""
     drive_force: np.ndarray

@@ -115,7 +115,7 @@ class Known:
 
     @property
     def peaks(self) -> list[float]:
-        """Largest pressure of each stroke [Pa]."""
+        """Largest pressure of each stroke of the piston [Pa]."""
         return peaks(self.scene.pipe, self.series)
 
     @property

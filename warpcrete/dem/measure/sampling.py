@@ -121,11 +121,11 @@ class Sampler:
             self.log.samples = list(np.asarray(state["stations"], dtype=float))
 
     def series(self) -> dict[str, np.ndarray]:
-        """Return the columns of the series by name, each of shape (rows,)."""
+        """Return the columns of the time series by name, each of shape (rows,)."""
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
     def sample(self) -> dict[str, float]:
-        """Measure the present state, append the values as a row to the series, and return the row."""
+        """Measure the present state, append the values as a row to the time series, and return the row."""
         model, state, scene = self.model, self.state, self.model.scene
         clock = state.batch.host_clock()[state.index]
         bodies, contacts, walls = row_sums(model, state)

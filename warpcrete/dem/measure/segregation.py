@@ -142,8 +142,8 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     The index is (s0^2 - s^2) / (s0^2 - sr^2). It compares three variances of the number fraction of `large` stones:
 
     - s^2 is the variance found between the cells into which rings and sections divide the pipe.
-    - s0^2 = p (1 - p) is the variance if large and small stones were completely separate; p is the overall number
-      fraction.
+    - s0^2 = p (1 - p) is the variance if large and small stones were completely separate; p is the number fraction of
+      large stones in the whole pipe.
     - sr^2 = s0^2 / n is the variance if the stones were mixed at random, with n stones per cell.
 
     `s` is the arc length of each stone [m], and `apart` is its distance from the axis divided by the pipe's radius.
@@ -159,8 +159,8 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    # A random mixture would have the mean of apart_wholly / n over all cells, weighted with the number n of stones in a
-    # cell.
+    # The variance of a random mixture is the mean of apart_wholly / n over all cells, weighted with the number n of
+    # stones in a cell.
     by_chance = apart_wholly * len(count) / count.sum()
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 

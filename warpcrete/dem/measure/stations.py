@@ -163,7 +163,7 @@ def stresses_along(
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices that lie between the piston and the front of the bodies, shape (slices,).
+    """Return a mask of the slices that lie between the piston and the front of the concrete, shape (slices,).
 
     The piston is at the arc length `travel` [m]. The bodies have the arc lengths `s` [m] and the volumes `volume`.
     """
@@ -174,7 +174,7 @@ def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.n
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """Return the arc length [m] at which the bodies' volume, added up from the rear of the pipe, reaches `behind`."""
+    """Return the arc length [m] at which the bodies' volume, added up from the rear, reaches the volume `behind`."""
     # Sort only the farthest bodies, because sorting all bodies takes four times as long as this search for the front.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
@@ -191,15 +191,15 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
     The weight of the concrete is subtracted. For a straight pipe, the losses are the pressure gradient [Pa/m] and the
     wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight
     section upstream of the middle and for the section downstream of it. Each loss follows from a straight line that is
-    fitted to the stresses in its section. The fit leaves out a length of one radius at each end of the section. A pipe
-    with a middle has three more results:
+    fitted to the stresses in its section. The fit leaves out a length of one pipe radius at each end of the section. A
+    pipe with a middle has three more results:
 
     - `middle_loss` [Pa] is the loss of axial stress in the middle, from the end of the upstream line to the beginning
       of the downstream line.
     - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
       pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
       middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
-    - `flux_ratio` is the downstream solid volume flux divided by the upstream one.
+    - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
 
     A result is left out if concrete fills too few of the slices that it needs.
     """
@@ -272,7 +272,7 @@ class StationArrays:
 
 
 def read_arrays(model: Model, state: State) -> StationArrays:
-    """Compute the forces of all contacts of a state and return them with the other arrays that a measurement reads."""
+    """Compute the forces of all contacts of a state; return them with the other arrays that slice measurements read."""
     _probe(model, state)
     arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))

@@ -89,7 +89,7 @@ class PipePatches(Patches):
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
         """Arc length along the pipe of the middle of each station (ring of patches) [m]."""
         self.angles = 2 * np.pi * np.arange(self.around) / self.around
-        """Angle about the axis of the middle of each of the patches in a ring around the pipe [rad]."""
+        """Angle about the pipe's axis at which each patch of a ring has its middle [rad]."""
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:

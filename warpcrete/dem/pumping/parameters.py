@@ -122,7 +122,7 @@ class PipeParameters(
 
     @property
     def is_bend(self) -> bool:
-        """True if the unit is a pipe with a bend."""
+        """True if the pipe unit is a pipe with a bend."""
         return self.unit.startswith("bend")
 
     @property
@@ -137,7 +137,7 @@ class PipeParameters(
 
     @property
     def arc(self) -> float:
-        """Length of the centreline of the unit's bend [m]."""
+        """Length of the centreline of the pipe unit's bend [m]."""
         return math.pi / 2 * self.elbow_radius
 
     @property

@@ -127,7 +127,7 @@ class PartElements(
     ConcreteDefaults, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
     ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
-    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug, measurements and run."""
+    """All parameters of a part of a pumping line: concrete, pipe, piston, contacts, plug, measurements and run."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -149,7 +149,8 @@ class Course:
     velocity: float
     """Final speed of the piston [m/s]."""
     middle: tuple[float, float] | None
-    """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if it is straight."""
+    """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if the whole part is a
+    straight pipe of constant diameter."""
     line: PipeLine | None = None
     inserts: tuple[Insert, ...] = ()
     """Sections of the pipe whose bore is a mesh."""
@@ -215,7 +216,7 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a pump line is not a straight pipe [m], or None if it is straight."""
+    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if all of it is straight."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None

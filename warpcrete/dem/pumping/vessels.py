@@ -227,7 +227,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         """Resistance of the mould to sliding, divided by that of the grains: the parameter, or its default.
 
         Friction, yield stress and viscosity of contacts with the mould are those between grains times this factor. The
-        default depends on the contact law, and is at most the factor of the plate.
+        default depends on the contact law, and is at most `plate_grip`, the same factor for the plate.
         """
         if self.mould_grip is not None:
             return self.mould_grip

@@ -42,7 +42,7 @@ class PipeContainer:
 
     axis: Axis
     radius: float
-    """Inner radius of the pipe [m]; the smallest one if it varies."""
+    """Inner radius of the pipe [m]; the smallest inner radius if it varies along the pipe."""
     length: float
     """Length of the container along the axis [m]."""
     bore: MeshWall | None = None
@@ -153,7 +153,8 @@ class Fill:
     sizes: Sizes = field(default_factory=Gaussian)
     templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
     fractions: tuple[float, ...] | None = None
-    """Share of each template in the solid volume, scaled to the sum 1; None means equal shares."""
+    """Fraction of the solid volume that the bodies of each template (shape) have, scaled to the sum 1; None means equal
+    fractions."""
     density: float = 2500.0
     """Density of the bodies [kg/m3]."""
     bulk_density: float | None = None

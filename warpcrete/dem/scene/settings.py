@@ -9,9 +9,9 @@ from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, Within
 
 MUCH_STIFFER = 200.0
-"""Smallest ratio of the modulus of hydrated bonds to the largest other modulus at which sub-cycling of the bonds saves
-computing time. Without sub-cycling, all time steps must be as short as the stiff bonds require. At a ratio of 100, runs
-with and without sub-cycling take equally long."""
+"""Smallest ratio of the modulus of hydrated bonds to the largest modulus of other bonds and contacts at which
+sub-cycling of the hydrated bonds saves computing time. Without sub-cycling, all time steps must be as short as the
+stiff bonds require. At a ratio of 100, runs with and without sub-cycling take equally long."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class TimeStep(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Settle(Declared):
-    """Settling before t = 0: walls with prescribed motion stand still, other forces act, and motion is damped."""
+    """Settling before t = 0: walls that will move stand still, gravity and driving forces act, and motion is damped."""
 
     called = "settle"
 
@@ -130,8 +130,8 @@ class Watch(Declared):
 class Wear(Declared):
     """Wear of the walls, summed per patch: along and around a pipe, and per triangle of a mesh.
 
-    The worn depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times sliding distance, divided by the
-    patch's area. Here k = K/H, the dimensionless wear coefficient K divided by the hardness H.
+    The worn depth follows Archard (1953, J. Appl. Phys. 24, 981): k times normal force times sliding distance, divided
+    by the patch's area. Here k = K/H, the dimensionless wear coefficient K divided by the hardness H.
     """
 
     called = "wear"

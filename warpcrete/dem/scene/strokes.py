@@ -59,7 +59,7 @@ def _stop(stops: Stops, number: int) -> tuple[float, float]:
 
 
 def peaks(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
-    """Return the largest pressure of each stroke [Pa]."""
+    """Return the largest pressure of each stroke of the piston [Pa]."""
     return [float(series["pressure"][each.moving].max()) for each in strokes_of(pipe, series["time"])]
 
 
