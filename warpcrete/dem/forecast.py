@@ -191,7 +191,8 @@ class _ShortenedCopy:
         if self.spheres == 0:
             return 0.0
         count, spent = 32, 0.0
-        stepper.advance(stepper.time + count * stepper.dt)  # do not time the first steps, because they record graphs
+        # Do not time the first steps, because they record graphs of kernel launches.
+        stepper.advance(stepper.time + count * stepper.dt)
         rates = []
         while spent < TIMING_TIME:
             wp.synchronize_device(self.device)

@@ -32,7 +32,7 @@ from .scene.scene import Scene
 START_FRACTION = 0.10  # solid fraction at which small aggregates are placed before they grow
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
-CHUNK = 50  # steps between two evaluations of the pressure of a packing
+CHUNK = 50  # number of time steps between two evaluations of the pressure of a packing
 # Pressure of freshly placed aggregates, which overlap at first, divided by the contact modulus. This pressure vanishes
 # while the aggregates push each other apart. Only a higher pressure shows that the growth may end.
 TRANSIENT_LOOKS = 0.005

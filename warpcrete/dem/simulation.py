@@ -276,7 +276,7 @@ class ElementSimulation(Simulation):
         """Free the device memory of the simulation; the results of the run stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        # If the run failed early, the simulation lacks some of the attributes in this list.
+        # A simulation that failed early lacks some of the attributes in this list.
         for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 

@@ -199,7 +199,7 @@ def _moved(scene: Scene, count: int) -> Scene:
 
 
 def _blocked() -> Scene:
-    """Return a scene of ten spheres in single file between two plates, in a pipe hardly wider than the spheres."""
+    """Return a scene of ten spheres in single file between piston and plate, in a pipe hardly wider than they are."""
     size = 2 * RADIUS / 1.005
     z = (np.arange(10) + 0.5) * size
     base = cup()

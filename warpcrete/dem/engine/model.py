@@ -38,7 +38,7 @@ class Features:
     history: bool
     """True if contacts between bodies store a history, for example the force of the shear spring."""
     bonds: bool
-    """True if some pairs of bodies are bonded or may become bonded."""
+    """True if some pairs of bodies are bonded at the start or may become bonded later."""
     healing: bool
     """True if bodies that come into contact during the run form bonds.
 

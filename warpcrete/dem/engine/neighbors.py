@@ -93,7 +93,8 @@ class NeighborLists:
         self._old_place, self._new_place = new(n), new(n)
         self._lanes = new((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = new(n if f.bonds and f.half_list else 0, batch.scalar)
-        # `_old` contains the previous lists, from which a rebuild copies the contact history to the new lists.
+        # `_old` contains the previous neighbour lists, from which a rebuild copies the contact history to the new
+        # lists.
         self._old: Pairs = struct_of(batch.structs, "pairs")()
         self._old.start = new(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
@@ -145,7 +146,8 @@ class NeighborLists:
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # Enlarging the arrays moves the lists of the scenes to other array positions, so copy the old lists again.
+            # Enlarging the arrays moves the neighbour lists of the scenes to other array positions, so copy the old
+            # lists again.
             self._keep_old(np.flatnonzero(stale))
         self._entries[stale] = wanted[stale]
         if b.features.meshes:
@@ -292,7 +294,7 @@ class NeighborLists:
         return [
             # Copy the motion of single spheres to their bodies, because steps move only the spheres.
             Phase("bodies", b.sync_stages()),
-            # Copy the previous lists, because the new lists receive their contact history from them.
+            # Copy the previous neighbour lists, because the new lists receive their contact history from them.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
             # Sort the spheres' centres into the cells of the grid.
             Phase("cells", [
@@ -306,9 +308,10 @@ class NeighborLists:
             Phase("search", search),
             # Compute the index of each sphere's first list entry, as prefix sums of the numbers of neighbours.
             Phase("count", [*scan, *count_faces]),
-            # Write the index of each sphere's first list entry; from here on the previous lists are invalid.
+            # Write the index of each sphere's first list entry; from here on the previous neighbour lists are invalid.
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
-            # Write the neighbours into the rows of the list, with the contact history from the previous lists.
+            # Write the neighbours into the rows of the new neighbour lists, with the contact history from the previous
+            # lists.
             Phase("fill", [*fill, self._transfer(old)]),
             # A GPU's neighbour list contains each pair of spheres twice. Build one link for each pair, so that a step
             # computes the pair only once.

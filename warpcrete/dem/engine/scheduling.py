@@ -87,7 +87,7 @@ class _Drive:
 
     @property
     def is_running(self) -> bool:
-        """True if any scene has not yet reached its goal."""
+        """True if any scene has not yet reached its goal, a time or a number of steps."""
         return any(member.waiting for member in self._members.values())
 
     @property

@@ -297,7 +297,7 @@ class State:
         self._batch = None
 
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
-        """Return the dict in which probes store their recorded launches by name.
+        """Return the dict in which the measuring functions of `probes` store their recorded launches by name.
 
         `version` is the present version of the batch. If it has changed since the last call, the dict is emptied,
         because the recorded launches may refer to arrays that have been replaced.

@@ -119,8 +119,8 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        # An uninterrupted run rebuilds stale lists before it estimates the stable step. A resumed run must give the
-        # same results, so rebuild stale lists now.
+        # An uninterrupted run rebuilds stale neighbour lists before it estimates the stable step. A resumed run must
+        # give the same results, so rebuild stale lists now.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()

@@ -14,7 +14,7 @@ from ...core.device.arrays import DeviceArray
 
 
 class Scenes(Protocol):
-    """Arrays with one row for each scene: its parameters, simulated time, time step and scale of sphere sizes."""
+    """Arrays with one row for each scene, such as parameters, simulated time, time step and factor of sphere sizes."""
 
     row: DeviceArray
     clock: DeviceArray

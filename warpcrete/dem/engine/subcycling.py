@@ -135,7 +135,7 @@ class Subcycles:
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
     def load_state_dict(self, s: int, stored: Mapping[str, Any]) -> None:
-        """Restore the sub-cycling data of scene `s` from a `state_dict`."""
+        """Restore the data of the sub-cycled bonds of scene `s` from a `state_dict`."""
         if stored:
             self._rounds[s] = stored["rounds"]
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})

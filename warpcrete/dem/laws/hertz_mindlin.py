@@ -69,7 +69,7 @@ class HertzMindlin(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # The shear dashpot transmits a force even without friction.
+        return True  # Even without friction, the shear dashpot transmits a shear force.
 
     def frictionless(self) -> "HertzMindlin":
         return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))

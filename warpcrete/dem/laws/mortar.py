@@ -68,7 +68,7 @@ class BinghamMortar(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # The mortar's viscous drag acts in shear, even without friction.
+        return True  # Even without friction, the viscous drag of the mortar transmits a shear force.
 
     def frictionless(self) -> "BinghamMortar":
         return replace(self, friction=0.0, yield_stress=0.0, bending=0.0)

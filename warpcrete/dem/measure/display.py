@@ -219,7 +219,7 @@ class ElementDisplay(Display):
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # before t = 0 nothing is measured
+        if sampler is None:  # The sampler exists only from t = 0 on.
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
             # The samples are never changed after they have been recorded, so the display needs no copy.

@@ -38,7 +38,7 @@ class ContactSums:
     elastic_energy: float
     """Energy stored in contact springs, walls included, at the middle of the last step [J]."""
     bond_energy: float
-    """Energy stored in bonds [J]."""
+    """Energy stored in all bonds [J]."""
     bonded: int
     hydrated: int
     virial: float
@@ -54,9 +54,9 @@ class BodySums:
     """Energies, momentum and other sums over the bodies of a state."""
 
     kinetic_energy: float
-    """Kinetic energy at the middle of the last step [J]."""
+    """Kinetic energy of all bodies at the middle of the last step [J]."""
     potential_energy: float
-    """Potential energy in gravity, zero at the origin [J]."""
+    """Potential energy of all bodies in gravity, zero at the origin [J]."""
     momentum: np.ndarray
     """Total momentum at the middle of the last step [kg m/s], shape (3,)."""
     mass: float

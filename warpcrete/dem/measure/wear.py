@@ -197,12 +197,12 @@ class WornWall:
 
     @property
     def sliding(self) -> np.ndarray:
-        """Work of sliding per area [J/m2], shape (patches,)."""
+        """Work of sliding on each patch, divided by the area of the patch [J/m2], shape (patches,)."""
         return self.done[:, 0] / self.patches.areas
 
     @property
     def impacts(self) -> np.ndarray:
-        """Energy lost in impacts per area [J/m2], shape (patches,)."""
+        """Energy lost in impacts on each patch, divided by the area of the patch [J/m2], shape (patches,)."""
         return self.done[:, 1] / self.patches.areas
 
     @property

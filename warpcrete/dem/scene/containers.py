@@ -118,7 +118,7 @@ class MeshContainer:
 
     @property
     def narrowest(self) -> float:
-        """Length of the shortest side of the bounding box [m]."""
+        """Length of the shortest side of the mesh's bounding box [m]."""
         return float(self.mesh.extents.min())  # type: ignore[attr-defined]
 
     def walls(self, material: str) -> tuple[Wall, ...]:

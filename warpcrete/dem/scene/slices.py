@@ -57,7 +57,7 @@ class Stations:
         return np.array([self.bores.volume(a, b) for a, b in pairwise(self.edges)])
 
     def surfaces(self) -> np.ndarray:
-        """Return the wall area of each slice [m2], shape (slices,)."""
+        """Return the area of the pipe's wall in each slice [m2], shape (slices,)."""
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
