@@ -143,7 +143,8 @@ class _ShortenedCopy:
             precision=precision, threads=checked_threads(threads),
             progress=lambda done: marks.append(time.perf_counter()),
         )  # fmt: skip
-        # Some intervals between progress reports include loading kernels, so limit each to three times the median.
+        # Some intervals between progress reports include the time in which kernels are loaded. Limit each interval to
+        # three times the median interval.
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:

@@ -124,8 +124,8 @@ class ElementSimulation(Simulation):
 
     def join(self, stepper: Stepper) -> None:
         """Use `stepper`, which may share a batch with other scenes, to advance the state from now on."""
-        # The base class declares a more general type of stepper. A narrower type is safe, because only this class
-        # assigns it.
+        # The base class declares a more general type for this attribute. A narrower type is safe, because only this
+        # class assigns the attribute.
         self.stepper = stepper  # pyright: ignore[reportIncompatibleVariableOverride]
         settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]

@@ -53,7 +53,7 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Return the growth of energy in a run: its maximum in the last fifth over that in the first fifth.
+    """Return the largest energy in the last fifth of a run, divided by the largest energy in the first fifth.
 
     The result is infinite if the run diverges. The run has `STEPS` time steps, whose size is `fraction` times the
     estimated stable step. Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does

@@ -78,7 +78,7 @@ def worst(
 ) -> tuple[float, float]:  # fmt: skip
     """Return the largest rms error of the velocity profile over all compared times, and the largest error in any cell.
 
-    Errors are relative to the mean velocity of the steady flow.
+    Errors are divided by the mean velocity of the steady flow.
     """
     speed, viscosity, radius = 0.19, 20.0, 0.05
     given = FlowParameters(

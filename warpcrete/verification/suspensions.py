@@ -1,6 +1,7 @@
 """Verification of rigid spheres in a mortar against closed forms and published solutions.
 
-The mortar fills the whole simulated box in all cases, so there is no free surface. It sticks to the box's walls.
+The mortar fills the whole simulated box in all cases, so there is no free surface. The mortar sticks to the box's
+walls.
 """
 
 from __future__ import annotations

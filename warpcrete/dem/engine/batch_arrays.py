@@ -82,7 +82,7 @@ class JointArrays:
     without a driving force.
     """
     drive_force: DeviceArray
-    """Driving force on each single body of a group along the pipe axis [N], shape (groups,)."""
+    """Driving force along the pipe axis on each single body of a group [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray

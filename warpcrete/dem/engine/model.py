@@ -110,7 +110,7 @@ class Model:
     are the index of the first segment and the index after the last segment. Both are 0 for a group without a driving
     force."""
     drive_force: DeviceArray
-    """Driving force on each single body of a group along the pipe axis [N], shape (groups,)."""
+    """Driving force along the pipe axis on each single body of a group [N], shape (groups,)."""
     meshes: tuple[wp.Mesh, ...]
     """The ``wp.Mesh`` objects of all mesh walls, kept alive because the wall table refers to them only by number."""
 

@@ -157,7 +157,7 @@ class NeighborLists:
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
-            self._version = ()  # Record all launches again, because the larger buffer replaces the old one.
+            self._version = ()  # Record all launches again, because a larger search buffer replaces the old buffer.
             if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
 

@@ -8,10 +8,10 @@ All mortar stresses act on the area A = pi r^2, with the radius r of the smaller
 shells. Mortar of modulus E_m, yield stress tau_0 and plastic viscosity mu has a normal spring of stiffness A E_m/h and
 a normal drag 3 mu A/h (Trouton's ratio). In shear it yields at tau_0 A and has the drag mu A/h.
 
-Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at
-sqrt(3) tau_0 (von Mises), and a bent disc yields at a moment of 4/3 r^3 times that stress. Its elastic and viscous
-moments are r^2/4 times the normal stiffness and drag. Without pull and moment no heap would stand, because spheres
-would roll on each other and separate.
+Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at the
+stress sqrt(3) tau_0 (von Mises), and a bent disc yields at the moment 4/3 r^3 sqrt(3) tau_0. The elastic and viscous
+moments of a bent disc are r^2/4 times the normal stiffness and drag. Without pull and moment no heap would stand,
+because spheres would roll on each other and separate.
 """
 
 import math

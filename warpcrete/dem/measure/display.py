@@ -237,7 +237,7 @@ class ElementDisplay(Display):
         )  # fmt: skip
 
     def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return, for all bodies, the arc length [m], the nearest point of the axis [m] and the tangent there.
+        """Return the arc length [m] of each body along the pipe, the nearest point of the axis [m] and its tangent.
 
         The shapes are (n,), (n, 3) and (n, 3).
         """
@@ -249,7 +249,7 @@ class ElementDisplay(Display):
         return self.derived(("on", axis), found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mid-radii of rings about the axis [mm] and the mean axial velocity of the bodies in them [cm/s].
+        """Return the mid-radii of rings about the pipe's axis [mm] and the bodies' mean axial velocity in each [cm/s].
 
         Bodies are weighted by volume. Rings without bodies are omitted.
         """

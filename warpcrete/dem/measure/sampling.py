@@ -45,12 +45,12 @@ UNITS = {
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
-"""Units of the vector columns of the series, by quantity.
+"""Units of the vector columns of the time series, by quantity.
 
 A column is named after the quantity and an axis, for example momentum_x.
 """
 WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
-"""Units of the columns of each wall, by quantity.
+"""Units of the columns of each wall in the time series, by quantity.
 
 A column is named after the wall, the quantity and an axis, for example piston_force_x.
 """
@@ -60,7 +60,10 @@ STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
-    """Return the unit of a column in the series of a scene with these walls; raise KeyError for an unknown column."""
+    """Return the unit of a column in the time series of a scene with the given walls.
+
+    Raises KeyError for an unknown column.
+    """
     if column in UNITS:
         return UNITS[column]
     if unit := unit_of_column(column):

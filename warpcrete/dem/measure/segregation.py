@@ -43,7 +43,10 @@ aggregates to which they belong [m], each of shape (n,)."""
 
 
 def ball_points(count: int = POINTS) -> np.ndarray:
-    """Return points spread evenly through a unit ball, shape (count, 3): a Fibonacci spiral in equal-volume shells."""
+    """Return points spread evenly through a ball of the radius 1, shape (count, 3).
+
+    The directions of the points follow a Fibonacci spiral. The radii divide the ball into shells of equal volume.
+    """
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + np.sqrt(5)) * k

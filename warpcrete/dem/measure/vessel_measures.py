@@ -14,7 +14,7 @@ from ..scene.scene import Vessel
 from .heaps import height_around, height_at, height_of_top, main_body, shadow, spread
 
 UNITS = {"main_body": "1", "fastest": "m/s", "mean_speed": "m/s"}
-"""Units of the columns of the series that every test in a vessel records."""
+"""Units of the columns of the time series that every test in a vessel records."""
 
 
 def unit_of_column(name: str) -> str | None:

@@ -25,7 +25,7 @@ PATCHES_AROUND = 24
 """Default number of wear patches around the circumference of a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
-"""Names of the wear quantities, which are recorded for each patch, and in the series for each wall as a whole.
+"""Names of the wear quantities, which are recorded for each patch, and in the time series for each wall as a whole.
 
 They are the work of sliding [J], the energy lost in impacts [J], and normal force times sliding distance [N m].
 """
@@ -93,7 +93,7 @@ class PipePatches(Patches):
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:
-        """Return the area of each patch [m2]; on the outside of a bend, patches are longer than along the axis."""
+        """Return the area of each patch [m2]; patches on the outside of a bend are longer than those on its inside."""
         turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
         lever = self.radius * np.cos(self.angles)
         return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])
@@ -104,8 +104,8 @@ class PipePatches(Patches):
             piece = segment["piece"]
             if begin <= s <= begin + piece.length and isinstance(piece, Arc):
                 _, _, normal, _ = self.axis.frame(begin)
-                # The frame of the axis does not rotate about the tangent along the pipe. The outsides of two bends to
-                # opposite sides therefore lie at opposite angles.
+                # The frame of the axis does not rotate about the tangent along the pipe. If two bends turn to opposite
+                # sides, their outsides therefore lie at opposite angles.
                 yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
             begin += piece.length
 
@@ -228,7 +228,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Record the wear since the last call; each sphere's share goes to the patch that the sphere touched last."""
+        """Record the wear since the last call; the wear due to a sphere is credited to the patch it touched last."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()
@@ -241,7 +241,7 @@ class WearMap:
                     wall.done[:, column] += np.bincount(patch, weights, minlength=len(wall.done))
 
     def columns(self) -> dict[str, float]:
-        """Return the wear quantities of each wall, summed over its patches, by column name of the series."""
+        """Return the wear quantities of each wall, summed over its patches, by column name of the time series."""
         return {
             f"{wall.name}_{name}": float(wall.done[:, column].sum())
             for wall in self.walls
