@@ -41,9 +41,9 @@ TIMING_TIME = 0.7  # Wall time during which steps are measured [s].
 # The forecast times a copy of the scene with at most this number of spheres, on a GPU (True) or a CPU (False). With
 # more spheres the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
-# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. In a
-# straight pipe (STRAIGHT), concrete moves as a plug. In a bend (BENT), neighbours move relative to each other, so the
-# lists become stale earlier.
+# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the lists' skin (the largest gap
+# of a listed pair). In a straight pipe (STRAIGHT), concrete moves like a rigid body. In a bend (BENT), neighbours move
+# relative to each other, so the lists become stale earlier.
 STRAIGHT, BENT = 1.25, 0.5
 # Number of bonds in a settled packing divided by the number in an unsettled packing. In test runs this ratio was 1.2 to
 # 1.3.
@@ -143,7 +143,8 @@ class _ShortenedCopy:
             precision=precision, threads=checked_threads(threads),
             progress=lambda done: marks.append(time.perf_counter()),
         )  # fmt: skip
-        # Some intervals between progress reports include loading kernels, so limit each to three times the median.
+        # Some intervals between progress reports include the time in which kernels are loaded. Limit each interval to
+        # three times the median interval.
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
@@ -191,7 +192,8 @@ class _ShortenedCopy:
         if self.spheres == 0:
             return 0.0
         count, spent = 32, 0.0
-        stepper.advance(stepper.time + count * stepper.dt)  # do not time the first steps, because they record graphs
+        # Do not time the first steps, because they record graphs of kernel launches.
+        stepper.advance(stepper.time + count * stepper.dt)
         rates = []
         while spent < TIMING_TIME:
             wp.synchronize_device(self.device)
@@ -200,8 +202,8 @@ class _ShortenedCopy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # The subtracted time of the list rebuilds may be too long, if other programs slowed down its measurement. A
-            # step must still get a positive time.
+            # The time of the list rebuilds is subtracted from the measured time. It may be too long, because other
+            # programs may have slowed down its measurement. Make sure that a step still gets a positive time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
@@ -340,8 +342,8 @@ def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTab
 
     The copies fill the pipe up to the arc length `length` [m].
     """
-    # Copies of a body keep its offset from the axis in the axis' local frame (tangent, normal, binormal), so that the
-    # copied packing follows bends.
+    # Copies of a body keep the body's offset from the axis in the axis' local frame (tangent, normal, binormal), so
+    # that the copied packing follows bends.
     grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
     points, tangents, normal, side = axis.frame(grid)
     place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])

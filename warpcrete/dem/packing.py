@@ -32,7 +32,7 @@ from .scene.scene import Scene
 START_FRACTION = 0.10  # solid fraction at which small aggregates are placed before they grow
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
-CHUNK = 50  # steps between two evaluations of the pressure of a packing
+CHUNK = 50  # number of time steps between two evaluations of the pressure of a packing
 # Pressure of freshly placed aggregates, which overlap at first, divided by the contact modulus. This pressure vanishes
 # while the aggregates push each other apart. Only a higher pressure shows that the growth may end.
 TRANSIENT_LOOKS = 0.005
@@ -92,7 +92,7 @@ def draw(
     total = np.cumsum(np.pi / 6 * sizes**3)
     count = int(np.searchsorted(total, wanted)) + 1
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
-        count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted one.
+        count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted volume.
     sizes = sizes[:count]
     # Shapes are drawn independently of sizes, so on average a shape's fraction by number equals its fraction by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
@@ -197,7 +197,7 @@ def pack_many(
 
 
 def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
-    """Run packings and return the result or the error of each, by its number.
+    """Run packings; return, by the number of each packing, its result or the error that it raised.
 
     On a GPU, packings with the same features run as one batch.
     """
@@ -261,8 +261,8 @@ class _Growth:
 
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         pressure = self.fill.pressure
-        # Freshly placed aggregates overlap and push each other apart, which causes a pressure for a short time. Only a
-        # higher pressure ends the growth before its last step.
+        # Freshly placed aggregates overlap and push each other apart, which causes a pressure for a short time. The
+        # growth may end early only if the pressure is higher than this transient pressure.
         resting = max(pressure or 0.0, TRANSIENT_LOOKS * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()
@@ -303,8 +303,8 @@ class _Growth:
                 # aggregates move into free space. The factor `gain` makes up for this.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    # Grow by at least `least`. If the packing is not yet jammed, its pressure does not show how much it
-                    # must grow.
+                    # Let ln(size) grow by at least `least`. If the packing is not yet jammed, its pressure does not
+                    # show how much the aggregates must grow.
                     change = max(change, least)
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()

@@ -33,7 +33,7 @@ from .scene.bodies import BodyTable, placed_bodies
 from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
-QUIET = 1e-5  # Ratio of kinetic to elastic energy below which a packing counts as settled.
+QUIET = 1e-5  # Ratio of kinetic to elastic energy below which a packing counts as settled before t = 0.
 SETTLING_PARTS = 50  # number of intervals into which settling is divided; after each, the motion is checked
 
 
@@ -63,9 +63,11 @@ class ElementSimulation(Simulation):
         """Build the model and initialise the attributes that the preparation up to t = 0 changes."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
-        self._settled: int | None = None  # completed intervals of settling; None before settling and from t = 0 on
+        # Number of completed intervals of the settling before t = 0. It is None before the settling begins and after it
+        # ends.
+        self._settled: int | None = None
         self.rested: float | None = None
-        """Travel of the piston [m] at which the concrete rested (see `Scene.rest`); None before the rest."""
+        """Travel of the piston [m] at the moment of the concrete's rest (see `Scene.rest`); None before this moment."""
 
     @property
     def prepared(self) -> bool:
@@ -86,7 +88,7 @@ class ElementSimulation(Simulation):
         return ElementDisplay(self, colouring)
 
     def prepare(self) -> None:
-        """Prepare the state at t = 0: pack, place bodies, bond groups, settle, and bond contacts."""
+        """Prepare the state at t = 0: pack, place bodies, bond body groups, settle, and bond contacts."""
         scene = self.scene
         started = wall_clock.perf_counter()
         self.tell("packing", 0.0)
@@ -122,8 +124,8 @@ class ElementSimulation(Simulation):
 
     def join(self, stepper: Stepper) -> None:
         """Use `stepper`, which may share a batch with other scenes, to advance the state from now on."""
-        # The base class declares a more general type of stepper. A narrower type is safe, because only this class
-        # assigns it.
+        # The base class declares a more general type for this attribute. A narrower type is safe, because only this
+        # class assigns the attribute.
         self.stepper = stepper  # pyright: ignore[reportIncompatibleVariableOverride]
         settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
@@ -157,7 +159,7 @@ class ElementSimulation(Simulation):
 
     @contextmanager
     def _walls_held(self) -> Iterator[None]:
-        """Hold prescribed walls still within this context manager, because their motion starts at t = 0."""
+        """Hold all walls with prescribed motion still within this context manager, because they first move at t = 0."""
         self.stepper.change(held=1)
         try:
             yield
@@ -274,7 +276,7 @@ class ElementSimulation(Simulation):
         """Free the device memory of the simulation; the results of the run stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        # A run that failed early lacks some of these attributes.
+        # A simulation that failed early lacks some of the attributes in this list.
         for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 

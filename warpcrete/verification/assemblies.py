@@ -141,8 +141,8 @@ def janssen(device, precision) -> list[Row]:
                       motion=Prescribed(velocity=(0, 0, -8e-3), ramp_time=0.05)),
             PipeWall(name="pipe", axis=axis, radius=radius),
         ),
-        # The mode "slip-cut" turns the shear dashpot off while a contact slips. Otherwise the sum of friction and
-        # damping force at the wall could exceed the Coulomb limit.
+        # The mode "slip-cut" of the linear contact law turns the shear dashpot off while a contact slips. Otherwise the
+        # sum of friction and damping force at the wall could exceed the Coulomb limit.
         contact=Contact(effective_modulus=3e5, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut"),
     )  # fmt: skip
     gauge = _WallGauge(radius)

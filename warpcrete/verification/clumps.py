@@ -60,7 +60,7 @@ def tumbling(device, precision) -> list[Row]:
         bodies=(Bodies(positions=[[0.0, 0, 0]], sizes=size, template=shape, density=density, spins=local[None]),),
     )  # fmt: skip
     stepper = start(scene, device, precision)
-    # Landau & Lifshitz, Mechanics, section 37: the period of the free rotation is 4 K(m) times a time scale.
+    # The period of the free rotation is 4 K(m) times `scale` (Landau & Lifshitz, Mechanics, section 37).
     small, middle, large = inertia[order]
     momentum = inertia * local
     energy = 0.5 * float(momentum @ local)

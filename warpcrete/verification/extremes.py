@@ -163,7 +163,8 @@ AXES: dict[str, tuple[float, float]] = {
 def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]]:
     """Yield name, scene and number of steps of every case.
 
-    The cases are extremes of single parameters, all corners of the parameter space `AXES`, and some special scenes.
+    There are three kinds of cases. In the first kind, a single parameter has an extreme value. In the second kind,
+    every parameter of `AXES` has its lowest or highest value. The others are special scenes.
     """
     yield "all parameters at their middle", cup, STEPS
     for fraction in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
@@ -198,7 +199,7 @@ def _moved(scene: Scene, count: int) -> Scene:
 
 
 def _blocked() -> Scene:
-    """Return a scene of ten spheres in a row, in a pipe that is hardly wider than the spheres."""
+    """Return a scene of ten spheres in single file between piston and plate, in a pipe hardly wider than they are."""
     size = 2 * RADIUS / 1.005
     z = (np.arange(10) + 0.5) * size
     base = cup()

@@ -12,8 +12,8 @@ from ..theory.pipe import CONCRETES
 from .case import Case, Row
 
 # Largest measured relative errors of three results, pressure, slip velocity and velocity profile:
-# - channel with a spacing of 5 mm: 0.1, 0.1 and 0.1 %,
-# - tube with a spacing of 10 mm: 0.2, 0.3 and 0.3 %.
+# - channel with a particle spacing of 5 mm: 0.1, 0.1 and 0.1 %,
+# - tube with a particle spacing of 10 mm: 0.2, 0.3 and 0.3 %.
 CHANNEL = {"pressure": 2.5e-3, "slip_velocity": 2e-3, "profile": 2e-3, "volume": 2e-4, "balance": 2e-3}
 TUBE = {"pressure": 4e-3, "slip_velocity": 5e-3, "profile": 4e-3, "volume": 8e-4, "balance": 4e-3}
 
@@ -83,10 +83,10 @@ def sheared_tube(device: str, precision: str) -> list[Row]:
     return _sheared(3, device, precision)
 
 
-# Flow laws other than Bingham's. A name that contains "layer" stands for a law of the slip layer, any other name for a
-# law of the bulk. Laws with a flow index get constants such that, at the mean velocity U and the mean shear rate U / R
-# in a pipe of radius R, they give the same stress as Bingham's law. The measured relative errors with cells of 5 mm are
-# at most 0.10 % (wall stress) and 0.07 % (velocity profile).
+# Flow laws other than Bingham's. If a name contains "layer", the law replaces Bingham's law in the slip layer,
+# otherwise in the concrete itself. Laws with a flow index get constants such that, at the mean velocity U and the mean
+# shear rate U / R in a pipe of radius R, they give the same stress as Bingham's law. The measured relative errors with
+# cells of 5 mm are at most 0.10 % (wall stress) and 0.07 % (velocity profile).
 LAWS = {
     "n 0.5": {"flow_index": 0.5}, "n 0.8": {"flow_index": 0.8}, "n 1.3": {"flow_index": 1.3},
     "n 1.6": {"flow_index": 1.6}, "c 5 Pa s2": {"quadratic_viscosity": 5.0},

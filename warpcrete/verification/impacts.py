@@ -198,9 +198,9 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # The error of a final spin is divided by the expected spin. The impact at 5 degrees causes hardly any spin, because
-    # its spin follows from the small difference between the tangential restitution and 1. It is left out here, and its
-    # restitution is compared above.
+    # The error of a final spin is divided by the expected spin. The impact at 5 degrees is left out here, because its
+    # spin follows from the small difference between the tangential restitution and 1, and is therefore nearly zero. The
+    # restitution of this impact is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
@@ -223,9 +223,9 @@ def oblique(device, precision) -> list[Row]:
 def normalised(device, precision) -> list[Row]:
     """Compare impacts of steel at constant normal speed with published normalised curves (Chung & Ooi 2011, test 5).
 
-    The published curves hold for a tangential stiffness of half that of a rigid plane, and for a shear force that stays
-    constant while the normal load decreases. The simulations therefore use these settings. The closed form for full
-    slip holds for all settings.
+    The published curves hold if the tangential stiffness is half of that of a contact with a rigid plane, and if the
+    shear force stays constant while the normal load decreases. The simulations therefore use these settings. The closed
+    form for full slip holds for all settings.
     """
     radius, normal, friction = 0.01, 5.0, 0.3
     unit = friction * normal
@@ -267,8 +267,8 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The tolerances allow for the lever arm of friction, the distance of the plane from the sphere's centre. It is 0.05
-    # % shorter than the sphere's radius, because the sphere overlaps with the plane.
+    # The tolerances allow for the overlap of sphere and plane. The overlap shortens the lever arm of friction, which is
+    # the distance of the plane from the sphere's centre, by 0.05 % of the radius.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

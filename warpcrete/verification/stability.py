@@ -53,7 +53,7 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Return the growth of energy in a run: its maximum in the last fifth over that in the first fifth.
+    """Return the largest energy in the last fifth of a run, divided by the largest energy in the first fifth.
 
     The result is infinite if the run diverges. The run has `STEPS` time steps, whose size is `fraction` times the
     estimated stable step. Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does
@@ -88,7 +88,7 @@ def _energy(model, state) -> float:
 def shake(table: BodyTable, seed: int = 5) -> None:
     """Give the bodies random velocities and spins.
 
-    They excite all modes of vibration, including the stiffest ones, which become unstable first.
+    This random motion excites all modes of vibration, including the stiffest modes, which become unstable first.
     """
     random = np.random.default_rng(seed)
     table.velocity = random.normal(scale=0.05, size=table.velocity.shape)

@@ -25,7 +25,7 @@ START_CASES = (
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
 """Flows that are compared with the one-dimensional solution. A time step on the grid uses the mean of the viscosities
-at its start and at its end. With a yield stress, this is accurate only in short steps."""
+at its start and at its end. With a yield stress, only short time steps are accurate with this mean."""
 LONGEST = 2e-3
 """Longest time step on the grid [s]."""
 EXACT_STEP_RATIO = 5e-4
@@ -33,7 +33,7 @@ EXACT_STEP_RATIO = 5e-4
 
 
 def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.ndarray:
-    """Return the apparent viscosity at given shear rates [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
+    """Return the apparent viscosity of Bingham concrete at given shear rates [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
     bent = np.maximum(regularisation * np.abs(rate), 1e-12)
     return concrete.viscosity + concrete.yield_stress * regularisation * -np.expm1(-bent) / bent
 
@@ -56,8 +56,8 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
         # computes.
         for _ in range(6):
             c = apparent(concrete, scene.regularisation, np.diff(velocity) / h) * area[1:-1] / h
-            # The wall resists the flow by the shear across the outer half of the last cell and by the slip layer, which
-            # act in series.
+            # Two resistances in series act on the flow at the wall: the slip layer, and the shear across the outer half
+            # of the cell next to the wall.
             half = 2 * float(apparent(concrete, scene.regularisation, np.array(2 * (velocity[-1] - slip) / h))) / h
             layer = concrete.slip_viscosity
             ease, fixed = half * layer / (half + layer), half * concrete.slip_yield / (half + layer)
@@ -78,7 +78,7 @@ def worst(
 ) -> tuple[float, float]:  # fmt: skip
     """Return the largest rms error of the velocity profile over all compared times, and the largest error in any cell.
 
-    Errors are relative to the mean velocity of the steady flow.
+    Errors are divided by the mean velocity of the steady flow.
     """
     speed, viscosity, radius = 0.19, 20.0, 0.05
     given = FlowParameters(

@@ -1,6 +1,7 @@
 """Verification of rigid spheres in a mortar against closed forms and published solutions.
 
-The mortar fills the whole simulated box in all cases, so there is no free surface. It sticks to the box's walls.
+The mortar fills the whole simulated box in all cases, so there is no free surface. The mortar sticks to the box's
+walls.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def take(flow: SuspensionFlow, steps: int) -> np.ndarray:
 
 
 def settling(across: int, shift: float, ratio: float, device: str, precision: str) -> float:
-    """Return the settling speed of a sphere on the axis of a closed cylinder, divided by the exact one.
+    """Return the settling speed of a sphere on the axis of a closed cylinder, divided by the exact speed.
 
     `across` is the number of cells across the sphere. `shift` is the offset of the sphere's centre from a corner of a
     cell along each axis, in cells. `ratio` is the radius of the sphere divided by that of the cylinder. The exact speed
@@ -148,7 +149,7 @@ def _wall_rate(flow: GridFlow) -> float:
 
 
 def sheared(across: int, wide: int, shift: Sequence[float], device: str, precision: str) -> tuple[float, float]:
-    """Return the spin of a free sphere in a shear flow, divided by the exact one, and the slope of the viscosity.
+    """Return the spin of a free sphere in a shear flow, divided by the exact spin, and the slope of the viscosity.
 
     The exact spin is half the shear rate. The slope is the relative increase of the wall stress that the sphere causes,
     divided by the volume fraction of the sphere; its exact value is 2.5. `across` is the number of cells across the
@@ -169,10 +170,11 @@ def sheared(across: int, wide: int, shift: Sequence[float], device: str, precisi
 
 
 def approaching(across: int, gap: float, shift: Sequence[float], device: str, precision: str) -> float:
-    """Return the speed of two equal spheres that are pushed together, divided by the exact one (Brenner 1961).
+    """Return the speed of two equal spheres that are pushed together, divided by the exact speed (Brenner 1961).
 
-    The exact speed is that in an infinite fluid; the simulated box is ten radii wide. `across` is the number of cells
-    across a sphere, `gap` the gap in cells, and `shift` the offset of the midpoint from the corner of a cell, in cells.
+    The exact speed is that in an infinite fluid; the simulated box is ten sphere radii wide. `across` is the number of
+    cells across a sphere, `gap` the gap in cells, and `shift` the offset of the midpoint from the corner of a cell, in
+    cells.
     """
     width = 2 * RADIUS / across
     half = RADIUS + 0.5 * gap * width
@@ -234,7 +236,7 @@ def settling_case(device: str, precision: str) -> list[Row]:
 
 
 def shear_case(device: str, precision: str) -> list[Row]:
-    """Compare the spin of a sphere in a shear flow, and the viscosity of the mixture, with those of Einstein (1906)."""
+    """Compare a sphere's spin in a shear flow, and the viscosity of the mixture, with the values of Einstein (1906)."""
     found = []
     for shift in ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.25, 0.1, 0.3)):
         spin, slope = sheared(4, 16, shift, device, precision)
@@ -244,7 +246,7 @@ def shear_case(device: str, precision: str) -> list[Row]:
 
 
 def approach_case(device: str, precision: str) -> list[Row]:
-    """Compare the approach of two spheres, aligned and not aligned with the grid, with that of Brenner (1961)."""
+    """Compare the speed of two approaching spheres, at several gaps, with the exact solution of Brenner (1961)."""
     return [
         Row(
             f"gap of {gap:g} cells, {shift[0]:g} cells off",
@@ -258,11 +260,11 @@ def approach_case(device: str, precision: str) -> list[Row]:
 
 
 def bingham_case(device: str, precision: str) -> list[Row]:
-    """Check that a sphere falls if the ratio of yield stress to weight is below a critical value, and stays if above.
+    """Check that a sphere sinks in mortar of a low yield stress, and stays in mortar of a high yield stress.
 
-    The critical value is the yield criterion of Beris et al. (1985). The regularised mortar creeps even below its yield
-    stress. Therefore the regularisation is made ten times stiffer: a falling sphere keeps its speed, while the speed of
-    a sphere that should stay drops to a tenth.
+    The limit between the two is the yield criterion of Beris et al. (1985), a ratio of yield stress to weight. The
+    regularised mortar creeps even below its yield stress. Therefore the regularisation is made ten times stiffer: a
+    sinking sphere keeps its speed, while the speed of a sphere that should stay drops to a tenth.
     """
     ratios = [
         falling_in_bingham(number, 1e5, device, precision) / falling_in_bingham(number, 1e4, device, precision)

@@ -32,14 +32,14 @@ SEEDS = 3
 
 @dataclass(frozen=True)
 class Core:
-    """Mean values in the core of a sheared suspension, which is the middle part of the simulated box."""
+    """Mean values in the core of a sheared suspension; the core is the middle part of the simulated box."""
 
     stress: float
-    """Mean shear stress in the core, divided by the viscosity of the mortar [1/s]."""
+    """Mean shear stress in the core (middle part) of the box, divided by the viscosity of the mortar [1/s]."""
     rate: float
-    """Mean shear rate in the core [1/s]."""
+    """Mean shear rate in the core (middle part) of the box [1/s]."""
     fraction: float
-    """Volume fraction of the spheres in the core."""
+    """Volume fraction of the spheres in the core (middle part) of the box."""
 
     @property
     def viscosity(self) -> float:
@@ -54,8 +54,9 @@ def suspension(
 ) -> SuspensionFlow:  # fmt: skip
     """Return a suspension of equal spheres at random places between two moving walls.
 
-    `across` is the number of cells across a sphere. Along the first two axes, the room is `wide` sphere diameters wide,
-    and along the third axis it is `long` diameters long. Each time step shears it by the shear strain `strain`.
+    `across` is the number of cells across a sphere. The simulated box is `wide` sphere diameters wide along the first
+    two axes, and `long` sphere diameters long along the third axis. Each time step shears the suspension by the shear
+    strain `strain`.
     """
     width = 2 * RADIUS / across
     cells = (wide * across, wide * across, long * across)
@@ -95,12 +96,12 @@ def core_of(flow: SuspensionFlow) -> Core:
 
 
 def velocity_area(long: int, middle: slice, width: float) -> float:
-    """Return the area of that part of a wall that lies beside the core (middle part) of the box [m2]."""
+    """Return the area of that part of a box wall that lies beside the core (middle part) of the box [m2]."""
     return long * (middle.stop - middle.start) * width**2
 
 
 def mean_core(cores: list[Core]) -> Core:
-    """Return the mean stress, shear rate and volume fraction over the cores of several suspensions."""
+    """Return the mean stress, shear rate and volume fraction over the cores (middle parts) of several suspensions."""
     return Core(*(float(np.mean([getattr(c, name) for c in cores])) for name in ("stress", "rate", "fraction")))
 
 
@@ -117,7 +118,7 @@ def random_structure(fraction: float, seed: int, device: str, precision: str, ac
 def sheared_structure(fraction: float, seed: int, device: str, precision: str) -> tuple[Core, float]:
     """Return the mean values in the core (middle part) of a suspension, averaged over shear strains from 1 to 2.
 
-    The second result is the part of the spheres' volume in which they overlap at the end.
+    The second result is the volume of all overlaps between spheres at the end, divided by the volume of the spheres.
     """
     flow = suspension(fraction, seed, device, precision, wide=6, strain=0.1)
     flow.take(10)
@@ -140,10 +141,10 @@ def overlapping_part(flow: SuspensionFlow) -> float:
 def yield_factor(fraction: float, seed: int, bingham: float, device: str, precision: str) -> tuple[float, float]:
     """Return the factor by which spheres at random places raise the yield stress, and the expected factor.
 
-    `bingham` is the yield stress of the mortar, divided by its viscosity and the shear rate of the room. The factor
-    follows from the stress in the core minus the stress without yield stress at the same shear rate; the difference is
-    divided by the yield stress of the mortar. The expected factor is sqrt((1 - fraction) f), where f is the computed
-    relative viscosity of the same structure (Chateau, Ovarlez & Trung 2008).
+    `bingham` is the yield stress of the mortar, divided by its viscosity and by the shear rate of the box. The factor
+    follows from the stress in the core (middle part) of the box minus the stress without yield stress at the same shear
+    rate; the difference is divided by the yield stress of the mortar. The expected factor is sqrt((1 - fraction) f),
+    where f is the computed relative viscosity of the same structure (Chateau, Ovarlez & Trung 2008).
     """
     plain = random_structure(fraction, seed, device, precision)
     flow = suspension(

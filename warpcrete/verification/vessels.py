@@ -22,7 +22,7 @@ from .case import Case, Row
 
 PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=NO_SLIP_VISCOSITY, slip_yield=0.0)
 INNER, OUTER, TURNS = 0.05, 0.1, 1.0
-"""Radii of the inner and outer cylinder [m], and angular velocity of the inner one [rad/s]."""
+"""Radii of the inner and outer cylinder [m], and angular velocity of the inner cylinder [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
 """Radius of the round pipe [m], and mean velocity of the flow in it [m/s]."""
 
@@ -170,7 +170,7 @@ def pipe_gradient(yield_stress: float) -> float:
 def pipe_in_space(device: str, precision: str) -> list[Row]:
     """Compare the pressure gradient in a round pipe without slip with theory, for Bingham numbers of 0, 1 and 10.
 
-    The pipe has 20 cells across.
+    The pipe is 20 cells wide.
     """
     found = []
     # The measured errors of the pressure gradient are -0.66, -0.49 and -0.71 % for the Bingham numbers 0, 1 and 10.

@@ -167,7 +167,7 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """True if the kernel launches of a step have been set and still match the arrays and CPU chunks."""
+        """True if the kernel launches of a step are set, and still match the arrays and each CPU thread's bodies."""
 
         return self._step is not None
 
@@ -285,7 +285,8 @@ class Batch(JointArrays):
             pending.append((self.flags, self._flags))
         if pending:
             self.exchange.write(*pending)
-        # Discard the host's copies only after the write, so that Ctrl-C during the write loses no changes.
+        # Discard the host's copies only after they have been written to the device, so that Ctrl-C during the write
+        # loses no changes.
         if self.parallel:
             self._flags = self._clock = None
         self._walls = None

@@ -73,7 +73,8 @@ class JointArrays:
     bond_parameters: DeviceArray
     """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end."""
     segments: DeviceArray
-    """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
+    """Straight and curved segments of all pipe axes and of the axes along which forces drive bodies, for all scenes end
+    to end."""
     drive_axis: DeviceArray
     """Range in `segments` of the pipe axis along which a force drives each body group, shape (groups, 2).
 
@@ -81,7 +82,7 @@ class JointArrays:
     without a driving force.
     """
     drive_force: DeviceArray
-    """Driving force on each single body of a group along the pipe axis [N], shape (groups,)."""
+    """Driving force along the pipe axis on each single body of a group [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray

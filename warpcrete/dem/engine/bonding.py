@@ -55,7 +55,7 @@ def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: flo
 
 
 def bond_kinds(bond: np.ndarray) -> np.ndarray:
-    """Return the kind of each bond encoded in values of `pairs.bond`.
+    """Return the kind of bond that each value of the array `pairs.bond` encodes.
 
     Values of 0 (no bond) and negative values (broken, see `kernels/dem/bond_parallel.py`) are returned unchanged.
     """
@@ -63,7 +63,7 @@ def bond_kinds(bond: np.ndarray) -> np.ndarray:
 
 
 def bond_rows(bond: np.ndarray) -> np.ndarray:
-    """Return the row of `pairs.load` of each bond encoded in positive values of `pairs.bond`."""
+    """Return the row of the array `pairs.load` that each positive value of the array `pairs.bond` encodes."""
     return bond >> int(KIND_BITS)
 
 

@@ -48,7 +48,7 @@ class Cells:
         self._fitted: HostArray = np.zeros(batch.count, dtype=bool)
         self._full = np.array([state.sphere_count > 0 for state in batch.states])
         self._mean_radius = np.array([state.mean_radius for state in batch.states])
-        """Mean radius of each scene's spheres at full size [m], shape (scenes,)."""
+        """Mean radius of each scene's spheres when they are fully grown [m], shape (scenes,)."""
         self._dims = np.ones(3, dtype=int)
         self._width = 0.0
         self.made = 0
@@ -86,8 +86,8 @@ class Cells:
         # The cell indices from `low` to `high` are `high - low + 1` cells. One more, empty cell separates the blocks of
         # two scenes.
         sizes = high - low + 2
-        # Choose the axis along which the longest block is shortest, and place the blocks of all scenes side by side
-        # along it.
+        # Find the axis along which the longest block of cells is shorter than along the other axes. Place the blocks of
+        # all scenes side by side along this axis.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()

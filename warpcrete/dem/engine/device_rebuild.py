@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class DeviceRebuild:
-    """Launches that rebuild the neighbour lists inside a CUDA graph; while the lists are up to date, they do nothing.
+    """Launches that rebuild the neighbour lists inside a CUDA graph, or do nothing if the lists are up to date.
 
     If bodies are due for re-sorting, or the new lists do not fit into the arrays, the lists stay marked as stale, and
     the host rebuilds them.

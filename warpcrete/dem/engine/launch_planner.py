@@ -24,7 +24,7 @@ BATCH_LAUNCH = 40
 After these steps the host deals with the scenes that have halted, for example by rebuilding their neighbour lists.
 """
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
-"""Maximum number of steps in one recorded graph.
+"""Maximum number of time steps whose kernel launches are recorded in one graph.
 
 On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU
 threads get longer graphs, because they lose time when they wait for each other between two graphs.
@@ -49,7 +49,8 @@ A rebuild is early if these lists are still valid, but those of another scene of
 """
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
-"""Maximum number of steps between two checks with which a GPU finds, without the host, that its lists are stale."""
+"""Maximum number of steps between two checks with which a GPU finds, without the host, that its neighbour lists are
+stale."""
 MINIMUM_LIFETIME = 8
 """Minimum expected lifetime of neighbour lists, in steps."""
 
@@ -63,7 +64,8 @@ class LaunchPlanner:
 
     def __init__(self, parallel: bool, scenes: int) -> None:
         self.parallel, self.scenes = parallel, scenes
-        # For each scene, the step count at which its lists were built, and the expected lifetime of its lists in steps.
+        # For each scene, the step count at which its neighbour lists were built, and the expected lifetime of its lists
+        # in steps.
         self._built_at_step = np.zeros(scenes, dtype=np.int64)
         self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
         # A scene may join the batch with neighbour lists of unknown age. `_age_known` is then False, because the
@@ -77,11 +79,11 @@ class LaunchPlanner:
         """
 
     def count_steps(self, launched: int) -> None:
-        """Add `launched` steps to the count of steps since graphs were last recorded."""
+        """Add `launched` steps to the count of steps since graphs of kernel launches were last recorded."""
         self._steps_since_capture += launched
 
     def reset_step_count(self) -> None:
-        """Set the count of steps since graphs were last recorded to zero."""
+        """Set the count of steps since graphs of kernel launches were last recorded to zero."""
         self._steps_since_capture = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:
@@ -114,7 +116,7 @@ class LaunchPlanner:
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
         chosen &= flags[:, int(FAILED)] == 0
-        # Do not measure the lifetime of lists that are rebuilt early because bodies are re-sorted.
+        # Do not measure the lifetime of neighbour lists that are rebuilt early because bodies are re-sorted.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
         became_stale = chosen & stale & ~early & self._age_known
         self._expected_lifetime[became_stale] = np.maximum(
@@ -133,7 +135,7 @@ class LaunchPlanner:
         self._built_at_step[s], self._age_known[s] = steps, False
 
     def note_rebuilt(self, flags: np.ndarray) -> None:
-        """Note that the lists of all scenes marked as stale in `flags` have been rebuilt."""
+        """Note that the neighbour lists of all scenes marked as stale in `flags` have been rebuilt."""
         stale = flags[:, int(STALE)] != 0
         self._built_at_step[stale], self._age_known[stale] = flags[stale, int(STEPS)], True
 
@@ -178,9 +180,9 @@ class LaunchPlanner:
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # The device skips all steps of a launch that follow the moment at which the lists become stale. If only the
-        # host can rebuild the lists, the launch should therefore end at that moment. The forecast is that the lists
-        # last as long as the previous ones.
+        # The device skips all steps of a launch that follow the moment at which the neighbour lists become stale. If
+        # only the host can rebuild the lists, the launch should therefore end at that moment. The forecast is that the
+        # lists last as long as the previous lists.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

@@ -21,8 +21,8 @@ from .stepper_protocol import SceneStepper
 
 BONDS_PER_SPHERE = 4  # Assumed number of bonded pairs per sphere in a dense packing, with a reserve.
 PAIRS_PER_SPHERE = (
-    # Assumed entries per sphere in a half list (CPU) of a dense packing, with a reserve; a full list (GPU) has twice as
-    # many.
+    # Assumed number of list entries per sphere in a half list (CPU) of a dense packing, with a reserve; a full list
+    # (GPU) has twice as many.
     8
 )
 
@@ -68,11 +68,12 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         # - Memory per sphere: its position at the last selection of near links, and bits that mark touching neighbours.
         listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(EXTRA_MASKS)
     if model.features.subcycling and model.scene.hydration is not None:
-        # Add memory for the sub-cycled bonds. Each sphere has at most three bonded pairs, of which the fraction
-        # `hydration.fraction` is stiff and therefore sub-cycled.
+        # Add memory for the sub-cycled bonds. Assume at most three bonded pairs per sphere. The fraction
+        # `hydration.fraction` of these pairs is stiff and therefore sub-cycled.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
-        listing += 4 * scalar  # Add memory for the sphere's position at the last check of its distance from walls.
+        # Add memory for the position of each sphere at the last check of its distance from the walls.
+        listing += 4 * scalar
     if model.features.meshes:
         # Add memory for the near candidates of each sphere, which are the triangles that may touch the sphere soon.
         listing += 4 * scalar + 4

@@ -38,7 +38,7 @@ class Features:
     history: bool
     """True if contacts between bodies store a history, for example the force of the shear spring."""
     bonds: bool
-    """True if some pairs of bodies are bonded or may become bonded."""
+    """True if some pairs of bodies are bonded at the start or may become bonded later."""
     healing: bool
     """True if bodies that come into contact during the run form bonds.
 
@@ -47,7 +47,8 @@ class Features:
     subcycling: bool
     """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
-    """True if the kernel for clumps moves the bodies, because some have several spheres or bonds are sub-cycled."""
+    """True if the kernel for clumps moves the bodies, because some bodies consist of several spheres or some bonds are
+    sub-cycled."""
     rotation: bool
     """True if bodies rotate; single spheres without friction, shear damping and bonds need no rotation."""
     drives: bool
@@ -109,7 +110,7 @@ class Model:
     are the index of the first segment and the index after the last segment. Both are 0 for a group without a driving
     force."""
     drive_force: DeviceArray
-    """Driving force on each single body of a group along the pipe axis [N], shape (groups,)."""
+    """Driving force along the pipe axis on each single body of a group [N], shape (groups,)."""
     meshes: tuple[wp.Mesh, ...]
     """The ``wp.Mesh`` objects of all mesh walls, kept alive because the wall table refers to them only by number."""
 

@@ -85,14 +85,16 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = new((0, 0) if f.half_list else (KEPT, n))
         self._boxes = new((batch.threads, 2), t.vec3)
-        # `_total` and `_face_total` receive the number of list entries of each scene. The last element of `_total`
-        # receives the largest number of neighbours of a sphere for which the search buffer `_finds` was too small.
+        # `_total` receives the number of neighbour list entries of each scene, and `_face_total` the number of mesh
+        # candidates. The last element of `_total` receives the largest number of neighbours of a sphere for which the
+        # search buffer `_finds` was too small.
         self._total, self._face_total = new(scenes + 1), new(scenes + 1)
         self._identity = DeviceArray(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = new(n), new(n)
         self._lanes = new((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = new(n if f.bonds and f.half_list else 0, batch.scalar)
-        # `_old` contains the previous lists, from which a rebuild copies the contact history to the new lists.
+        # `_old` contains the previous neighbour lists, from which a rebuild copies the contact history to the new
+        # lists.
         self._old: Pairs = struct_of(batch.structs, "pairs")()
         self._old.start = new(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
@@ -144,7 +146,8 @@ class NeighborLists:
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # Enlarging the arrays moves the lists of the scenes to other array positions, so copy the old lists again.
+            # Enlarging the arrays moves the neighbour lists of the scenes to other array positions, so copy the old
+            # lists again.
             self._keep_old(np.flatnonzero(stale))
         self._entries[stale] = wanted[stale]
         if b.features.meshes:
@@ -154,7 +157,7 @@ class NeighborLists:
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
-            self._version = ()  # Record all launches again, because the larger buffer replaces the old one.
+            self._version = ()  # Record all launches again, because a larger search buffer replaces the old buffer.
             if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
 
@@ -291,7 +294,7 @@ class NeighborLists:
         return [
             # Copy the motion of single spheres to their bodies, because steps move only the spheres.
             Phase("bodies", b.sync_stages()),
-            # Copy the previous lists, because the new lists receive their contact history from them.
+            # Copy the previous neighbour lists, because the new lists receive their contact history from them.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
             # Sort the spheres' centres into the cells of the grid.
             Phase("cells", [
@@ -305,9 +308,10 @@ class NeighborLists:
             Phase("search", search),
             # Compute the index of each sphere's first list entry, as prefix sums of the numbers of neighbours.
             Phase("count", [*scan, *count_faces]),
-            # Write the index of each sphere's first list entry; from here on the previous lists are invalid.
+            # Write the index of each sphere's first list entry; from here on the previous neighbour lists are invalid.
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
-            # Write the neighbours into the rows of the list, with the contact history from the previous lists.
+            # Write the neighbours into the rows of the new neighbour lists, with the contact history from the previous
+            # lists.
             Phase("fill", [*fill, self._transfer(old)]),
             # A GPU's neighbour list contains each pair of spheres twice. Build one link for each pair, so that a step
             # computes the pair only once.
@@ -316,7 +320,8 @@ class NeighborLists:
             Phase("candidates", fill_faces),
             # Find the new list entries of the sub-cycled pairs, and the array indices of the sub-cycled bodies.
             Phase("subcycles", b.subcycles.locating()),
-            # Compute the mean velocity of each scene's spheres, because the skin limits only motion relative to it.
+            # Compute the mean velocity of each scene's spheres, because the skin limits only their motion relative to
+            # this mean.
             Phase("drift", [b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes)]),
             Phase("fresh", [b.stage(lists.clear_stale, b.count, lanes=self._lanes)]),
             # Select the near links, which are the pairs that may touch within the next steps.
@@ -326,8 +331,8 @@ class NeighborLists:
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere.
 
-        Only the search for half lists needs this length. The result is empty for full lists, and if the scenes have no
-        bonds.
+        Only the search for the half lists of a CPU needs this length. The result is empty for the full lists of a GPU,
+        and if the scenes have no bonds.
         """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):

@@ -87,7 +87,7 @@ class _Drive:
 
     @property
     def is_running(self) -> bool:
-        """True if any scene has not yet reached its goal."""
+        """True if any scene has not yet reached its goal, a time or a number of steps."""
         return any(member.waiting for member in self._members.values())
 
     @property
@@ -143,7 +143,7 @@ class _Drive:
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
             except CapacityError as full:
-                # The scenes share the arrays that are full, so raise the error inside every waiting coroutine.
+                # An array that all scenes share has become too long, so raise the error inside every waiting coroutine.
                 for member in self.waiting:
                     self._proceed(member, full)
             if self.stop is not None:

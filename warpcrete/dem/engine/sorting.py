@@ -14,8 +14,8 @@ from .batch import Batch
 from .state import OF_BATCH, struct_of
 
 SORTED = {"bodies": ("first", *OF_BATCH["bodies"]), "spheres": ("scene", "body", "force", "moment"), "slots": ()}
-"""Names of arrays that stay in place when bodies are re-sorted, by the name of their struct. These arrays are
-recomputed, do not depend on the order of bodies, or contain only zeros. All other arrays of these structs are
+"""Names of the arrays that are not permuted when bodies are re-sorted, by the name of their struct. They are
+recomputed, do not depend on the order of bodies, or contain only zeros. All other arrays of the structs named here are
 permuted."""
 
 

@@ -142,7 +142,8 @@ class StableStep:
                             last=sphere + last, part=k, stiff=stiff, **own)
                     for k, (first, last) in enumerate(chunks)
                 ],
-                # Compute each body's stable step from its stiffness and mass; the smallest limits the scene.
+                # Compute the stable step of each body from its stiffness and mass. The smallest of these steps is the
+                # stable step of the scene.
                 [b.stage(reduce, last - first, begin=body + first, part=k, stiff=stiff, **own)
                  for k, (first, last) in enumerate(own_bodies)],
             ]  # fmt: skip

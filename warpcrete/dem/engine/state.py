@@ -263,8 +263,8 @@ class State:
         clock = np.zeros((1, CLOCK))
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
         # Wall forces are summed in fixed point, as 64-bit integers. One unit is between 2^-44 and 2^-43, about 1e-13,
-        # times the typical force. The largest possible sum, 2^63 units, is therefore at least 2^19, about 5e5, times
-        # the typical force.
+        # times `typical_force`. The largest possible sum, 2^63 units, is therefore at least 2^19, about 5e5, times
+        # `typical_force`.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self._fill("scenes", clock=clock, scale=np.ones(1), reference_velocity=1)
         self.flags = zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
@@ -297,7 +297,7 @@ class State:
         self._batch = None
 
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
-        """Return the dict in which probes store their recorded launches by name.
+        """Return the dict in which the measuring functions of `probes` store their recorded launches by name.
 
         `version` is the present version of the batch. If it has changed since the last call, the dict is emptied,
         because the recorded launches may refer to arrays that have been replaced.

@@ -71,7 +71,7 @@ def state_hash(state: State) -> str:
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
     # If bonds do not heal, a pair with a broken bond behaves like a pair without a bond. Whether the broken bond is
-    # still stored depends on when the lists were rebuilt, so the hash must treat both alike.
+    # still stored depends on when the neighbour lists were rebuilt, so the hash must treat both pairs alike.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0

@@ -119,8 +119,8 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        # An uninterrupted run rebuilds stale lists before it estimates the stable step. A resumed run must give the
-        # same results, so rebuild stale lists now.
+        # An uninterrupted run rebuilds stale neighbour lists before it estimates the stable step. A resumed run must
+        # give the same results, so rebuild stale lists now.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()
@@ -215,7 +215,7 @@ class Stepper:
             self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
-        """Choose the number of sub-cycling rounds per time step, which are short steps for the hydrated bonds."""
+        """Choose the number of sub-cycling rounds per time step; a round is a shorter step for the hydrated bonds."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
         # An estimate ignores the hydrated bonds while the number of sub-cycling rounds is 0, as it still is here.
@@ -322,8 +322,8 @@ class Stepper:
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Advance the scene to `goal`: a time, reached to within one step, or a number of steps of the current size.
 
-        This coroutine yields whenever the batch must step. It must be resumed when the scene has halted, because the
-        scene has reached the goal or needs a new estimate of its stable step.
+        This coroutine yields whenever the batch must step. It must be resumed when the scene has halted. The scene
+        halts when it has reached the goal or needs a new estimate of its stable step.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)

@@ -14,7 +14,7 @@ from ...core.device.arrays import DeviceArray
 
 
 class Scenes(Protocol):
-    """Arrays with one row for each scene: its parameters, simulated time, time step and scale of sphere sizes."""
+    """Arrays with one row for each scene, such as parameters, simulated time, time step and factor of sphere sizes."""
 
     row: DeviceArray
     clock: DeviceArray
@@ -185,7 +185,7 @@ class Grid(Protocol):
 
 
 class Estimate(Protocol):
-    """Arrays for the estimate of the stable step: sums of stiffness and damping, and smallest and largest values."""
+    """Arrays for the estimate of the stable step, such as the contact stiffness and damping of each sphere and wall."""
 
     sums: DeviceArray
     wall_load: DeviceArray

@@ -30,8 +30,8 @@ from .struct_types import Subcycled
 MARGIN = 1.1
 """Safety factor for the number of sub-cycling rounds.
 
-This number is chosen once in a run. With the factor, the rounds stay stable in later time steps that are up to `MARGIN`
-times as long as the step for which the number was chosen.
+The number of rounds is chosen once in a run. With the factor, the rounds stay stable in later time steps that are up to
+`MARGIN` times as long as the step for which the number was chosen.
 """
 ROUND_BLOCK = 128
 """Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
@@ -41,10 +41,11 @@ RESIDENT_BLOCKS = 2
 Two blocks of 128 threads fit even if each thread uses the maximum number of registers.
 """
 OF_BODIES = ("position", "orientation")
-"""Names of the arrays with one row per sub-cycled body that checkpoints contain, because the next step depends on
-them."""
+"""Names of the arrays with one row per sub-cycled body. Checkpoints contain these arrays, because the next step depends
+on them."""
 OF_ENDS = ("force", "torque")
-"""Names of the arrays with two rows per sub-cycled pair, one for each body, that checkpoints contain."""
+"""Names of the arrays that have two rows for each sub-cycled pair, one row for each body of the pair. Checkpoints
+contain these arrays."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,
@@ -108,7 +109,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Make those pairs of scene `s` that have hydrated bonds now the sub-cycled pairs of this scene."""
+        """Use the pairs of scene `s` whose bonds are hydrated at present as the sub-cycled pairs of this scene."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
@@ -134,13 +135,13 @@ class Subcycles:
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
     def load_state_dict(self, s: int, stored: Mapping[str, Any]) -> None:
-        """Restore the sub-cycling data of scene `s` from a `state_dict`."""
+        """Restore the data of the sub-cycled bonds of scene `s` from a `state_dict`."""
         if stored:
             self._rounds[s] = stored["rounds"]
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Return the data of scene `s` for a checkpoint: sub-cycled pairs, and the arrays OF_BODIES and OF_ENDS."""
+        """Return the checkpoint data of scene `s`: sub-cycled pairs, and the arrays named in OF_BODIES and OF_ENDS."""
         if not self._by_scene[s]:
             return {}
         pairs = self._by_scene[s]

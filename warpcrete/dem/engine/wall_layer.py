@@ -45,7 +45,11 @@ class Structure:
         return DeviceArray(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
 
     def stage(self) -> Stage:
-        """Return the launch that computes the present yield stress of each scene's lubrication layer from the slip."""
+        """Return the launch that computes the present yield stress of each scene's lubrication layer.
+
+        The layer gained yield stress while the concrete was at rest. The more it has slipped along the wall since the
+        rest, the more of this gain is lost.
+        """
         b = self.batch
         return b.stage(
             breakdown_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,
@@ -61,9 +65,10 @@ class Structure:
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Set gain and slip of scene `s` to those of scene `index` of `other`, from whose batch the scene comes.
+        """Copy gain and slip of the lubrication layer of scene `index` of `other` to scene `s` of this batch.
 
-        The copied values are the gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
+        The two are the same scene, which has moved from the batch of `other` to this batch. The copied values are the
+        gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
         """
         self._set(s, other._gained[index], other._travel_at_rest[index])
 

@@ -3,8 +3,8 @@
 
 The dashpots follow Tsuji et al. 1992 in the form of Antypov & Elliott 2011, so that the coefficient of restitution does
 not depend on speed. The shear force is incremental. There are two rules for the shear force while the normal load
-falls. With `rescale`, it falls in proportion to the tangent stiffness, which never creates energy (Thornton et al.
-2013). With `hold`, it stays as it is, as in the simplest codes.
+falls. With `rescale`, the shear force falls in proportion to the tangent stiffness. This rule never creates energy
+(Thornton et al. 2013). With `hold`, the shear force stays constant, as in the simplest codes.
 """
 
 from dataclasses import dataclass, replace
@@ -69,7 +69,7 @@ class HertzMindlin(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # The shear dashpot transmits a force even without friction.
+        return True  # Even without friction, the shear dashpot transmits a shear force.
 
     def frictionless(self) -> "HertzMindlin":
         return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))

@@ -12,9 +12,9 @@ from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice
 
-# The index of a mode in this tuple consists of two bits. In modes with bit 0 (1 and 3), the total normal force may not
-# be tensile. In modes with bit 1 (2 and 3), the shear dashpot does not act while the contact slips (Zhan et al. 2019,
-# Eq. 8).
+# The index of a dashpot mode in this tuple consists of two bits. If bit 0 is set (modes 1 and 3), the total normal
+# force may not be tensile. If bit 1 is set (modes 2 and 3), the shear dashpot does not act while the contact slips
+# (Zhan et al. 2019, Eq. 8).
 DASHPOTS = ("full", "no-tension", "slip-cut", "both")
 
 

@@ -8,10 +8,10 @@ All mortar stresses act on the area A = pi r^2, with the radius r of the smaller
 shells. Mortar of modulus E_m, yield stress tau_0 and plastic viscosity mu has a normal spring of stiffness A E_m/h and
 a normal drag 3 mu A/h (Trouton's ratio). In shear it yields at tau_0 A and has the drag mu A/h.
 
-Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at
-sqrt(3) tau_0 (von Mises), and a bent disc yields at a moment of 4/3 r^3 times that stress. Its elastic and viscous
-moments are r^2/4 times the normal stiffness and drag. Without pull and moment no heap would stand, because spheres
-would roll on each other and separate.
+Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at the
+stress sqrt(3) tau_0 (von Mises), and a bent disc yields at the moment 4/3 r^3 sqrt(3) tau_0. The elastic and viscous
+moments of a bent disc are r^2/4 times the normal stiffness and drag. Without pull and moment no heap would stand,
+because spheres would roll on each other and separate.
 """
 
 import math
@@ -68,7 +68,7 @@ class BinghamMortar(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # The mortar's viscous drag acts in shear, even without friction.
+        return True  # Even without friction, the viscous drag of the mortar transmits a shear force.
 
     def frictionless(self) -> "BinghamMortar":
         return replace(self, friction=0.0, yield_stress=0.0, bending=0.0)
@@ -93,7 +93,8 @@ class BinghamMortar(ContactLaw):
             ks, cs = kn * p.shear_to_normal, drag
             if p.bending > scalar(0.0):
                 # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
-                # limits the step at most as much as a shear stiffness k_r / r^2, so add this.
+                # limits the step at most as much as a shear stiffness k_r / r^2, so add k_r / r^2 to the shear
+                # stiffness.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square

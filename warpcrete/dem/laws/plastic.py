@@ -4,12 +4,12 @@
 Spheres have hard cores with soft shells, as in :class:`BinghamMortar`. A spring follows any relative motion of the two
 surfaces. Its force grows up to a limit F, then it slips. A drag resists the whole relative velocity.
 
-If contacts in all directions n follow a flow with the strain rate tensor D, the slider of each contact dissipates
-F |D n| per unit of its length. The mean of |D n| over all directions is pi/8 of the rate in simple shear and 0.69 of
-the rate in uniaxial extension, so one F satisfies von Mises' rule for both flows within 1.5 %. The drag dissipates in
-proportion to the mean of |D n|^2, which is three times as large in extension as in shear (Trouton's ratio). Shells also
-pull with a constant force `tension` tau_0 A, which keeps a heap together. They transmit moments only if `bending` is
-not 0.
+If contacts in all directions n follow a flow with the strain rate tensor D, the slider of each contact dissipates F |D
+n| per unit of the contact's length. The mean of |D n| over all directions is pi/8 of the rate in simple shear and 0.69
+of the rate in uniaxial extension, so one F satisfies von Mises' rule for both flows within 1.5 %. The drag dissipates
+in proportion to the mean of |D n|^2, which is three times as large in extension as in shear (Trouton's ratio). Shells
+also pull with a constant force `tension` tau_0 A, which keeps a heap together. They transmit moments only if `bending`
+is not 0.
 """
 
 import math
@@ -25,9 +25,10 @@ from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
 WALL_BENDING = 4 / math.sqrt(3) / math.pi
-"""Largest moment of contacts with a rough wall, divided by tau_0 A r (yield stress, contact area, radius).
+"""Largest moment [N m] that a contact with a rough wall transmits, divided by tau_0 A r (yield stress, contact area,
+radius).
 
-At this moment a bent disc of mortar with the radius r yields.
+A bent disc of mortar with the radius r yields at this moment.
 """
 
 
@@ -80,7 +81,8 @@ class PlasticMortar(BinghamMortar):
             ks, cs = slider, drag
             if p.bending > scalar(0.0):
                 # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
-                # limits the step at most as much as a shear stiffness k_r / r^2, so add this.
+                # limits the step at most as much as a shear stiffness k_r / r^2, so add k_r / r^2 to the shear
+                # stiffness.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square

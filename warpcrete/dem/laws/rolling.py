@@ -6,9 +6,10 @@ spring slips when its moment reaches mu_r R N. Here mu_r is the coefficient of r
 normal spring. R is R1 R2 / (R1 + R2) for spheres of the radii R1 and R2, or the sphere's radius against a wall. The
 stiffness of the rolling spring is k_s R^2, with the shear stiffness k_s of the contact (Iwashita & Oda 1998).
 
-The dashpot is a fraction of the critical one and acts while the spring does not slip. Unlike in the paper, the sum of
-spring and dashpot is limited to mu_r R N. Otherwise, when a spinning sphere meets a floor, the dashpot would brake it
-in the first step by much more than friction could. Rotation about the normal (twist) is free, as in the paper.
+The dashpot is a fraction of the critical dashpot and acts while the spring does not slip. Unlike in the paper, the sum
+of spring and dashpot is limited to mu_r R N. Otherwise, when a spinning sphere meets a floor, the dashpot would brake
+the sphere in the first step by much more than friction could. Rotation about the normal (twist) is free, as in the
+paper.
 """
 
 from dataclasses import dataclass, field
@@ -68,8 +69,8 @@ class RollingResistance(ContactLaw):
         def rolling_stiffness(p: Parameters, touch: Touch):
             """Return the stiffness [N m/rad] and the dashpot [N m s/rad] of the rolling spring.
 
-            The critical dashpot is that of two spheres rolling in place, with inertia 7/5 m r^2, the reduced mass m
-            and the smaller radius r.
+            The dashpot is a fraction of the critical dashpot, which is that of two spheres rolling in place. Their
+            inertia is 7/5 m r^2, with the reduced mass m and the smaller radius r.
             """
             k = linear_stiffness(p.contact, touch)
             kr = k[1] * touch.reduced_radius * touch.reduced_radius
@@ -79,7 +80,7 @@ class RollingResistance(ContactLaw):
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
             # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r limits
-            # the step at most as much as a shear stiffness k_r / r^2, so add this.
+            # the step at most as much as a shear stiffness k_r / r^2, so add k_r / r^2 to the shear stiffness.
             k = linear_stiffness(p.contact, touch)
             if p.rolling_friction > scalar(0.0):
                 kr, cr = rolling_stiffness(p, touch)

@@ -21,7 +21,8 @@ from ..scene.slices import varying_bores
 from .probes import pair_forces
 
 PARTS = 20
-"""Number of parts of equal volume into which the concrete is divided along the pipe; fewer for few aggregates."""
+"""Number of parts of equal volume into which the concrete is divided along the pipe, to find out whether one of them
+stands still. There are fewer parts if there are few aggregates."""
 STONES = 5
 """Minimum number of aggregates in each of the parts of the concrete that are checked for standing still."""
 CHECKS_PER_WINDOW = 8
@@ -42,7 +43,7 @@ GRADIENT = 200e3
 OPPOSITE = np.radians(150.0)
 """Smallest angle [rad] around the pipe's axis between two wall contacts that counts as opposite sides of the wall."""
 QUADRATURE = 24
-"""Number of directions across the axis in which the bore's radius is measured to find its area."""
+"""Number of directions across the axis in which the bore's radius is measured to find the area of its cross-section."""
 
 
 class BlockageWatch:
@@ -60,14 +61,14 @@ class BlockageWatch:
         self.found: dict[str, float] = {}
         """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
         self.slowest = np.nan
-        """Ratio of the advance of the slowest part to that of the piston, by volume, between the last two checks.
-        Before the second check it is NaN."""
+        """Advance of the slowest part of the concrete, divided by the advance of the piston, between the last two
+        checks. Both advances are measured by volume. Before the second check the ratio is NaN."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0
         self._places = np.zeros(0)
-        # Permanent numbers of the aggregates, without the balls of a plug, and in `_volume` the volumes of these
-        # aggregates [m3].
+        # Permanent numbers of the aggregates, without the balls that close the front of the concrete. `_volume`
+        # contains the volumes of these aggregates [m3].
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
 
@@ -115,7 +116,7 @@ class BlockageWatch:
     def _widening(self, s: np.ndarray) -> np.ndarray | float:
         """Return the area of the bore at the arc lengths `s` [m], divided by its area at the piston.
 
-        Multiplied by this ratio, the advance of an aggregate becomes an advance by volume.
+        To measure the advance of an aggregate by volume, multiply the advance by this ratio.
         """
         return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 
@@ -152,7 +153,7 @@ class BlockageWatch:
 
 
 def blockage_travel(diameter: float, length: float, modulus: float) -> float:
-    """Return the piston travel [m] after which concrete that still stands counts as blocked.
+    """Return the piston travel [m] after which concrete that has not moved counts as blocked.
 
     The piston compresses the concrete, which delays the motion of the front. The travel must exceed this compression.
     It is therefore the compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient
@@ -216,10 +217,11 @@ def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.
 
 
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
-    """Return the last of the `stations` [m] whose cross-section carries at least half of the largest axial force.
+    """Return the arc length [m] of the last cross-section that carries at least half of the largest axial force.
 
-    The axial force through a cross-section is the sum of the `forces` [N] of the contacts that cross it. `places` [m]
-    has the arc lengths of both ends of each contact. :func:`axial_forces` returns both arrays.
+    The cross-sections lie at the arc lengths `stations` [m]. The axial force through a cross-section is the sum of the
+    `forces` [N] of the contacts that cross it. `places` [m] has the arc lengths of both ends of each contact.
+    :func:`axial_forces` returns `forces` and `places`.
     """
     carried = np.array([forces[(places[:, 0] < s) & (places[:, 1] >= s)].sum() for s in stations])
     return float(stations[np.flatnonzero(carried >= 0.5 * carried.max())[-1]]) if len(stations) else 0.0
@@ -288,8 +290,8 @@ def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
 def bore_area(walls: Any, axis: Any, radius: float, at: float) -> float:
     """Return the cross-sectional area of the bore at the arc length `at` [m2].
 
-    Rays across the axis measure the distance to fixed meshes. Without a closed mesh the area is that of a circle of
-    `radius` [m].
+    Rays across the axis measure the distance to fixed meshes. If no closed mesh surrounds the axis, the area is that of
+    a circle of `radius` [m].
     """
     area = np.pi * radius**2
     point, _, normal, side = axis.frame(at)

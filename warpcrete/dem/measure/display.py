@@ -56,7 +56,8 @@ colour scale.
 RINGS = 10
 """Number of rings of a velocity profile between the axis and the wall."""
 STRETCH = (0.2, 0.8)
-"""Range of the concrete, as fractions of its length, over which a velocity profile is averaged."""
+"""Two fractions of the number of bodies, counted along the pipe from the rear. A velocity profile is averaged over the
+bodies between them, because the velocity differs near both ends of the concrete."""
 ENERGIES = {
     "kinetic_energy": ("kinetic [J]", RUN),
     "elastic_energy": ("elastic [J]", SECOND),
@@ -86,8 +87,9 @@ class ElementDisplay(Display):
     def _limit(self) -> float:
         """Return the value at the top of the colour scale for the quantity by which the aggregates are coloured.
 
-        For contact forces the top is a large force [N], for sizes the largest size [m], and for speeds 1.5 times the
-        speed of the piston or of the fastest driven wall [m/s].
+        For contact forces the top is 5 % of the stress scale of the contact law times the square of the largest size
+        [N]. For sizes it is the largest size [m]. For speeds it is 1.5 times the speed of the piston or of the fastest
+        driven wall [m/s].
         """
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
@@ -186,7 +188,10 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity profile across the pipe, and the stresses along it if they are measured in slices."""
+        """Return the curves to plot: velocity over the radius of the pipe, and stresses along the pipe.
+
+        The stresses are left out if the scene does not measure them in slices.
+        """
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
@@ -214,7 +219,7 @@ class ElementDisplay(Display):
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # before t = 0 nothing is measured
+        if sampler is None:  # The sampler exists only from t = 0 on.
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
             # The samples are never changed after they have been recorded, so the display needs no copy.
@@ -232,7 +237,7 @@ class ElementDisplay(Display):
         )  # fmt: skip
 
     def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return, for all bodies, the arc length [m], the nearest point of the axis [m] and the tangent there.
+        """Return the arc length [m] of each body along the pipe, the nearest point of the axis [m] and its tangent.
 
         The shapes are (n,), (n, 3) and (n, 3).
         """
@@ -244,7 +249,7 @@ class ElementDisplay(Display):
         return self.derived(("on", axis), found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mid-radii of rings about the axis [mm] and the mean axial velocity of the bodies in them [cm/s].
+        """Return the mid-radii of rings about the pipe's axis [mm] and the bodies' mean axial velocity in each [cm/s].
 
         Bodies are weighted by volume. Rings without bodies are omitted.
         """
@@ -282,7 +287,8 @@ class ElementDisplay(Display):
 
         A plane is a single patch, so it has no distribution of wear that could be drawn.
         """
-        sampler = getattr(self.simulation, "sampler", None)  # wear is recorded only from t = 0 on
+        # The sampler, which records the wear, exists only from t = 0 on.
+        sampler = getattr(self.simulation, "sampler", None)
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
         return sampler.wear.walls[number]
@@ -349,7 +355,8 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        # Without hydration, the second kind of bond belongs to a body group such as the plug.
+        # If the scene has no hydrated bonds, kind 2 stands for other bonds, for example those inside a body group. Draw
+        # all bonds alike.
         if not self.simulation.scene.hydration:
             return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)

@@ -15,7 +15,7 @@ import numpy as np
 FINE = 0.25
 """Distance between the vertical rays that scan a heap from above, divided by the largest sphere radius."""
 DIRECTIONS = 36
-"""Number of directions in which the spread is measured; with fewer, single aggregates change the mean."""
+"""Number of directions in which the spread of a heap is measured; with fewer, single aggregates change the mean."""
 
 Range = tuple[float, float]
 
@@ -102,18 +102,18 @@ def _reaches(spheres: np.ndarray) -> np.ndarray:
 
 
 def height_at(spheres: np.ndarray, x: Range, y: Range) -> float:
-    """Return the mean height of the surface over a rectangle [m]; places without a sphere count as height 0."""
+    """Return the mean height of a heap's surface over a rectangle [m]; places without a sphere count as height 0."""
     _, _, height = surface(spheres, x, y, FINE * float(spheres[:, 3].max()))
     return float(np.mean(np.maximum(height, 0.0)))
 
 
 def height_of_top(spheres: np.ndarray, radius: float) -> float:
-    """Return the mean surface height within `radius` of x = y = 0 [m]; places without a sphere count as height 0."""
+    """Return a heap's mean height within `radius` of x = y = 0 [m]; places without a sphere count as height 0."""
     return height_around(spheres, 0.0, radius)
 
 
 def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
-    """Return the mean surface height between two radii about x = y = 0 [m]; places without a sphere count as 0."""
+    """Return a heap's mean height between two radii about x = y = 0 [m]; places without a sphere count as height 0."""
     x, y, height = surface(spheres, (-outer, outer), (-outer, outer), FINE * float(spheres[:, 3].max()))
     square = x**2 + y**2
     return float(np.mean(np.maximum(height[(square >= inner**2) & (square <= outer**2)], 0.0)))

@@ -38,7 +38,7 @@ class ContactSums:
     elastic_energy: float
     """Energy stored in contact springs, walls included, at the middle of the last step [J]."""
     bond_energy: float
-    """Energy stored in bonds [J]."""
+    """Energy stored in all bonds [J]."""
     bonded: int
     hydrated: int
     virial: float
@@ -54,13 +54,13 @@ class BodySums:
     """Energies, momentum and other sums over the bodies of a state."""
 
     kinetic_energy: float
-    """Kinetic energy at the middle of the last step [J]."""
+    """Kinetic energy of all bodies at the middle of the last step [J]."""
     potential_energy: float
-    """Potential energy in gravity, zero at the origin [J]."""
+    """Potential energy of all bodies in gravity, zero at the origin [J]."""
     momentum: np.ndarray
     """Total momentum at the middle of the last step [kg m/s], shape (3,)."""
     mass: float
-    """Total mass [kg]."""
+    """Total mass of all bodies [kg]."""
     centroid: np.ndarray
     """Centroid of all bodies [m], shape (3,)."""
     drive_force: np.ndarray
@@ -75,14 +75,17 @@ class BodySums:
 
 
 def body_sums(model: Model, state: State) -> BodySums:
-    """Return energies, momentum and drive forces of all bodies."""
+    """Return energies, momentum and driving forces of all bodies."""
     if state.body_count:
         launch_recorded(state, "bodies", lambda: _body_stages(model, state))
     return _bodies_of(state, *_read(state, "bodies"))
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
-    """Return number, overlaps, energies and bonds of all contacts, with the coordination number if it is requested."""
+    """Return sums over all contacts: their number, overlaps, energies and bonds.
+
+    The coordination number is computed only if `coordination` is True.
+    """
     if state.sphere_count:
         launch_recorded(state, "contacts", lambda: _contact_stages(model, state))
     return _contacts_of(state, *_read(state, "contacts"), coordination)
@@ -110,7 +113,10 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Read the sums computed on the device; return one array for each name in `what` ("bodies" or "contacts")."""
+    """Read sums over all bodies or contacts from the device; return one array for each name in `what`.
+
+    Each name is "bodies" or "contacts".
+    """
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
     return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))

@@ -30,9 +30,9 @@ from .wear_results import report as report_wear
 WINDOW = 0.2
 """Length of the final window, in which pressures are averaged, as a fraction of the piston's travel."""
 LEVEL = 0.1
-"""Largest relative change of a pressure on a plateau. Two changes must stay within this limit. The first is the
-difference between the mean over the final window and the mean over an equal window before it. The second is the rise of
-a straight line that is fitted to the pressure in the final window."""
+"""Largest change of the pressure on a plateau, divided by its mean. Two changes must stay within this limit. The first
+is the difference between the mean over the final window and the mean over an equal window before it. The second is the
+rise of a straight line that is fitted to the pressure in the final window."""
 NOISE = 2.0
 """Tolerance for the change of the pressure in the final window, in standard deviations of the pressure's noise. The
 tolerance is needed because a noisy pressure may rise or fall by chance in a short window."""
@@ -115,7 +115,7 @@ class Known:
 
     @property
     def peaks(self) -> list[float]:
-        """Largest pressure of each stroke [Pa]."""
+        """Largest pressure of each stroke of the piston [Pa]."""
         return peaks(self.scene.pipe, self.series)
 
     @property
@@ -160,15 +160,20 @@ def stroke_start(scene: Scene, travel: float) -> float:
 
 
 def past_ramp(scene: Scene, travel: float) -> bool:
-    """Return whether the piston had its final speed in the whole final window of a run that ends at `travel` [m]."""
+    """Return whether the piston had its final speed throughout the final window of a run that ends at `travel` [m].
+
+    The final window is the last fraction WINDOW of the piston's travel, or of its last stroke if the piston stops
+    between strokes.
+    """
     return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
 
 
 def momentum_balance(known: Known) -> float:
     """Return the relative error of the momentum balance of a run.
 
-    The error is the impulse of walls, drives and gravity minus the change of momentum, divided by the largest of these
-    impulses. It covers the second half of the run, or all of it for fewer than four samples. It is NaN for one sample.
+    The error is the impulse of walls, driving forces and gravity minus the change of momentum, divided by the largest
+    of these impulses. It covers the second half of the run, or all of it for fewer than four samples. It is NaN for one
+    sample.
     """
     series = known.series
     last = len(series["time"]) - 1
@@ -188,7 +193,7 @@ def momentum_balance(known: Known) -> float:
 
 
 def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the energy stored in bodies, contacts and bonds minus the work of walls and drives [J].
+    """Return the energy stored in bodies, contacts and bonds minus the work of walls and driving forces [J].
 
     Only dissipation changes this energy.
     """
@@ -216,7 +221,7 @@ def energy_balance(known: Known) -> float | None:
 
 
 def _beside(run: Run, name: str) -> str:
-    """Return a text with the published value of the pressure `name`, to be shown beside the result; it may be empty."""
+    """Return a text that states the published value of the pressure `name`; empty if no value is published."""
     published = run.scene.published
     value = getattr(published, name) if published else None
     return "" if value is None else f"   ({published.source}: {value / 1e3:.2f} kPa)"

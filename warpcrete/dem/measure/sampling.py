@@ -45,12 +45,12 @@ UNITS = {
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
-"""Units of the vector columns of the series, by quantity.
+"""Units of the vector columns of the time series, by quantity.
 
 A column is named after the quantity and an axis, for example momentum_x.
 """
 WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
-"""Units of the columns of each wall, by quantity.
+"""Units of the columns of each wall in the time series, by quantity.
 
 A column is named after the wall, the quantity and an axis, for example piston_force_x.
 """
@@ -60,7 +60,10 @@ STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
-    """Return the unit of a column in the series of a scene with these walls; raise KeyError for an unknown column."""
+    """Return the unit of a column in the time series of a scene with the given walls.
+
+    Raises KeyError for an unknown column.
+    """
     if column in UNITS:
         return UNITS[column]
     if unit := unit_of_column(column):
@@ -93,10 +96,10 @@ class Sampler:
         self._drive_work = 0.0
         wear = model.scene.wear
         self.wear = WearMap(model.walls, wear) if model.features.wear and wear is not None else None
-        """Wear of the walls up to the last row; None if the scene does not request it."""
+        """Wear of the walls up to the last row of the time series; None if the scene does not request it."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all rows so far and everything on which the next row depends, for a checkpoint."""
+        """Return all rows of the time series so far and everything on which the next row depends, for a checkpoint."""
         return {
             "columns": list(self.rows[0]) if self.rows else [],
             "rows": np.array([list(row.values()) for row in self.rows]),
@@ -110,7 +113,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows, and the other data that the next row depends on, from a `state_dict`."""
+        """Restore the rows of the time series, and the other data that the next row depends on, from a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
@@ -121,11 +124,11 @@ class Sampler:
             self.log.samples = list(np.asarray(state["stations"], dtype=float))
 
     def series(self) -> dict[str, np.ndarray]:
-        """Return the columns of the series by name, each of shape (rows,)."""
+        """Return the columns of the time series by name, each of shape (rows,)."""
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
     def sample(self) -> dict[str, float]:
-        """Measure the present state, append the values as a row to the series, and return the row."""
+        """Measure the present state, append the values as a row to the time series, and return the row."""
         model, state, scene = self.model, self.state, self.model.scene
         clock = state.batch.host_clock()[state.index]
         bodies, contacts, walls = row_sums(model, state)
@@ -174,7 +177,7 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Update mean wall forces and the work of the drives; return the impulses on all walls, shape (walls, 6)."""
+        """Update mean wall forces and the work of driving forces; return all walls' impulses, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
         # The impulse on a wall is the sum of its forces over time. In the leapfrog scheme this sum reaches to the
         # middle of the last step, so the time over which the mean wall force is taken also ends there.

@@ -19,17 +19,19 @@ UNITS = dict.fromkeys(
 )
 """Columns of the segregation measurement, with their units.
 
-- `aggregate_inner`, `aggregate_outer`: volume fractions of aggregate in the inner and outer half of the radius.
-- `aggregate_front`, `aggregate_rear`: volume fractions of aggregate in the front and rear half of the concrete.
-- `large_inner`, `large_outer`: share of stones above the mean size in the aggregate volume of the inner and outer half
-  of the radius.
-- `mixing`: Lacey's mixing index of large and small stones.
+- `aggregate_inner`, `aggregate_outer`: volume fraction of aggregate in the inner and in the outer half of the pipe's
+  radius.
+- `aggregate_front`, `aggregate_rear`: volume fraction of aggregate in the front and in the rear half of the concrete.
+- `large_inner`, `large_outer`: volume of the stones above the mean size, divided by the volume of all stones, in the
+  inner and in the outer half of the pipe's radius.
+- `mixing`: Lacey's mixing index of large and small stones, 0 if they are separate and 1 if mixed at random.
 """
 POINTS = 64
-"""Number of points that represent a sphere's volume, so that it can be divided between inner and outer half of the
-radius."""
+"""Number of points that represent the volume of a sphere. Each point lies in the inner or the outer half of the pipe's
+radius, so the points divide the volume between these halves."""
 ENDS = 0.05
-"""Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
+"""Fraction of the aggregate at either end of the concrete that the segregation measurement leaves out, because the
+aggregate is packed less densely there."""
 RINGS, STATIONS = 3, 5
 """Number of rings of equal area, and of sections along the pipe with equally many stones. Rings and sections divide the
 pipe into the cells of the mixing index."""
@@ -41,11 +43,15 @@ aggregates to which they belong [m], each of shape (n,)."""
 
 
 def ball_points(count: int = POINTS) -> np.ndarray:
-    """Return points spread evenly through a unit ball, shape (count, 3): a Fibonacci spiral in equal-volume shells."""
+    """Return points spread evenly through a ball of the radius 1, shape (count, 3).
+
+    The directions of the points follow a Fibonacci spiral. The radii divide the ball into shells of equal volume.
+    """
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + np.sqrt(5)) * k
-    # An irrational stride through the shells avoids a correlation between a point's radius and its latitude.
+    # Successive points lie at successive latitudes. Step through the shells by an irrational stride, so that the radius
+    # of a point is not correlated with its latitude.
     radius = np.cbrt((k * (np.sqrt(2) - 1)) % 1.0)
     flat = np.sqrt(1 - z**2)
     return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
@@ -139,8 +145,8 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     The index is (s0^2 - s^2) / (s0^2 - sr^2). It compares three variances of the number fraction of `large` stones:
 
     - s^2 is the variance found between the cells into which rings and sections divide the pipe.
-    - s0^2 = p (1 - p) is the variance if large and small stones were completely separate; p is the overall number
-      fraction.
+    - s0^2 = p (1 - p) is the variance if large and small stones were completely separate; p is the number fraction of
+      large stones in the whole pipe.
     - sr^2 = s0^2 / n is the variance if the stones were mixed at random, with n stones per cell.
 
     `s` is the arc length of each stone [m], and `apart` is its distance from the axis divided by the pipe's radius.
@@ -156,7 +162,9 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    by_chance = apart_wholly * len(count) / count.sum()  # sr^2 is the mean of s0^2 / n over the cells, weighted with n.
+    # The variance of a random mixture is the mean of apart_wholly / n over all cells, weighted with the number n of
+    # stones in a cell.
+    by_chance = apart_wholly * len(count) / count.sum()
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 
 
@@ -174,8 +182,8 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 def _outward(place: int) -> Callable[[Any], float | None]:
     """Return a function that computes the radial segregation in the row `place` of the time series.
 
-    The function takes the data of a run. It subtracts the volume fraction of aggregate in the inner half of the radius
-    from that in the outer half, and divides the difference by the mean volume fraction.
+    The function takes the data of a run. It subtracts the volume fraction of aggregate in the inner half of the pipe's
+    radius from that in the outer half. It divides this difference by the mean volume fraction.
     """
 
     def found(known: Any) -> float | None:
@@ -205,12 +213,17 @@ QUANTITIES = (
 )
 """Segregation results of a run.
 
-- `aggregate_inner`, `aggregate_outer`, `aggregate_front`, `aggregate_rear`: volume fractions of aggregate at the end.
-- `segregation`: outer minus inner volume fraction, divided by the mean, at the end.
-- `segregation_at_start`: the same at the start, where it is not zero, because stones always keep a distance from the
-  wall.
-- `size_segregation`: share of large stones in the outer half of the radius minus that in the inner half.
-- `mixing`: Lacey's mixing index.
+- `aggregate_inner`, `aggregate_outer`: volume fraction of aggregate in the inner and in the outer half of the pipe's
+  radius, at the end.
+- `aggregate_front`, `aggregate_rear`: volume fraction of aggregate in the front and in the rear half of the concrete,
+  at the end.
+- `segregation`: `aggregate_outer` minus `aggregate_inner`, divided by the mean volume fraction of aggregate, at the
+  end.
+- `segregation_at_start`: the value of `segregation` at the start. It is not zero, because stones always keep a distance
+  from the wall.
+- `size_segregation`: fraction of large stones in the aggregate of the outer half of the radius, minus the fraction of
+  large stones in the aggregate of the inner half, at the end.
+- `mixing`: Lacey's mixing index of large and small stones at the end, 0 if they are separate and 1 if mixed at random.
 """
 
 

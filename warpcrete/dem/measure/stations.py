@@ -34,21 +34,23 @@ FRONT = 0.98
 """The front of the concrete is defined as the point along the pipe behind which this fraction of the solid volume lies.
 Ahead of the front, concrete does not fill the whole cross-section."""
 FARTHEST = 8
-"""The search for the front is limited to the 1/FARTHEST of all bodies that are farthest along the pipe, to save
-time."""
+"""The search for the front of the concrete looks only at 1/FARTHEST of all bodies, to save time. These are the bodies
+that are farthest along the pipe."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
 READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
         "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
-"""Names of the arrays of a state that a measurement in the slices reads, in addition to the contact forces."""
+"""Names of the arrays of a state that a measurement in the slices of a pipe reads, in addition to the contact
+forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
-"""Units of the columns of a table of stations. `pressure` is the mean normal stress, and `axial_stress` the normal
-stress along the pipe, which transmits the piston's force; both are positive in compression. `wall_stress` is the shear
-stress of the wall against the flow. `velocity` is the mean velocity of the solids along the pipe. The other columns
-contain the mean velocity in a ring; their names end with the mean radius of the ring, divided by the pipe's radius."""
+"""Units of the columns of a table of stations (slices of a pipe). `place` is the arc length of a slice. `pressure` is
+the mean normal stress, and `axial_stress` the normal stress along the pipe, which transmits the piston's force; both
+are positive in compression. `wall_stress` is the shear stress of the wall against the flow. `velocity` is the mean
+velocity of the solids along the pipe. The columns of `PROFILE` contain the mean velocity in a ring; their names end
+with the mean radius of the ring, divided by the pipe's radius."""
 
 
 @dataclass
@@ -149,7 +151,7 @@ def stresses_along(
     - `s` (n,): arc length [m],
     - `tangent` (n, 3): tangent of the pipe's axis at this arc length,
     - `size` (n,): size [m],
-    - `fills` (n,): False for bodies of a plug.
+    - `fills` (n,): True for aggregates, False for the balls that close the front of the concrete.
     """
     edges, t = np.array(stations.edges), tangent
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
@@ -161,7 +163,7 @@ def stresses_along(
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices that lie between the piston and the front of the bodies, shape (slices,).
+    """Return a mask of the slices that lie between the piston and the front of the concrete, shape (slices,).
 
     The piston is at the arc length `travel` [m]. The bodies have the arc lengths `s` [m] and the volumes `volume`.
     """
@@ -172,7 +174,7 @@ def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.n
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """Return the arc length [m] at which the bodies' volume, added up from the rear of the pipe, reaches `behind`."""
+    """Return the arc length [m] at which the bodies' volume, added up from the rear, reaches the volume `behind`."""
     # Sort only the farthest bodies, because sorting all bodies takes four times as long as this search for the front.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
@@ -189,15 +191,15 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
     The weight of the concrete is subtracted. For a straight pipe, the losses are the pressure gradient [Pa/m] and the
     wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight
     section upstream of the middle and for the section downstream of it. Each loss follows from a straight line that is
-    fitted to the stresses in its section. The fit leaves out a length of one radius at each end of the section. A pipe
-    with a middle has three more results:
+    fitted to the stresses in its section. The fit leaves out a length of one pipe radius at each end of the section. A
+    pipe with a middle has three more results:
 
     - `middle_loss` [Pa] is the loss of axial stress in the middle, from the end of the upstream line to the beginning
       of the downstream line.
     - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
       pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
       middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
-    - `flux_ratio` is the downstream solid volume flux divided by the upstream one.
+    - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
 
     A result is left out if concrete fills too few of the slices that it needs.
     """
@@ -270,7 +272,7 @@ class StationArrays:
 
 
 def read_arrays(model: Model, state: State) -> StationArrays:
-    """Compute the forces of all contacts of a state and return them with the other arrays that a measurement reads."""
+    """Compute the forces of all contacts of a state; return them with the other arrays that slice measurements read."""
     _probe(model, state)
     arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
@@ -278,7 +280,11 @@ def read_arrays(model: Model, state: State) -> StationArrays:
 
 
 class _Spheres:
-    """Spheres of a state, in order of permanent numbers; the spheres of a plug have a solid volume of 0 here."""
+    """Spheres of a state, in order of permanent numbers.
+
+    The balls of the plug, which closes the front of the concrete, are no aggregates. Their solid volume is therefore
+    set to 0 here.
+    """
 
     def __init__(self, seen: StationArrays, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
@@ -311,7 +317,8 @@ class _Spheres:
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):
-            # The fraction of a sphere's volume below a plane z radii above its centre is (2 + 3 z - z^3) / 4.
+            # The fraction of a sphere's volume below a plane is (2 + 3 z - z^3) / 4. Here z is the height of the plane
+            # above the sphere's centre, divided by the sphere's radius.
             z = [np.clip((edges[slices + k] - self.s[here]) / self.radius[here], -1, 1) for k in (0, 1)]
             below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
             volume = self.share[here] * (under - below)
@@ -374,8 +381,8 @@ def _of_contacts(
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Distribute each row of `values` (n, k) evenly between its `begin` and `end` [m]; return sums per slice (m, k)."""
-    # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread its value
-    # over a small length, because the code divides by the length.
+    # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread the
+    # contact's value over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))

@@ -14,7 +14,7 @@ from ..scene.scene import Vessel
 from .heaps import height_around, height_at, height_of_top, main_body, shadow, spread
 
 UNITS = {"main_body": "1", "fastest": "m/s", "mean_speed": "m/s"}
-"""Units of the columns of the series that every test in a vessel records."""
+"""Units of the columns of the time series that every test in a vessel records."""
 
 
 def unit_of_column(name: str) -> str | None:
@@ -68,7 +68,7 @@ def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 
 def outcome(known: Any) -> Outcome | None:
-    """Return the data from which the results of a standard test are computed; None if the run is no such test."""
+    """Return the data from which the results of a standard test are computed; None for a run of another kind."""
     vessel, series, fill = known.scene.vessel, known.series, known.scene.fill
     if vessel is None:
         return None

@@ -30,19 +30,19 @@ class Watch:
         self.model, self.state = model, state
         self.limits = model.scene.watch
         self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
-        # Changes of energy below this floor are ignored. They could not even lift all bodies by a hundredth of the
-        # smallest radius.
+        # Changes of energy smaller than `floor` are ignored. So little energy could not even lift all bodies by a
+        # hundredth of the smallest radius.
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0  # largest energy (kinetic plus elastic) or work in the rows so far [J]
+        self.scale = 0.0  # largest energy (kinetic plus elastic) or work in the rows of the time series so far [J]
 
     def state_dict(self) -> dict[str, float]:
-        """Return the energies of earlier rows, with which later rows are compared, to store them in a checkpoint."""
+        """Return the energies in earlier rows of the time series; later rows are compared with them."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Restore the energies of earlier rows from a `state_dict`."""
+        """Restore the energies in earlier rows of the time series from a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
 
     def _resolution(self, row: dict[str, float]) -> float:
@@ -95,5 +95,5 @@ class Watch:
 
 
 def _free(row: dict[str, float]) -> float:
-    """Return the stored energy minus the work of walls and drives [J]; only dissipation may change this difference."""
+    """Return the stored energy minus the work of walls and driving forces [J]; only dissipation may change it."""
     return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])

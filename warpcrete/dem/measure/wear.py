@@ -25,14 +25,15 @@ PATCHES_AROUND = 24
 """Default number of wear patches around the circumference of a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
-"""Names of the wear quantities, which are recorded for each patch, and in the series for each wall as a whole.
+"""Names of the wear quantities, which are recorded for each patch, and in the time series for each wall as a whole.
 
 They are the work of sliding [J], the energy lost in impacts [J], and normal force times sliding distance [N m].
 """
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 RAY_TOLERANCE = 1e-4
-"""Tolerance of the test whether a triangle is visible from the axis, divided by the triangle's distance from the axis.
+"""Tolerance of the test whether a triangle of a wall is visible from the pipe's axis, divided by the triangle's
+distance from the axis.
 
 The test follows a ray from the axis towards the triangle to the first surface that it hits. The triangle counts as
 visible if it lies behind that surface by no more than the tolerance.
@@ -50,7 +51,10 @@ class Patches(ABC):
         """Return the patch number of each of `points` (n, 3), given in the wall's frame [m]."""
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return vertices (v, 3) [m], faces (f, 3) and each vertex's patch (v,), or None if the wall is not drawn."""
+        """Return vertices [m], triangles, and the patch of each vertex; None if the wall is not drawn.
+
+        The shapes are (v, 3), (f, 3) and (v,).
+        """
         return None
 
 
@@ -85,11 +89,11 @@ class PipePatches(Patches):
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
         """Arc length along the pipe of the middle of each station (ring of patches) [m]."""
         self.angles = 2 * np.pi * np.arange(self.around) / self.around
-        """Angle about the axis of the middle of each of the patches in a ring around the pipe [rad]."""
+        """Angle about the pipe's axis at which each patch of a ring has its middle [rad]."""
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:
-        """Return the area of each patch [m2]; on the outside of a bend, patches are longer than along the axis."""
+        """Return the area of each patch [m2]; patches on the outside of a bend are longer than those on its inside."""
         turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
         lever = self.radius * np.cos(self.angles)
         return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])
@@ -100,8 +104,8 @@ class PipePatches(Patches):
             piece = segment["piece"]
             if begin <= s <= begin + piece.length and isinstance(piece, Arc):
                 _, _, normal, _ = self.axis.frame(begin)
-                # The frame of the axis does not rotate about the tangent along the pipe. The outsides of two bends to
-                # opposite sides therefore lie at opposite angles.
+                # The frame of the axis does not rotate about the tangent along the pipe. If two bends turn to opposite
+                # sides, their outsides therefore lie at opposite angles.
                 yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
             begin += piece.length
 
@@ -151,7 +155,7 @@ class MeshPatches(Patches):
         return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
 
     def seen_from(self, axis: Axis) -> np.ndarray:
-        """Return a mask of the triangles that are visible from the axis, shape (f,).
+        """Return a mask of the triangles that are visible from the axis of the pipe, shape (f,).
 
         If the mesh describes a wall with an inner and an outer surface, these are the triangles of the inner surface.
         """
@@ -185,19 +189,20 @@ class WornWall:
     done: np.ndarray
     """Sums of the wear quantities :data:`COLUMNS` over the time since t = 0, for each patch, shape (patches, 3)."""
     coefficient: float
-    """Dimensionless wear coefficient of Archard's law, divided by the hardness of the wall [m2/N]."""
+    """Coefficient K/H of Archard's law [m2/N]: the dimensionless wear coefficient K divided by the hardness H of the
+    wall."""
 
     def __repr__(self) -> str:
         return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
 
     @property
     def sliding(self) -> np.ndarray:
-        """Work of sliding per area [J/m2], shape (patches,)."""
+        """Work of sliding on each patch, divided by the area of the patch [J/m2], shape (patches,)."""
         return self.done[:, 0] / self.patches.areas
 
     @property
     def impacts(self) -> np.ndarray:
-        """Energy lost in impacts per area [J/m2], shape (patches,)."""
+        """Energy lost in impacts on each patch, divided by the area of the patch [J/m2], shape (patches,)."""
         return self.done[:, 1] / self.patches.areas
 
     @property
@@ -223,7 +228,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Record the wear since the last call; each sphere's share goes to the patch that the sphere touched last."""
+        """Record the wear since the last call; the wear due to a sphere is credited to the patch it touched last."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()
@@ -236,7 +241,7 @@ class WearMap:
                     wall.done[:, column] += np.bincount(patch, weights, minlength=len(wall.done))
 
     def columns(self) -> dict[str, float]:
-        """Return the wear quantities of each wall, summed over its patches, by column name of the series."""
+        """Return the wear quantities of each wall, summed over its patches, by column name of the time series."""
         return {
             f"{wall.name}_{name}": float(wall.done[:, column].sum())
             for wall in self.walls
@@ -254,7 +259,7 @@ class WearMap:
 
     @property
     def main(self) -> WornWall | None:
-        """Most worn pipe or mesh; without pipes and meshes, the most worn plane of finite area, or None."""
+        """Most worn wall among pipes and meshes; without these, among planes of finite area; otherwise None."""
         found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
         shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

@@ -106,7 +106,10 @@ def hydration_of(given: BondParameters) -> Hydration | None:
 
 
 def sizes_of(given: AggregateParameters, diameter: float) -> Sizes:
-    """Return the size distribution of the aggregates; raise SceneError if the largest exceeds the pipe diameter [m]."""
+    """Return the size distribution of the aggregates.
+
+    Raises :class:`SceneError` if the largest aggregate is not smaller than the `diameter` of the pipe [m].
+    """
     found = _distribution(given)
     if found.largest >= diameter:
         refuse(
@@ -149,7 +152,7 @@ def fractions_of(text: str | None) -> tuple[float, ...] | None:
 
 
 MOST_BALLS = 600_000
-"""Maximum number of balls in a plug."""
+"""Maximum number of balls in the plug that closes the front of the concrete."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,7 @@ class Plug:
 
 
 def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
-    """Return the plug at the arc length `at` [m] of a pipe's axis.
+    """Return the plug that closes the front of the concrete at the arc length `at` [m] of a pipe's axis.
 
     `given` holds the parameters of the scene. A plug of balls has `layers` layers and fills a bore of radius `inner`
     [m]. The plug resists the flow with a constant force: the plug pressure times the area of a circle of radius
@@ -177,7 +180,8 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
         points = plug_points(axis, inner, at, given.plug_ball, layers)
         bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
-        # The bonds are stiff enough for the plug to keep its shape, but so soft that they do not limit the time step.
+        # The balls of the plug close the front of the concrete. Their bonds are stiff enough for the plug to keep its
+        # shape, but so soft that they do not limit the time step.
         bonds = Bonds(
             effective_modulus=2 * stiffness_of(given), tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
         )
@@ -192,9 +196,11 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
 
 
 def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
-    """Return the centres of layers of balls in concentric rings that fill the pipe's cross-section, shape (n, 3) [m].
+    """Return the centres of the balls of a plug, which fills the pipe's cross-section, shape (n, 3) [m].
 
-    Raises :class:`SceneError` if `ball` [m] does not fit the pipe or is so small that the plug has too many balls.
+    The plug closes the front of the concrete. It consists of layers across the pipe, and each layer of concentric rings
+    of balls. Raises :class:`SceneError` if `ball` [m] does not fit the pipe or is so small that the plug has too many
+    balls.
     """
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
@@ -223,8 +229,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
 def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
     """Return the filling of a container with aggregates.
 
-    `given` contains the parameters of the aggregates and of their contacts. If it has no solid fraction, its
-    `plug_pressure` determines how densely the aggregates are packed.
+    `given` contains the parameters of the aggregates and of their contacts. If it has no solid fraction, the aggregates
+    are packed until they reach the pressure `plug_pressure`, which acts on the front of the concrete.
     """
     return Fill(
         container=container,
@@ -234,7 +240,8 @@ def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
         density=given.density,
         bulk_density=given.bulk_density,
         solid_fraction=given.solid_fraction,
-        # A pressure below 2e-3 of the contact stiffness does not define a packing well, so use at least this pressure.
+        # A pressure below 2e-3 times the contact modulus does not define how dense a packing is, so use at least this
+        # pressure.
         pressure=max(given.plug_pressure, 2e-3 * stiffness_of(given)) if given.solid_fraction is None else None,
     )
 

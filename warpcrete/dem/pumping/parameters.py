@@ -33,8 +33,8 @@ from .parameter_groups import (
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
 UPRIGHT = 0.4
-"""Smallest ratio of a plug's thickness to its diameter at which the plug does not tip over behind a bend. At a ratio of
-0.13, plugs tipped over in test runs."""
+"""Smallest thickness of the plug at the front of the concrete, divided by its diameter, at which the plug does not tip
+over behind a bend. At a ratio of 0.13, plugs tipped over in test runs."""
 WIDEST_STONE = 0.4
 """Ratio of the largest pumpable rounded aggregate to the pipe's diameter (ACI 304.2R; for crushed aggregate, 1/3)."""
 
@@ -122,7 +122,7 @@ class PipeParameters(
 
     @property
     def is_bend(self) -> bool:
-        """True if the unit is a pipe with a bend."""
+        """True if the pipe unit is a pipe with a bend."""
         return self.unit.startswith("bend")
 
     @property
@@ -137,7 +137,7 @@ class PipeParameters(
 
     @property
     def arc(self) -> float:
-        """Length of the centreline of the unit's bend [m]."""
+        """Length of the centreline of the pipe unit's bend [m]."""
         return math.pi / 2 * self.elbow_radius
 
     @property
@@ -185,15 +185,15 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Initial arc length of the front [m].
+        """Initial arc length of the front of the concrete [m].
 
-        With a plug of balls, the front is the end of the plug. Otherwise it is the end of the concrete.
+        If a plug of balls closes the front, this is the end of the plug. Otherwise it is the end of the concrete.
         """
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
     def layers(self) -> int:
-        """Number of layers of balls in the plug.
+        """Number of layers of balls in the plug that closes the front of the concrete.
 
         In a level pipe the weight of the concrete pushes hardest on the lower edge of the plug, harder than the plug's
         pressure can balance. A thin plug would tip over, and the concrete would flow out past it.
@@ -251,9 +251,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pressure minus the plug
-        # pressure is proportional to the length. Give each shorter length the factor by which this difference must be
-        # multiplied to obtain the pressure in the full length.
+        # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pumping pressure minus the
+        # counterpressure at the front of the concrete is proportional to the length of the pipe. For each shorter
+        # length, give the factor by which this difference must be multiplied to obtain its value in the full length.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",
@@ -265,8 +265,12 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
 
 
 def coarser(given: AggregateParameters, factor: float) -> Level:
-    """Return the level of coarse-graining with aggregates that are `factor` times as large, and its relative cost."""
+    """Return the level of coarse-graining with aggregates that are `factor` times as large.
+
+    The cost of the level is its computing time, divided by the computing time without coarse-graining.
+    """
     names = ("size_min", "size_max", "size_mean", "size_deviation")
     sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
-    # The computing time scales as factor^-4: the number of aggregates as factor^-3, that of steps as factor^-1.
+    # The computing time scales as factor^-4, because the number of aggregates scales as factor^-3 and the number of
+    # time steps as factor^-1.
     return Level(f"x {factor:g}", sizes, factor**-4)

@@ -127,7 +127,7 @@ class PartElements(
     ConcreteDefaults, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
     ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
-    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug, measurements and run."""
+    """All parameters of a part of a pumping line: concrete, pipe, piston, contacts, plug, measurements and run."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -149,7 +149,8 @@ class Course:
     velocity: float
     """Final speed of the piston [m/s]."""
     middle: tuple[float, float] | None
-    """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if it is straight."""
+    """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if the whole part is a
+    straight pipe of constant diameter."""
     line: PipeLine | None = None
     inserts: tuple[Insert, ...] = ()
     """Sections of the pipe whose bore is a mesh."""
@@ -215,16 +216,16 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a pump line is not a straight pipe [m], or None if it is straight."""
+    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if all of it is straight."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None
 
 
 def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
-    """Yield the sections of a line whose bore is a mesh.
+    """Yield the parts of a pumping line whose bore is a mesh.
 
-    Their arc lengths include the run-up of `travel` [m] before the line.
+    The arc lengths of these parts include the straight pipe of the length `travel` [m] before the line.
     """
     for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
         if part.mesh:
@@ -308,9 +309,10 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
 
 
 def plug_layers(given: PartElements, diameter: float) -> int:
-    """Return the number of layers of balls in the plug of a pipe with this `diameter` [m].
+    """Return the number of layers of balls in the plug that closes the front of the concrete.
 
-    By default the plug is so thick that the weight of the concrete cannot tip it over in a level pipe.
+    By default the plug is so thick that the weight of the concrete cannot tip it over in a level pipe of this
+    `diameter` [m].
     """
     if given.plug_layers is not None:
         return given.plug_layers

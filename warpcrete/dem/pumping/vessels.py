@@ -227,7 +227,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         """Resistance of the mould to sliding, divided by that of the grains: the parameter, or its default.
 
         Friction, yield stress and viscosity of contacts with the mould are those between grains times this factor. The
-        default depends on the contact law, and is at most the factor of the plate.
+        default depends on the contact law, and is at most `plate_grip`, the same factor for the plate.
         """
         if self.mould_grip is not None:
             return self.mould_grip
@@ -388,7 +388,8 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     The tension of the shells, in units of the yield stress, does not follow from properties of the concrete. It was
     chosen by trial simulations of a slump cone with a yield stress of 1000 Pa. With a tension of 2.5 the cone slumps by
     120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm, and the implicit
-    material point method of Newton 1.8 gives 104 mm. Slumps at other yield stresses are predicted, not fitted.
+    material point method of the simulator Newton 1.8 gives 104 mm. Slumps at other yield stresses are predicted, not
+    fitted.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(

@@ -19,9 +19,9 @@ class BodyTable:
     orientation: np.ndarray
     """Unit quaternions (x, y, z, w) that rotate from the body's frame to the global frame, shape (n, 4)."""
     velocity: np.ndarray
-    """Velocities of the centroids [m/s], shape (n, 3)."""
+    """Velocities of the bodies' centroids [m/s], shape (n, 3)."""
     spin: np.ndarray
-    """Angular velocities in the global frame [rad/s], shape (n, 3)."""
+    """Angular velocities of the bodies in the global frame [rad/s], shape (n, 3)."""
     size: np.ndarray
     """Size of each body: the diameter of a sphere of equal volume [m], shape (n,)."""
     template: np.ndarray

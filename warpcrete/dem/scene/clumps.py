@@ -22,18 +22,20 @@ class ClumpTemplate:
 
     name: str
     offsets: np.ndarray
-    """Centres of the spheres relative to the centroid, in units of the body's size, shape (k, 3)."""
+    """Centres of the spheres relative to the centroid, divided by the body's size (the diameter of the sphere of equal
+    volume), shape (k, 3)."""
     radii: np.ndarray
-    """Radii of the spheres in units of the body's size, shape (k,)."""
+    """Radii of the spheres, divided by the body's size (the diameter of the sphere of equal volume), shape (k,)."""
     inertia: np.ndarray
-    """Principal moments of inertia divided by mass times size squared, shape (3,).
+    """Principal moments of inertia, divided by the mass and by the size squared, shape (3,).
 
-    Moments that differ by less than 1e-4 of their mean are made equal.
+    The size of a body is the diameter of the sphere of equal volume. Moments that differ by less than 1e-4 of their
+    mean are made equal.
     """
 
     @property
     def extent(self) -> float:
-        """Largest distance of the surface from the centroid, in units of the size."""
+        """Largest distance of the surface from the centroid, divided by the diameter of the sphere of equal volume."""
         return float(np.max(np.linalg.norm(self.offsets, axis=1) + self.radii))
 
     @property

@@ -15,7 +15,8 @@ from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
 
 START_RADIUS_RATIO = 0.95
-"""Fraction of the local radius within which aggregates are placed, so that they fit a pipe of eight or more facets."""
+"""Radius within which aggregates are placed, divided by the pipe's inner radius at the same arc length. It is below 1,
+so that the aggregates also fit a pipe of eight or more facets."""
 
 
 def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarray:
@@ -41,7 +42,7 @@ class PipeContainer:
 
     axis: Axis
     radius: float
-    """Inner radius of the pipe [m]; the smallest one if it varies."""
+    """Inner radius of the pipe [m]; the smallest inner radius if it varies along the pipe."""
     length: float
     """Length of the container along the axis [m]."""
     bore: MeshWall | None = None
@@ -117,7 +118,7 @@ class MeshContainer:
 
     @property
     def narrowest(self) -> float:
-        """Length of the shortest side of the bounding box [m]."""
+        """Length of the shortest side of the mesh's bounding box [m]."""
         return float(self.mesh.extents.min())  # type: ignore[attr-defined]
 
     def walls(self, material: str) -> tuple[Wall, ...]:
@@ -152,7 +153,8 @@ class Fill:
     sizes: Sizes = field(default_factory=Gaussian)
     templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
     fractions: tuple[float, ...] | None = None
-    """Share of each template in the solid volume, scaled to the sum 1; None means equal shares."""
+    """Fraction of the solid volume that the bodies of each template (shape) have, scaled to the sum 1; None means equal
+    fractions."""
     density: float = 2500.0
     """Density of the bodies [kg/m3]."""
     bulk_density: float | None = None

@@ -61,11 +61,11 @@ class Bodies:
     material: str = "aggregate"
     group: str = ""
     orientations: np.ndarray | None = None
-    """Orientations as unit quaternions x, y, z, w, shape (n, 4)."""
+    """Orientations of the bodies as unit quaternions x, y, z, w, shape (n, 4)."""
     velocities: np.ndarray | None = None
-    """Velocities of the centroids [m/s], shape (n, 3)."""
+    """Velocities of the bodies' centroids [m/s], shape (n, 3)."""
     spins: np.ndarray | None = None
-    """Angular velocities in the global frame [rad/s], shape (n, 3)."""
+    """Angular velocities of the bodies in the global frame [rad/s], shape (n, 3)."""
 
     def __post_init__(self) -> None:
         try:
@@ -205,8 +205,8 @@ class Scene(Parametrised):
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
-    """Bonds between the bodies of a group, by the name of the group; they are made before settling, for example in a
-    plug."""
+    """Bonds between the bodies of a group, by the name of the group. They are made before settling. An example is the
+    group of balls that closes the front of the concrete."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0
@@ -215,7 +215,7 @@ class Scene(Parametrised):
     time_step: TimeStep = field(default_factory=TimeStep)
     watch: Watch = field(default_factory=Watch)
     sample_interval: float = 0.01
-    """Simulated time between two rows of the series [s]."""
+    """Simulated time between two rows of the time series [s]."""
     seed: int = 0
     precision: str = "float32"
     """Precision of positions, velocities and forces: `float32` or `float64`."""

@@ -9,9 +9,9 @@ from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, Within
 
 MUCH_STIFFER = 200.0
-"""Smallest ratio of the modulus of hydrated bonds to the largest other modulus at which sub-cycling of the bonds saves
-computing time. Without sub-cycling, all time steps must be as short as the stiff bonds require. At a ratio of 100, runs
-with and without sub-cycling take equally long."""
+"""Smallest ratio of the modulus of hydrated bonds to the largest modulus of other bonds and contacts at which
+sub-cycling of the hydrated bonds saves computing time. Without sub-cycling, all time steps must be as short as the
+stiff bonds require. At a ratio of 100, runs with and without sub-cycling take equally long."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class TimeStep(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Settle(Declared):
-    """Settling before t = 0: prescribed walls stand still, gravity and drives act, and motion is damped."""
+    """Settling before t = 0: walls that will move stand still, gravity and driving forces act, and motion is damped."""
 
     called = "settle"
 
@@ -130,8 +130,8 @@ class Watch(Declared):
 class Wear(Declared):
     """Wear of the walls, summed per patch: along and around a pipe, and per triangle of a mesh.
 
-    The worn depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times sliding distance, divided by the
-    patch's area. Here k = K/H, the dimensionless wear coefficient K divided by the hardness H.
+    The worn depth follows Archard (1953, J. Appl. Phys. 24, 981): k times normal force times sliding distance, divided
+    by the patch's area. Here k = K/H, the dimensionless wear coefficient K divided by the hardness H.
     """
 
     called = "wear"
@@ -165,11 +165,11 @@ class Rest(Declared):
     """Rest of the concrete for minutes at one moment of a run: a formula gives the build-up of its structure.
 
     The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t, with the duration t of the rest and the growth
-    rate A_thix (Roussel 2006). The same stress is added to the tensile strength and cohesion of the scene's bonds, and
-    to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry, and
-    contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a group, for example the
-    plug, do not change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals
-    has the strength from before the rest.
+    rate A_thix (Roussel 2006). The increase A_thix t is also added to the tensile strength and cohesion of the scene's
+    bonds, and to the yield stress of a lubrication layer on the walls. Existing bonds keep the forces that they carry,
+    and contacts without a bond receive a bond without force. Hydrated bonds and the bonds inside a body group do not
+    change. A bond that breaks after the rest stays broken. If the scene lets bonds heal, a bond that heals has the
+    strength from before the rest.
 
     Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
     the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest, so it
@@ -192,7 +192,7 @@ class Rest(Declared):
 
     @property
     def gained(self) -> float:
-        """Stress by which strengths and yield stress grow during the rest [Pa]."""
+        """Increase A_thix t of the yield stress and of the bonds' strengths during the rest [Pa]."""
         return self.growth * self.duration
 
     @property

@@ -11,7 +11,7 @@ from ...core.errors import positive, refuse
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Normal distribution by number, truncated to a range; all sizes in m (Zhan et al. 2019, section 3.3)."""
+    """Truncated normal distribution of sizes [m], by number of aggregates (Zhan et al. 2019, section 3.3)."""
 
     mean: float = 12.5e-3
     deviation: float = 7.5e-3
@@ -40,7 +40,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Uniform:
-    """Uniform distribution by number over a range of sizes [m]."""
+    """Uniform distribution of sizes [m] over a range, by number of aggregates."""
 
     smallest: float
     largest: float
@@ -100,7 +100,7 @@ class SieveCurve:
         """
         openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
-        # Relative number of grains between each pair of neighbouring sieve openings.
+        # Number of grains between each pair of neighbouring sieve openings, up to a common factor.
         number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
         fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)

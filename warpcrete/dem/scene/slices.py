@@ -57,13 +57,13 @@ class Stations:
         return np.array([self.bores.volume(a, b) for a, b in pairwise(self.edges)])
 
     def surfaces(self) -> np.ndarray:
-        """Return the wall area of each slice [m2], shape (slices,)."""
+        """Return the area of the pipe's wall in each slice [m2], shape (slices,)."""
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
         """Return a mask of the slices between two arc lengths [m], shape (slices,).
 
-        Slices whose middle is within CLEAR radii of either arc length are left out.
+        A slice is left out if its middle is closer than CLEAR times the pipe's radius to either arc length.
         """
         off = CLEAR * self.bores.at([low, high])
         return (self.places > low + off[0]) & (self.places < high - off[1])

@@ -13,7 +13,8 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Fraction of each pause of the piston, at its end, over which the pressure held in the pause is averaged."""
+"""Length of the last part of a pause of the piston, divided by the length of the pause. The mean pressure in this part
+is reported as the pressure held in the pause."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def _stop(stops: Stops, number: int) -> tuple[float, float]:
 
 
 def peaks(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
-    """Return the largest pressure of each stroke [Pa]."""
+    """Return the largest pressure of each stroke of the piston [Pa]."""
     return [float(series["pressure"][each.moving].max()) for each in strokes_of(pipe, series["time"])]
 
 
