@@ -28,7 +28,7 @@ SHEARED = {"rate": "1/s", "stress": "Pa"}
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured constants by name, with one relative uncertainty for all of them; None if it is not stated."""
+    """Measured constants by name, and their common relative uncertainty, which is None if the mix does not state it."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: float | None = None

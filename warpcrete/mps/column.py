@@ -98,7 +98,7 @@ class AggregateParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
-    """Column of concrete that a piston drives up a pipe."""
+    """Parameters of a column of concrete in a pipe."""
 
     ends: Annotated[
         str,

@@ -111,10 +111,10 @@ class MovingParticles(Stepping):
         return matrix
 
     def _coarse(self) -> CoarseGrid | None:
-        """Return the coarse grid that preconditions the solves, or None if it would be of no use.
+        """Return the coarse grid of cubes that preconditions the linear solves, or None if it would save no time.
 
-        There is none for flows with rigid grains, which are larger than its cubes, and for short columns, whose solves
-        are as fast with the diagonal preconditioner alone.
+        The result is None in two cases. Rigid grains are larger than the cubes. In a short column of concrete, solves
+        with the diagonal preconditioner alone take no longer.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
@@ -154,7 +154,7 @@ class MovingParticles(Stepping):
 
     @property
     def _list_reach(self) -> tuple[float, float]:
-        """Distances of neighbours in the lists, including the skin [m]: for the operators, and for the density."""
+        """Ranges of the neighbour lists, including the skin [m], for differential operators and for the density sum."""
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:

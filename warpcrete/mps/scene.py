@@ -291,6 +291,9 @@ class FluidScene(Parametrised, FlowSettings):
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
 
     def restart(self) -> Steady:
-        """Return the state by theory at full flow directly after the rest, before any structure is broken."""
+        """Return the theoretical state directly after the rest, when concrete flows but no structure is broken yet.
+
+        The velocity is that of the piston, and the yield stresses are those that the concrete has gained at rest.
+        """
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

@@ -138,7 +138,8 @@ class FluidSimulation(FlowRun):
                 return False
             earlier.append(found[-1])
         scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
-        # The plug may still grow while the wall stress is steady, so compare the highest speed as well.
+        # The unsheared plug in the middle of the pipe may still grow while the wall stress is steady, so compare the
+        # highest speed as well.
         if self._periodic:
             scale["fastest"] = self.scene.velocity
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
@@ -161,7 +162,7 @@ class FluidSimulation(FlowRun):
         return found
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result that follow from the time series; a pipe flow has no tables."""
+        """Return the entries of the result that follow from the time series. A pipe flow has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
         result["profiles"] = [self._profile(part) for part in PROFILE_HEIGHTS]

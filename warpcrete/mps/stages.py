@@ -33,8 +33,9 @@ from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 
 DENSITY_TOLERANCES = 0.1, 1e-7
-"""Two tolerances of the density solve, which moves particles out of crowded regions: relative to the initial residual,
-and the rms residual at which the solve stops in any case."""
+"""Two tolerances of the density solve, which moves particles out of crowded regions. The solve stops when its residual,
+divided by the initial residual, falls below the first one. It also stops when the root mean square of its residual
+falls below the second one."""
 
 
 def step_stages(particles: Any) -> Step:

@@ -48,7 +48,7 @@ def draw(study: Any) -> Any:
 
 
 def _common(study: Any) -> list[str]:
-    """Return unit, diameter, concrete and flow with their values for the title, if they are equal in all cases."""
+    """Return the parameters in TITLE that are equal in all cases, with their values, as texts for the title."""
     first = study.cases[0].parameters
     same = [name for name in TITLE if name in first and all(c.parameters.get(name) == first[name] for c in study.cases)]
     return [_worded(study, name, first[name]) for name in same if first[name] is not None]

@@ -1,6 +1,7 @@
-"""Search directions of the coupled solve, and the products of its matrix with them.
+"""Search directions of the coupled solve of mortar and aggregates, and their effects.
 
-The method of generalised conjugate residuals makes these products orthogonal to one another.
+The effect of a direction is the product of the solve's matrix with the direction. The method of generalised conjugate
+residuals makes the effects orthogonal to one another.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ class Directions:
         self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
-        """Return a struct of arrays for `count` vectors, whose arrays hold the parts of one vector after another."""
+        """Return a struct of new arrays that hold `count` vectors of the coupled equations.
+
+        Each array holds its part of the first vector, then that of the second one, and so on.
+        """
         sizes = {name: count * size for name, size in self._sizes.items()}
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
@@ -54,10 +58,10 @@ class Directions:
         return part
 
     def before(self, number: int) -> Iterator[tuple[int, int, Any, Any]]:
-        """Yield the arrays of all directions with lower numbers, chunk by chunk.
+        """Yield the arrays of all search directions whose numbers are below `number`, chunk by chunk.
 
         Each item consists of the number of the chunk's first direction, the number of directions, the directions, and
-        their effects.
+        their effects (products with the matrix).
         """
         for first, (change, effect) in zip(range(0, number, CHUNK), self._chunks, strict=False):
             yield first, min(CHUNK, number - first), change, effect

@@ -326,8 +326,8 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     """Return the velocity [m/s] at distances `radius` [m] from the axis or middle plane.
 
     The shear stress grows linearly from the middle to the wall in a pipe as in a channel, so both have the same
-    profile; with Bingham's law it is a parabola outside the plug. Raises :class:`SceneError` for places outside the
-    bulk.
+    profile. With Bingham's law the profile is a parabola outside the plug, the middle part that is not sheared. Raises
+    :class:`SceneError` for distances that lie in the slip layer or beyond the wall.
     """
     r = np.abs(np.asarray(radius, float))
     inner = line.radius - line.slip_thickness
@@ -336,9 +336,9 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # The velocity relative to that at the edge of the bulk is the integral of the shear rate over the radius. The
-        # stress is proportional to the radius, so this is the integral over the stress, divided by the gradient of the
-        # stress.
+        # Let the edge be the place where the slip layer begins. The velocity relative to that at the edge is the
+        # integral of the shear rate over the radius. The stress is proportional to the radius, so this is the integral
+        # over the stress, divided by the gradient of the stress.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)

@@ -37,7 +37,7 @@ def concrete_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class ConcreteParameters:
-    """Concrete and its slip layer."""
+    """Parameters of the concrete and of its slip layer."""
 
     common: ClassVar[tuple[str, ...]] = (
         "concrete",

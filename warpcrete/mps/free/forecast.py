@@ -66,7 +66,8 @@ def course_of(simulation: FreeSimulation) -> Course:
             return Course(scene.duration, mean, ["the yield stress may hold the concrete in the funnel"])
         return Course(min(DURATION_FACTOR * estimate, scene.duration), mean)
     if scene.depth:
-        # Run no coarser copy, because it would not resolve the obstacles that the concrete must pass.
+        # Do not predict the duration by a coarser copy of this flow, because coarse cells would not resolve the
+        # obstacles that the concrete must pass.
         remark = "the time until the concrete rests is not predicted; the longest allowed time is assumed"
         return Course(scene.duration, mean, [remark])
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)

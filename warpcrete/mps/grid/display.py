@@ -98,7 +98,10 @@ class GridDisplay(Display):
         return Level(places, self._cell_levels(), self._cell_fields())
 
     def _cell_levels(self) -> np.ndarray:
-        """Return the filled fraction of each cell minus one half, shape (nx, ..., nz)."""
+        """Return the fraction of each cell that concrete fills, minus one half, shape (nx, ..., nz).
+
+        The result is zero on the drawn surface of the concrete, where cells are half full.
+        """
         return self._filled() - HALF_CELL
 
     def _filled(self) -> np.ndarray:

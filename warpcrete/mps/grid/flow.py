@@ -31,7 +31,8 @@ from .stages import DISPERSION_TOLERANCES, GridStep
 from .state import GridState, grid_numbers
 from .systems import CHUNKS, System, solve_arrays, system_of
 
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the net inflow of a cell, by precision.
+# Rounding error of a cell's net inflow, divided by a typical net inflow, by precision.
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 MIN_RELATIVE_SPEED = 0.05
 """Minimum speed by which the error of a time step is divided to get its relative error, as a fraction of the typical
 speed of the flow."""
@@ -41,10 +42,10 @@ UNREACHABLE_STEPS = 2**31 - 1  # Number of steps so large that no run reaches it
 
 
 class GridFlow(Stepping):
-    """Flow on a grid, which advances its state in time."""
+    """Object that advances a flow on a grid in time."""
 
     next_step: float
-    """Length of the next step [s], unless the step must end earlier to meet the goal."""
+    """Length of the next step [s]. The step is shorter if the time up to which the flow runs is reached earlier."""
     rebuilds = 0
     """Number of rebuilds of neighbour lists; always zero, because a grid needs no lists."""
 
@@ -163,12 +164,15 @@ class GridFlow(Stepping):
 
     @property
     def goal_reached(self) -> bool:
-        """True when the flow has reached its goal."""
+        """True when the flow has reached the time or the number of steps that `set_goal` has set."""
         return self._goal_reached
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal if no time step gets shorter; steps beyond the goal have no effect."""
+        """Number of steps to the goal if no time step gets shorter.
+
+        The number may be too large, because steps that are launched beyond the goal have no effect.
+        """
         if not self.adaptive:
             return self._goal - self.steps
         by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)
@@ -236,7 +240,10 @@ class GridFlow(Stepping):
 
     @property
     def _force(self) -> float:
-        """Norm of the force residual if every velocity is wrong by the typical speed, in the longest time step."""
+        """Norm that the residual of the velocity solve has if every velocity is wrong by the typical speed of the flow.
+
+        The norm is that in a time step of the longest allowed length.
+        """
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
 

@@ -49,15 +49,16 @@ class GridLayout:
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
-    """True if concrete fills the grid at all times; without it, only periodic flows have no free surface."""
+    """True if concrete fills the grid at all times. If False, concrete may have a free surface, except in a periodic
+    flow."""
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on ROUGH walls; by default concrete sticks to them."""
     slips: bool = True
-    """True if `slip` is the concrete's own slip layer, which follows its flow law; False if its stress grows linearly
-    with the slip velocity."""
+    """True if the slip layer on walls, `slip`, is the concrete's own, which follows its flow law; False if its stress
+    grows linearly with the slip velocity."""
     rough_slips: bool = False
-    """True if `rough` is the concrete's own slip layer, which follows its flow law; False if its stress grows linearly
-    with the slip velocity."""
+    """True if the slip layer on ROUGH walls, `rough`, is the concrete's own, which follows its flow law; False if its
+    stress grows linearly with the slip velocity."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()
@@ -70,7 +71,7 @@ class GridLayout:
     gained: float = 0.0
     """Increase of the yield stresses of bulk and slip layer during a rest before the start [Pa]."""
     inflow: tuple[float, ...] | None = None
-    """Velocity with which particles re-enter the grid after they have left it [m/s]."""
+    """Velocity with which particles re-enter the grid after they have left it [m/s]; None for zero."""
 
     @property
     def cells(self) -> tuple[int, ...]:
@@ -99,7 +100,7 @@ class GridLayout:
 
     @property
     def step(self) -> float:
-        """Height of a cell [m]."""
+        """Height of a cell [m], which is the distance from one cell to the next along the last axis."""
         return self.room.width[-1]
 
     @property
@@ -114,7 +115,7 @@ class GridLayout:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of cells along each axis, last axis first, with one more cell at both ends of the axis."""
+        """Number of cells along each axis, last axis first, with one additional cell at each end of the axis."""
         return tuple(n + 2 for n in reversed(self.cells))
 
     @property

@@ -142,9 +142,10 @@ class GridState:
         return many.get(name, 1) * self.slots
 
     def _geometry(self, found: Geometry | None) -> Any:
-        """Return a struct `Geometry`.
+        """Return the struct `Geometry` of the walls for the kernels, with its arrays on the device.
 
-        Without a geometry (`found` is None), all walls are sides of cells, and the arrays of the struct are empty.
+        If `found` is None, no wall cuts a cell: all walls are sides of cells, and the arrays of cells, faces and edges
+        are empty.
         """
         own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
         names = [name for name in self.structs.Geometry.vars if name not in own]

@@ -31,7 +31,7 @@ grids have a single level, so that the preconditioner is the diagonal of the mat
 On smaller grids, coarser levels take more time than they save.
 """
 COARSEST = 32
-"""Number of cells at or below which a level is not coarsened further."""
+"""Number of cells of a multigrid level at or below which no coarser level follows."""
 COARSEST_STEPS = 6
 """Number of smoothing steps by which the equations of the coarsest level are solved approximately."""
 VISITS = {"cpu": 2, "gpu": 1}

@@ -51,7 +51,10 @@ class Frame:
         """Axes of the grid as rows, shape (3, 3)."""
 
     def to_grid(self, x: np.ndarray) -> np.ndarray:
-        """Convert points of the scene to grid coordinates, whose origin is the end of the pipe's axis; shape (n, 3)."""
+        """Convert points of the scene to grid coordinates, shape (n, 3).
+
+        The origin of the grid coordinates is the downstream end of the pipe's axis.
+        """
         return (x - self.end) @ self.axes.T
 
     def to_scene(self, x: np.ndarray) -> np.ndarray:
@@ -179,9 +182,9 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
 
 
 def stations(scene: PartScene, room: Room, chosen: np.ndarray) -> np.ndarray:
-    """Return the arc length at the middle of each chosen cell [m].
+    """Return the arc length along the pipe's axis at the middle of each chosen cell [m].
 
-    `chosen` is a mask with the shape of the state's cells, last axis first.
+    `chosen` is a mask with one value for each cell of the grid, last axis first.
     """
     cells = np.argwhere(chosen)[:, ::-1]
     return scene.axis.along(Frame(scene).to_scene(np.array(room.origin) + (cells + 0.5) * np.array(room.width)))

@@ -56,8 +56,8 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
     """Return lines fitted to the pressure in the straight pipes upstream and downstream of a part's middle.
 
     The middle is the stretch from the first to the last bend or taper. Each line is returned as its slope [Pa/m] and
-    its value at arc length zero [Pa]. Points closer than CLEARANCE radii to an end of a straight pipe are not used.
-    With fewer than three points, slope and value are NaN.
+    its value at arc length zero [Pa]. Points are not used if their distance from an end of a straight pipe is less than
+    CLEARANCE times the pipe's radius. With fewer than three points, slope and value are NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))

@@ -31,7 +31,7 @@ class WallLaw:
     slope: float
     """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
-    """Largest pressure in the measurements to which the law was fitted [Pa]."""
+    """Largest pressure among the measurements to which this law of wall friction was fitted [Pa]."""
     largest: float
     """Pressure above which the wall stress is assumed constant [Pa]. At such pressures the overlaps of the elements are
     so large that the linear law is not valid."""

@@ -46,19 +46,19 @@ kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five times t
 PRESSED_RUN = "pressed"
 """Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
-In this simulation, a plug at the outlet presses against the concrete. In the first simulation, the plug hardly resists,
-so that the pressure remains low. A friction law fitted to these low pressures alone would overestimate the friction at
-high pressure.
+In this simulation, the movable plug that closes the outlet presses against the concrete. In the first simulation, the
+plug hardly resists, so that the pressure remains low. A friction law fitted to these low pressures alone would
+overestimate the friction at high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure of the plug at the pipe's outlet in the second simulation of straight pipe, divided by the elastic modulus
-of the elements. With this pressure the plug resists the flow."""
+"""Pressure of the plug that closes the pipe's outlet in the second simulation of straight pipe, divided by the elastic
+modulus of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to elastic modulus above which the wall friction is assumed constant, because the linear friction
 law is not valid for the large overlaps of elements at such pressures."""
 MIN_FLUX_RATIO = 0.8
-"""Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
-compressed."""
+"""Ratio of the outflow of elements from a part to the inflow, below which a remark warns the user that the concrete is
+still being compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -140,8 +140,9 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield each kind of part that needs a simulation, as its key and an example part.
 
-    Straight pipe is needed at every diameter of the line, once with and once without a plug that presses on the
-    concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
+    Straight pipe is simulated twice at every diameter of the line. In the second simulation, a movable plug at the
+    outlet presses against the concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no
+    simulation of their own.
     """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:
@@ -193,8 +194,8 @@ def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elemen
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
     factor = elements.coarse or max(1.0, LARGEST_STONE_RATIO * narrowest / most)
-    # The plug in the pipe consists of balls. They are enlarged together with the aggregate, because small balls would
-    # limit the time step.
+    # The plug that closes the pipe consists of balls. They are enlarged together with the aggregate, because small
+    # balls would limit the time step.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}

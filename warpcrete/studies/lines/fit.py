@@ -206,7 +206,8 @@ class _Model:
         outlet and slip layer. The friction per metre of the first part is calculated once and holds for all parts of
         the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`.
+        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`. A tap is the place
+        of a gauge.
 
         The first length is that of straight pipe with the same friction as all parts whose factor is known. The second
         length is that of the bends whose factor is fitted.
@@ -259,14 +260,14 @@ class _Model:
 
 
 def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
-    """Fit the slip layer and the factor of bends to pressures along a line, by least squares.
+    """Fit the slip layer and the factor of bends to pressures along a pump line, by least squares.
 
     All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
     It also supplies the fitted constants that the pressures do not determine:
 
     - The yield stress of the layer, if all pressures were measured at a single flow. Such pressures do not distinguish
       it from the layer's viscosity.
-    - The factor of bends, if bends have the same share in the line behind each gauge.
+    - The factor of bends, if the fraction of pipe behind the gauge that consists of bends is the same for all gauges.
 
     Raises :class:`SceneError` for too few measured points or an impossible result.
     """

@@ -63,7 +63,8 @@ class Stop:
     growth: float
     """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
-    """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
+    """Lowest and highest growth rate of the yield stresses at rest [Pa/s], between which the true rate is expected;
+    None if `growth` has no uncertainty."""
 
 
 @dataclass(repr=False)

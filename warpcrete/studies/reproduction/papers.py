@@ -13,7 +13,8 @@ EQUAL_SPREAD = 0.05
 MIN_DETERMINATION = 0.98
 """Coefficient of determination of a straight line's fit above which a relation counts as linear."""
 MIN_GROWTH = 0.03
-"""Relative growth of a pressure above which it counts as growing."""
+"""Increase of the pressure from the first to the last parameter value, divided by the pressure at the first one, above
+which the pressure counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
 """Function that judges a claim of a paper. Its arguments are the values of a parameter and the pressure at each value
@@ -43,12 +44,12 @@ class Row:
 
     @property
     def is_hydrated(self) -> bool:
-        """True if the varied parameter is a property of hydrated bonds."""
+        """True if the varied parameter describes hydrated bonds, which are the stiffer ones among bonds of elements."""
         return self.parameter.startswith("hydration")
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Values of the varied parameter as numbers, even where `values` holds words."""
+        """Values of the varied parameter as numbers for an axis; `numbers` replaces `values` that are words."""
         return self.numbers or self.values
 
 

@@ -54,8 +54,8 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
     Only records of the scene function `name` are considered. They are ranked by four criteria, the most important
     first:
 
-    - whether both scenes agree in having a closed form,
-    - how few knobs (accuracy parameters) exist in only one of them,
+    - whether a closed form exists for both scenes or for neither of them,
+    - how few knobs (accuracy parameters) exist in only one of the two scenes,
     - how few parameters differ,
     - whether the kind of machine is the same (GPU or CPU).
     """

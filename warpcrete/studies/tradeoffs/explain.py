@@ -97,7 +97,7 @@ def explain(
 def _frames(simulation: Any) -> dict[str, float]:
     """Return the mean wall time that each default recorder needs for one frame [s].
 
-    The time includes a share of the recorder's work at the end of a run.
+    The wall time for finishing the recording at the end of a run is divided among the frames.
     """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
