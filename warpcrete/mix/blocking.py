@@ -217,7 +217,7 @@ def fine_sand(mix: MixEntries) -> RuleVerdict:
 
 
 def bleeding(mix: MixEntries) -> RuleVerdict:
-    """Judge whether pressure can squeeze water out of the concrete, which would leave a plug of stones behind."""
+    """Judge whether pressure can squeeze water out of the concrete, which would leave a plug of dry stones."""
     name, source = "bleeding", f"{BLEEDING}; limits: {JGJ}, and Indian practice"
     ratio, water = mix.water_binder, water_mass(mix.parts)
     if ratio is None:

@@ -36,7 +36,10 @@ class Measured:
 
 @dataclass(frozen=True)
 class Layer:
-    """Measurements of the slip layer that a mix states: constants, points from a pipe, or points from a tribometer."""
+    """Measurements of the slip layer that a mix states: constants, points from a pipe, or points from a tribometer.
+
+    A point is a pair: of flow and pressure in a pipe, or of speed and stress in a tribometer.
+    """
 
     constants: Measured | None = None
     pipe_points: tuple[list[float], list[float]] | None = None
@@ -87,8 +90,8 @@ def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
 def read_layer(given: Any, folder: Path) -> Layer:
     """Return the measurements of the slip layer that the entry `layer` of a mix contains.
 
-    The entry contains constants of the layer, points from a pipe, or points from a tribometer. Paths of files are
-    relative to `folder`.
+    The entry contains constants of the layer, flows and pressures measured in a pipe, or speeds and stresses measured
+    with a tribometer. Paths of files are relative to `folder`.
     """
     if not isinstance(given, Mapping):
         refuse(

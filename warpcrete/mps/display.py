@@ -43,7 +43,7 @@ class FlowDisplay(Display):
         return aside, -1.0, 0.1 * aside
 
     def radii(self) -> np.ndarray:
-        """Return the radii of the drawn particles [m], half a spacing each, shape (n,)."""
+        """Return the radii of the drawn particles [m], which are half the particle spacing, shape (n,)."""
         return np.full(self.simulation.state.count, 0.5 * self.simulation.state.particle_spacing, np.float32)
 
     def centres(self) -> np.ndarray:

@@ -60,8 +60,8 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            # The layout's particles are sorted by their distance from the piston. Those at the heights of a grain are
-            # therefore a contiguous range.
+            # The layout's particles are sorted by their distance from the piston. The particles at the heights of a
+            # grain are therefore a contiguous range.
             widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
             near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
             offset = places[near] - centre
@@ -105,8 +105,8 @@ def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
 
     def radius(direction: np.ndarray) -> np.ndarray:
         c = direction @ axis.T
-        # The first term deforms the circle or ball into an oval, the second shifts its bulk to one side as in an egg,
-        # and the third gives it three corners.
+        # The first term deforms the circle or ball into an oval, the second makes one end thicker as in an egg, and the
+        # third gives it three corners.
         return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
             4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
 

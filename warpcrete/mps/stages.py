@@ -204,7 +204,7 @@ class StepPart:
         return self.scene.concrete.density / self.scene.time_step
 
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
-        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
+        """Return the stage of a conjugate-gradient solve that adds its solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below `absolute`.
         The preconditioner is the diagonal of the matrix, combined with the coarse grid if there is one.

@@ -55,13 +55,13 @@ def _common(study: Any) -> list[str]:
 
 
 def _worded(study: Any, name: str, value: Any) -> str:
-    """Return a parameter and its value with the unit in words, such as "yield stress 100 Pa"."""
+    """Return the name, the value and the physical unit of a parameter as text, such as "yield stress 100 Pa"."""
     number = f"{value:g}" if isinstance(value, float) else str(value)
     return f"{name.replace('_', ' ')} {number} {study.units.get(name, '')}".strip()
 
 
 def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
-    """Draw the quantities of one unit as functions of one parameter into one panel of the figure."""
+    """Draw all quantities of one physical unit, as functions of one parameter, into one panel of the figure."""
     mine = [row for row in rows if name in row] or rows
     values = list(dict.fromkeys(row.get(name, 0) for row in mine))
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)

@@ -15,7 +15,7 @@ from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
 CHUNK = 8
-"""Number of search directions whose arrays are allocated at once."""
+"""Number of search directions for which arrays are allocated at once."""
 
 
 class Directions:
@@ -30,9 +30,11 @@ class Directions:
         self._chunks: list[tuple[Any, Any]] = []
         self._each: list[tuple[Any, Any]] = []
         self.known = 0
-        """Number of directions that are stored with their effects."""
+        """Number of search directions that are stored. Their effects, the products of the matrix with them, are stored,
+        too."""
         self.orthogonal = 0
-        """Number of directions whose effects have been made orthogonal to one another."""
+        """Number of search directions whose effects have been made orthogonal to one another. An effect is the product
+        of the matrix with a direction."""
         self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
@@ -44,7 +46,10 @@ class Directions:
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        """Return the direction with a number, and its effect; allocate their arrays if they do not exist yet."""
+        """Return the search direction with a number, and its effect, the product of the matrix with it.
+
+        If the arrays for this number do not exist yet, they are allocated first.
+        """
         while number >= len(self._each):
             pair = self.vector(CHUNK), self.vector(CHUNK)
             self._chunks.append(pair)
@@ -75,6 +80,6 @@ class Directions:
         return products / self._norms[first : first + len(products)]
 
     def add_norm(self, square: float) -> None:
-        """Store the squared norm of the next direction's effect, which is now orthogonal to all earlier effects."""
+        """Store the squared norm of the newest direction's effect, which is orthogonal to all earlier effects."""
         self._norms = np.append(self._norms[: self.orthogonal], square)
         self.orthogonal += 1

@@ -139,8 +139,8 @@ class SuspensionFlow(GridFlow):
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
         )
         state.aggregates = self.aggregates.bodies
-        # The struct `cut` shares all arrays with the mesh, except for the viscosities, which it holds divided by the
-        # mortar fractions of cells and edges.
+        # The struct `cut` shares all arrays of the flow's struct `mesh`, except for the viscosities. In `cut`, the
+        # viscosities are divided by the mortar fractions of cells and edges.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
@@ -167,7 +167,10 @@ class SuspensionFlow(GridFlow):
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     def share(self, abreast: int) -> None:
-        """Set the number of flows that share the GPU; each flow's solves may occupy only their share of its blocks."""
+        """Set the number of flows that share the GPU.
+
+        The solves of each flow may occupy only the flow's share of the GPU's thread blocks.
+        """
         super().share(abreast)
         self._build_stages()
 

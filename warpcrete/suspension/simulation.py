@@ -71,7 +71,10 @@ class SuspensionSimulation(FreeSimulation):
         return super().measured() | row
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap by more than DEEPEST."""
+        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap too far.
+
+        The limit of an overlap with a neighbour or wall is DEEPEST times the radius of the aggregate.
+        """
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(

@@ -232,9 +232,10 @@ class CoupledSolve:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
 
     def _orthogonalise(self, number: int) -> float:
-        """Make the effect of a direction orthogonal to earlier effects, and return the best step along the direction.
+        """Make the effect of a search direction orthogonal to earlier effects, and return the best step along it.
 
-        The step minimises the residual. It is 0 if the direction has no effect.
+        The effect is the product of the matrix with the direction. The best step is the one that minimises the
+        residual. It is 0 if the effect is zero.
         """
         change, effect = self.directions[number]
         self._weigh(effect)

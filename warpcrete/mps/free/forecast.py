@@ -30,7 +30,7 @@ COARSE_CELLS_HIGH = 12
 def forecast(
     scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation
 ) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` measures the wall time of recording one frame.
+    """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame.
 
     `make` is the class whose instance simulates the scene.
     """
@@ -74,8 +74,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
         # With adaptive steps, two limits apply: the error of a step, and the time in which concrete crosses a cell. The
-        # first limit is the same in the copy and in the flow itself. The second is stricter in the flow, whose cells
-        # are smaller, so the flow may need more steps.
+        # first limit is the same in the coarser copy and in the flow itself. The second limit is stricter in the flow
+        # itself, whose cells are smaller, so the flow may need more steps than the copy.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

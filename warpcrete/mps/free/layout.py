@@ -113,7 +113,7 @@ def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
 def section_distance(scene: FreeScene, polygon: Points) -> Distance:
     """Return a function of points that gives the signed distance [m] from a body, negative inside.
 
-    The body has `polygon` as its section, and is a body of revolution if `scene.round` is true.
+    The body has `polygon` as its vertical cross-section, and is a body of revolution if `scene.round` is true.
     """
     distance = polygon_distance(polygon)
     if scene.round:

@@ -66,8 +66,8 @@ class GridFlow(Stepping):
         near, shape = (kind.velocity_neighbours, kind.pressure_neighbours), state.shape
         self.viscous = system_of(self.scalar, self.device, shape, state.layout.axes, near[0])
         self.projection = system_of(self.scalar, self.device, shape, 1, near[1])
-        # A second system, with the matrix of the pressure, moves particles out of crowded regions. A full pipe needs no
-        # such system, because its cells are full by definition.
+        # A second linear system, with the matrix of the pressure, moves particles out of crowded regions. A full pipe
+        # needs no such system, because its cells are full by definition.
         self.dispersion = (
             None
             if self.full
@@ -147,7 +147,7 @@ class GridFlow(Stepping):
         super().launch()
 
     def begin_goal(self) -> None:
-        """Send the goal to the device, unless this has been done."""
+        """Send the goal, a time or a number of steps, to the device, unless this has been done."""
         if not self._goal_sent:
             launch(
                 self.clock_kernels.begin, 1, self.device, until=min(self._goal_time, 1e300), goal=self._goal,

@@ -36,7 +36,7 @@ class GridLayout:
     frame: float = 0.0
     """Velocity of the grid along its last axis [m/s]. In a periodic pipe it is the mean velocity of the concrete."""
     drive: float = 0.0
-    """Driving force per volume at the start [N/m3]."""
+    """Driving force per volume of concrete in a periodic pipe at the start [N/m3]."""
     mean_velocity_fixed: bool = True
     """True if the driving force of a periodic pipe adapts to keep the mean velocity; False if the force is constant."""
     resistance: float = 0.0

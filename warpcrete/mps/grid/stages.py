@@ -126,9 +126,9 @@ class GridStep:
     def _extrapolate(self) -> list[Stage]:
         """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
 
-        The first launch reads the velocities of the mesh, and each further one those that the launch before it has
-        written. The launches write to the two arrays `flow.extended` in alternation, so that the last one writes to the
-        first array.
+        The first launch reads the velocities on the faces of the grid. Each further launch reads the velocities that
+        the launch before it has written. The launches write to the two arrays `flow.extended` in alternation, so that
+        the last one writes to the first array.
         """
         flow, found = self.flow, []
         for turn in range(EXTRAPOLATED_CELLS):
@@ -190,7 +190,7 @@ class GridStep:
         return [*found, *self._alone(kernels.list_rows, system.first[-1] if self.flow.parallel else 1, matrix=matrix)]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
-        """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
+        """Return the stage that solves a system by conjugate gradients and adds the solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below the norm
         stored in the system.

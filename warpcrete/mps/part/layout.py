@@ -48,7 +48,7 @@ class Frame:
             across = across - (across @ out) * out
         across = across / np.linalg.norm(across)
         self.axes = np.stack([across, np.cross(out, across), out])
-        """Axes of the grid as rows, shape (3, 3)."""
+        """Axes of the grid as rows, in the coordinates of the scene, shape (3, 3)."""
 
     def to_grid(self, x: np.ndarray) -> np.ndarray:
         """Convert points of the scene to grid coordinates, shape (n, 3).

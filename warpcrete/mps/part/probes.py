@@ -127,8 +127,8 @@ def measured(flow: GridFlow) -> dict[str, float]:
     top = layout.shape[0] - 1
     out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
-    # Only half of the control volume of a face on the open side lies in the grid. The area of the face is therefore
-    # that volume divided by half a spacing.
+    # Only half of the control volume of a face on the open side lies in the grid. The area of the face is therefore the
+    # volume of this half, divided by half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")

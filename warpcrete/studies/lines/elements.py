@@ -37,7 +37,7 @@ LARGEST_STONE_RATIO = 0.3
 """Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
 they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
-"""Default factor on the elastic modulus of the concrete.
+"""Default factor by which the elastic modulus of the elements is multiplied.
 
 Soft aggregates are still being compressed after they have travelled many pipe diameters, so that less concrete leaves a
 part of the line than enters it. The factor hardly changes the pressure. In straight pipe of 125 mm the loss is 9.48
@@ -75,7 +75,7 @@ class Elements:
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor by which the elastic modulus of the concrete is multiplied in the simulations."""
+    """Factor by which the simulations multiply the elastic modulus of the elements, which the concrete states."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)

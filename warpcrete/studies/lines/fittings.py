@@ -43,7 +43,7 @@ class ModelError:
     low: float
     high: float
     source: str
-    """Publications and rules that gave the lower and the upper end of the range."""
+    """Publications and rules from which the lower and the upper end of the range of friction were taken."""
 
 
 MODEL_ERRORS = {

@@ -187,7 +187,7 @@ class LinePressures:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressures [Pa] at the line's start and at its parts' ends if `concrete` fills the line."""
+        """Return the pressures [Pa] at the start of the line and the ends of its parts if `concrete` fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory

@@ -147,8 +147,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Return a description of each parameter whose value differs from that in the measured scene."""
-    # Convert the values before comparing them, because one value can be stated in different ways. A pipe unit, for
-    # example, has both a letter and a name.
+    # Convert the values before comparing them, because one value can be stated in different ways. For example, the
+    # parameter for the pipe unit of Zhan et al. accepts a letter or a name.
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)

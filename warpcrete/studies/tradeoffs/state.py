@@ -289,9 +289,9 @@ class Trade:
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Setting, seed: int) -> Path:
-        # Name the folder after the parameters that differ from those of the scene as given (`self.base`). These leave
-        # out parameters with default values. Therefore, treat a parameter that is missing in `self.base` as None if its
-        # default is None.
+        # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
+        # `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there as None
+        # if its default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
         changed = {k: v for k, v in sorted(point.parameters.items())

@@ -112,7 +112,7 @@ def _fitting(case: Case) -> list[Band]:
 
 
 def line_weight(case: Case) -> float:
-    """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
+    """Return the pressure due to the weight of the concrete in the pump line of a validation case [Pa]."""
     line = _line_of(case)
     return mix_of_case(case).concrete.density * Line().gravity * line.rise
 
