@@ -56,7 +56,7 @@ class Layer:
 
 
 def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
-    """Return the measured constants in the entry `name` of a mix, which are converted to `units`, and checked."""
+    """Return the measured constants in the entry `name` of a mix, checked and converted to `units`."""
     if not isinstance(given, Mapping):
         refuse(
             f"mix {name}",

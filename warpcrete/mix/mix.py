@@ -80,7 +80,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """Concrete before its constants are multiplied by `factors`."""
+        """Concrete before the factors for another age or temperature multiply its constants."""
         return Concrete(name=self.name, **self.flow)
 
     @property

@@ -270,7 +270,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     if scene.is_structured:
         found = {name: found[name] for name in ("volume", "balance of forces")}
     # The limits of this check assume that the yield stress is largest directly after the rest. This does not hold if
-    # structure also rebuilds while the concrete flows, so the check is skipped then.
+    # thixotropic structure also rebuilds while the concrete flows, so the check is skipped then.
     if scene.gained and not scene.rebuild_rate:
         peak, least = number(result["restart_pressure"]), scene.theory().pressure
         most = plug_restart_state(scene).pressure

@@ -33,7 +33,7 @@ class FlowDisplay(Display):
 
     @property
     def pressure_label(self) -> str:
-        """Label of the pressure that drives the flow."""
+        """Label, in figures, of the pressure that drives the flow."""
         return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"
 
     @property

@@ -97,7 +97,10 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
 
 
 def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
-    """Return a function of unit directions (n, dimensions) that gives a random shape's radius relative to its mean."""
+    """Return a function that gives the radius of a random shape, divided by its mean, in given directions.
+
+    The directions are unit vectors, shape (n, dimensions).
+    """
     strength = (1 - roundness) * rng.uniform(0.3, 1.0)
     axis = rng.normal(size=(3, dimensions))
     axis /= np.linalg.norm(axis, axis=1)[:, None]

@@ -26,8 +26,8 @@ from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 
 # Skin of the neighbour lists, in particle spacings: the lists contain pairs whose distance exceeds the range of the
-# operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last about eighty
-# steps.
+# differential operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last
+# about eighty steps.
 SKIN = 0.1
 CORRECTION = 0.2  # Fraction of the density error that one step removes.
 HISTORY = 256  # Maximum number of iterations whose residuals a solve stores.
@@ -40,7 +40,7 @@ class MovingParticles(Stepping):
     """
 
     flags: wp.array
-    """Control flags of the state."""
+    """Control flags, the array `flags` of the flow's state."""
     particles: Any
     """Arrays of the fluid particles, the struct `Particles` of the state."""
     lists: Any
@@ -50,9 +50,9 @@ class MovingParticles(Stepping):
     matrix: Any
     """Coefficients of the linear systems, a struct `Matrix`."""
     viscous: Any
-    """Linear system of the velocities, a struct `Solve` of vectors."""
+    """Linear system for the velocities of the particles, a struct `Solve` whose unknowns are vectors."""
     projection: Any
-    """Linear system of the pressure increment, a struct `NumberSolve`."""
+    """Linear system for the increment of the pressure in a step, a struct `NumberSolve`."""
     shifting: Any
     """Linear system whose solution moves particles out of crowded regions, a struct `NumberSolve`.
 
@@ -98,7 +98,7 @@ class MovingParticles(Stepping):
         return allocate(struct, self.device, **sizes)
 
     def _matrix(self) -> Any:
-        """Allocate the coefficients of the linear systems, except for arrays as long as the neighbour lists."""
+        """Allocate the coefficients of the linear systems, without the arrays that are as long as neighbour lists."""
         struct = self.structs.Matrix
         sizes = dict.fromkeys(("diagonal", "drag", "free"), self.count)
         matrix = allocate(struct, self.device, **sizes)

@@ -34,8 +34,8 @@ from .common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 
 DENSITY_TOLERANCES = 0.1, 1e-7
 """Two tolerances of the density solve, which moves particles out of crowded regions. The solve stops when its residual,
-divided by the initial residual, falls below the first one. It also stops when the root mean square of its residual
-falls below the second one."""
+divided by the initial residual, falls below the first tolerance. It also stops when the root mean square of its
+residual falls below the second tolerance."""
 
 
 def step_stages(particles: Any) -> Step:

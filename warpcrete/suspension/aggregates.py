@@ -28,13 +28,13 @@ class Aggregates:
     """Spherical aggregates in a mortar at the start of a run."""
 
     centre: np.ndarray
-    """Positions of the centres in the coordinates of the grid [m], shape (n, 3)."""
+    """Positions of the aggregates' centres in the coordinates of the grid [m], shape (n, 3)."""
     radius: np.ndarray
-    """Radii [m], shape (n,)."""
+    """Radii of the aggregates [m], shape (n,)."""
     density: float
     """Density of the aggregates [kg/m3]."""
     velocity: np.ndarray | None = None
-    """Velocities of the centres [m/s], shape (n, 3); None if all aggregates are at rest."""
+    """Velocities of the aggregates' centres [m/s], shape (n, 3); None if all aggregates are at rest."""
 
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)

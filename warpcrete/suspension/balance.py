@@ -17,9 +17,10 @@ PAIRS = (0, 1), (0, 2), (1, 2)
 
 @dataclass(frozen=True)
 class Balance:
-    """Balance of one time step: powers of all forces at the velocities of its end [W], and the change of momentum.
+    """Balance of one time step: powers of all forces [W], and the change of momentum.
 
-    The terms of the momentum are those along the last axis, as forces [N] unless another unit is stated.
+    The powers are those with the velocities at the end of the step. The terms of the momentum balance are components
+    along the last axis of the grid, as forces [N] unless another unit is stated.
     """
 
     walls: float
@@ -65,7 +66,7 @@ class Balance:
 
     @property
     def error(self) -> float:
-        """Difference of supplied and spent power, divided by the sum of the magnitudes of all terms."""
+        """Difference of supplied and spent power, divided by the sum of the magnitudes of all powers in the balance."""
         terms = (self.walls, self.weight, self.viscous, self.yielding, self.film, self.lubrication, self.contacts,
                  self.kinetic, self.damping)  # fmt: skip
         return (self.supplied - self.spent) / max(sum(abs(term) for term in terms), 1e-300)
@@ -113,7 +114,7 @@ class _Grid:
         self.mesh = flow.mesh
 
     def array(self, values: Any, count: int) -> np.ndarray:
-        """Return a device array with `count` values per cell as a host array in double precision, (count, cells...)."""
+        """Return a device array with `count` values per cell as a host array of doubles, shape (count, cells...)."""
         return values.numpy().astype(float).reshape(count, *self.shape)[:, self.inner]
 
     def faces(self, name: str) -> np.ndarray:

@@ -46,7 +46,7 @@ class Directions:
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        """Return the search direction with a number, and its effect, the product of the matrix with it.
+        """Return the search direction `number` and its effect, the product of the matrix with the direction.
 
         If the arrays for this number do not exist yet, they are allocated first.
         """

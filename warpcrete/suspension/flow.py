@@ -47,7 +47,7 @@ eight flows.
 
 
 class SuspensionStep(GridStep):
-    """Stages of one time step of a mortar with aggregates, apart from the coupled solve in its middle."""
+    """Stages of one time step of a mortar with aggregates, before and after the coupled solve."""
 
     def before(self) -> list[Any]:
         """Return the stages before the coupled solve, which set up its equations."""
@@ -113,8 +113,8 @@ class SuspensionStep(GridStep):
         flow, kind, scalar = self.flow, self.kind, self.scalar
         return [
             *(self._speeds() if flow.adaptive else []),
-            # The solve that disperses crowded particles needs the matrix of the projection. The kernel `resist` has
-            # changed this matrix for the coupled solve, so compute it again.
+            # The solve that moves crowded particles apart needs the matrix of the pressure projection. The kernel
+            # `resist` has changed this matrix for the coupled solve, so compute it again.
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
@@ -150,8 +150,8 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The last side, the top of the box, is open as well. It is left out, because it is above the concrete, so that
-        # no aggregate leaves there.
+        # The top of the box, which is the last of its sides, is open as well. It is left out, because it is above the
+        # concrete, so that no aggregate leaves there.
         self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
@@ -187,7 +187,10 @@ class SuspensionFlow(GridFlow):
         }  # fmt: skip
 
     def invert_blocks(self) -> None:
-        """Recompute the inverse blocks of the aggregates after new contacts have changed the matrix."""
+        """Recompute the inverse diagonal blocks of the aggregates after new contacts have changed the matrix.
+
+        The matrix is that of the viscous solve.
+        """
         for stage in self._blocks:
             stage()
 
@@ -206,7 +209,10 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return the iterations of the viscous and coupled solves of the last step, and the coupled solve's error."""
+        """Return the numbers of iterations of the viscous and coupled solves in the last step, and the coupled error.
+
+        The coupled error is the relative residual at the end of the coupled solve.
+        """
         coupled = self.coupled
         return {
             "viscosity": {"iterations": float(coupled.inner)},

@@ -134,7 +134,7 @@ class CoupledSolve:
     def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
         """Return the inner products of the vector `weighted` with other vectors.
 
-        Each of `vectors` is a pair: a number of vectors, and the struct of arrays that holds so many vectors.
+        Each of `vectors` is a pair: a number of vectors, and the struct of arrays that holds these vectors.
         """
         slot = 0
         for count, many in vectors:
@@ -207,7 +207,7 @@ class CoupledSolve:
     def _iterate(self, tolerance: float) -> None:
         """Reduce the residual to a tolerance; raise :class:`ConvergenceError` if this fails.
 
-        A repeated solve, with new contacts, first uses the search directions that are stored from the solve before.
+        A repeated solve, with new contacts, first uses the search directions that the previous solve has stored.
         """
         directions = self.directions
         first = directions.orthogonal

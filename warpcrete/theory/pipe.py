@@ -372,7 +372,7 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
             1 + drag * concrete.slip_viscosity
         )
         # Kaplan's law for the flow by shear gives negative values if the wall stress is just above the yield stress.
-        # The concrete then slips as a plug.
+        # The concrete then slips as a rigid plug.
         if mean > slip:
             stress = concrete.slip_yield + concrete.slip_viscosity * slip
         else:

@@ -77,7 +77,7 @@ class Stepping(ABC):
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
         """Return a stage that launches `kernel`.
 
-        Its arguments are those in `named`; all other parameters of the kernel receive the flow's arrays of the same
+        The kernel receives the arguments in `named`. All its other parameters receive the flow's arrays of the same
         names.
         """
         return Stage(kernel, dim, completed(kernel, named, self._kernel_arrays), self.device, block=block)

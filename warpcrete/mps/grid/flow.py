@@ -255,7 +255,7 @@ class GridFlow(Stepping):
 
     @property
     def _volume(self) -> float:
-        """Volume of a cell [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
+        """Cell volume [m3]; in plane flow per metre of depth, in axisymmetric flow per radian at a typical radius."""
         layout = self.state.layout
         return math.prod(layout.room.width) * (layout.length if layout.axial else 1.0)
 

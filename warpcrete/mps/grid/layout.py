@@ -30,7 +30,8 @@ class GridLayout:
     slip: tuple[float, float]
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
     speed: float
-    """Typical speed of the flow [m/s], by which errors of the solves are judged."""
+    """Typical speed of the flow [m/s]. Linear solves stop when the errors of the velocities are small compared with
+    it."""
     length: float
     """Length over which the velocity typically varies [m]."""
     frame: float = 0.0

@@ -35,8 +35,8 @@ from .systems import CHUNKS, System
 
 # Number of layers of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 EXTRAPOLATED_CELLS = 3
-# Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
-# second is relative to the residual that arises if every cell must lose its whole volume in one step.
+# Two tolerances of the solve that moves crowded particles apart. The first one is a fraction of the initial residual.
+# The second one is a fraction of the residual that arises if every cell must lose its whole volume in one step.
 DISPERSION_TOLERANCES = 0.1, 1e-5
 
 
@@ -178,7 +178,10 @@ class GridStep:
         ]
 
     def _complete(self, system: System) -> list[Stage]:
-        """Return the stages that compute the coarser multigrid levels of a system, and list its rows with unknowns."""
+        """Return the stages that prepare a linear system for its solve.
+
+        The stages compute the coarser multigrid levels of the system, and list its rows with unknowns.
+        """
         kernels, matrix = level_kernels(self.scalar, not self.flow.parallel), system.matrix
         found = []
         for level in range(1, len(system.first) - 1):

@@ -31,7 +31,7 @@ ROUNDNESS_TOLERANCE = 0.03
 """Maximum relative deviation of a mesh's radius, around the axis, from that of a circle of equal area. With larger
 deviations, theory of round pipes is not applied."""
 AXIS_SAMPLES = 60
-"""Number of points along the axis at which the bore of a mesh is measured."""
+"""Number of points along the pipe's axis at which the bore inside a mesh is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,7 +60,7 @@ class BlockingProbability:
     blocked: int
     """Number of runs that ended because the part was blocked."""
     failed: int
-    """Number of runs that ended with an error, and do not count."""
+    """Number of runs that ended with an error; the probability leaves them out."""
     short: int
     """Number of runs that were not blocked, but at whose end part of the concrete stood still."""
     stones: int

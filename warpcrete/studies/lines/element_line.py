@@ -14,7 +14,7 @@ from ...geometry.pipe_line import Part, PipeLine
 from .run import GRAVITY
 
 STEPS = 50
-"""Number of intervals into which a part is divided to integrate the pressure along it."""
+"""Number of intervals into which a part of the pump line is divided to integrate the pressure along it."""
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from .run import folder_name
 
 SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
-"""Length of the straight pipe before a simulated bend or reducer, in diameters. The straight pipe behind it has the
-same length. If a straight pipe is simulated, it consists of two such lengths."""
+"""Length of the straight pipe before a simulated bend or reducer, divided by the larger of the part's diameters. The
+straight pipe behind the part has the same length. A simulation of straight pipe alone consists of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
 """Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
 they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
@@ -75,7 +75,8 @@ class Elements:
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor by which the simulations multiply the elastic modulus of the elements, which the concrete states."""
+    """Factor on the elastic modulus of the elements. The simulations use the modulus that the concrete states,
+    multiplied by this factor."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -156,7 +157,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the parameters of the scene that simulates a part by discrete elements, without weight."""
+    """Return the parameters of the scene that simulates a part by discrete elements, without gravity."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,

@@ -53,8 +53,9 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Range of a part's friction divided by that of straight pipe, by kind of part. For a valve, the upper end follows from
-the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of straight pipe."""
+"""Range of the ratio of a part's friction to that of straight pipe of the same length, by kind of part. For a valve,
+the upper end follows from the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of
+straight pipe."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:

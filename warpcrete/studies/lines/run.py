@@ -30,7 +30,8 @@ TUBE_CELLS = 20
 """Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
 periodic pipe is short and cheap to simulate."""
 STRAIGHT_DIAMETERS = 2.5
-"""Length of straight pipe before and behind a simulated bend or reducer, in pipe diameters."""
+"""Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
+diameters."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

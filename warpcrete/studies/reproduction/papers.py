@@ -26,14 +26,14 @@ class Row:
     """Parameter that the paper varies while all others stay fixed, with the paper's claim about its effect."""
 
     name: str
-    """Name of the variation in the report and in the option `--only`."""
+    """Name of the parameter variation in the report and in the option `--only`."""
     parameter: str
     """Name of the varied parameter of the scene function."""
     values: tuple[Any, ...]
     claim: str
     """Claim of the paper about the effect of the parameter."""
     judge: Judge
-    """Function that judges whether our pressures support the claim."""
+    """Function that judges whether the simulated pressures support the claim."""
     base: Mapping[str, Any] = field(default_factory=dict)
     """Further parameters that have the same values in all runs of this variation."""
     numbers: tuple[float, ...] = ()

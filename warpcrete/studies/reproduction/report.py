@@ -220,7 +220,7 @@ def _verdict(errors: list[float], count: int) -> str:
 
 
 def draw(found: Reproduction) -> Any:
-    """Return a figure with a panel for each parameter; lines are our pressures, and crosses those in the paper."""
+    """Return a figure with a panel for each parameter; lines are simulated pressures, crosses those in the paper."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 6.5), layout="constrained")

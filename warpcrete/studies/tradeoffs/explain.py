@@ -50,7 +50,7 @@ class Explanation:
     scene: str
     forecast: Forecast
     savings: tuple[Saving, ...]
-    """Savings in order of effect, largest first."""
+    """Simplifications that shorten the run, in order of their effect, the largest first."""
     source: str
     """Source of the measured errors; empty if there are none."""
 

@@ -93,7 +93,7 @@ class Trade:
 
     @property
     def given(self) -> Setting:
-        """Setting that leaves all accuracy parameters as in the scene as given."""
+        """Setting in which all accuracy parameters have the values of the scene as given."""
         return self.points[0]
 
     @property

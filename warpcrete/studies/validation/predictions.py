@@ -118,7 +118,7 @@ def line_weight(case: Case) -> float:
 
 
 def _layer(case: Case) -> list[Band]:
-    """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
+    """Predict the wall stress [Pa] of the slip layer at one slip velocity."""
     speed = _number(case, "speed", "m/s")
     return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
 

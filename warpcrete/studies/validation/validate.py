@@ -53,8 +53,8 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Verdict of the rules against blocking and observation, for each concrete of which it is known whether it
-    blocked."""
+    """For each concrete of which it is known whether it blocked: the verdict of the rules against blocking, and the
+    observation."""
     refused: dict[str, str]
     """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
