@@ -80,7 +80,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """Concrete before the factors for another age or temperature multiply its constants."""
+        """Concrete whose constants are not yet multiplied by the factors for another age or temperature."""
         return Concrete(name=self.name, **self.flow)
 
     @property

@@ -110,7 +110,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the flow constants and, for two phases, the parameters of the aggregate from the concrete's file."""
+        """Return the flow constants and, for two phases, the parameters of the aggregate from the concrete's file.
+
+        A run's record keeps these values, so that they stay known if the file changes later.
+        """
         return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:

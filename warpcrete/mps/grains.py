@@ -17,9 +17,11 @@ class Grains:
     """Rigid grains of coarse aggregate; each grain is a group of particles."""
 
     order: np.ndarray
-    """Indices of the layout's particles in the order of the state: grain by grain, then the mortar."""
+    """Indices of the layout's particles, in the order in which the state stores the particles: grain by grain, then the
+    mortar."""
     group: np.ndarray
-    """Grain number of each particle in the order of the state, -1 for mortar, shape (n,)."""
+    """Grain number of each particle, -1 for mortar, in the order in which the state stores the particles, shape
+    (n,)."""
     first: np.ndarray
     """Index of the first particle of each grain, followed by the number of particles of all grains, shape (grains +
     1,)."""

@@ -35,8 +35,8 @@ MAX_BREAKDOWN_TIMES = 6.0
 """Simulated time in which slip must break the thixotropic structure of the slip layer, divided by the time in which the
 structure decays to 1/e."""
 MIN_SLIP_RATIO = 0.1
-"""Minimum ratio of slip velocity to mean velocity. With more slip, a run continues until the thixotropic structure of
-the slip layer is broken."""
+"""Ratio of slip velocity to mean velocity above which a run continues until the thixotropic structure of the slip layer
+is broken."""
 MAX_STRUCTURE_LEFT = 0.01
 """Maximum fraction of the yield stress gained at rest that the slip layer may still have in a flow that counts as
 steady."""

@@ -91,7 +91,7 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Do the work that the last step requested before the next one begins, such as a rebuild of neighbour lists."""
+        """Before the next step begins, do the work that the last step requested, such as rebuilding neighbour lists."""
         raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:

@@ -249,7 +249,7 @@ class GridFlow(Stepping):
 
     @property
     def _rounding(self) -> float:
-        """Norm of the rounding error of the divergence; no solve can reduce its residual below this norm."""
+        """Norm of the rounding error of the divergence; a pressure solve cannot reduce its residual below this norm."""
         part = ROUNDING["float64" if self.scalar is wp.float64 else "float32"]
         return part * self._force / min(self.state.layout.room.width)
 

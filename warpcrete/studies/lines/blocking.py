@@ -34,7 +34,7 @@ STRAIGHT_DIAMETERS = 2.0
 diameters at the two ends of the part."""
 TRAVEL_DIAMETERS = 4.0
 """Travel of the piston, divided by the diameter of the pipe. The travel leaves room for the check for blockage, which
-recognises concrete that stands still only after up to two diameters."""
+recognises concrete that stands still only after a travel of up to two diameters."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
 """Coefficient of friction between stones, as for dry stones.
@@ -60,7 +60,7 @@ class BlockingProbability:
     blocked: int
     """Number of runs that ended because the part was blocked."""
     failed: int
-    """Number of runs that ended with an error; the probability leaves them out."""
+    """Number of runs that ended with an error; they do not count in the probability of a blockage."""
     short: int
     """Number of runs that were not blocked, but at whose end part of the concrete stood still."""
     stones: int

@@ -34,8 +34,8 @@ STRAIGHT_DIAMETERS = 3.0
 """Length of the straight pipe before a simulated bend or reducer, divided by the larger of the part's diameters. The
 straight pipe behind the part has the same length. A simulation of straight pipe alone consists of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
-"""Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
-they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
+"""Smallest ratio of the largest stone's diameter to the narrowest bore of the line in a simulation. If the stones are
+smaller, they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
 """Default factor by which the elastic modulus of the elements is multiplied.
 

@@ -43,7 +43,7 @@ class ModelError:
     low: float
     high: float
     source: str
-    """Publications and rules from which the lower and the upper end of the range of friction were taken."""
+    """Publications and rules from which the lower and the upper end of the range of a part's friction were taken."""
 
 
 MODEL_ERRORS = {

@@ -49,7 +49,10 @@ class Row:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Values of the varied parameter as numbers for an axis; `numbers` replaces `values` that are words."""
+        """Values of the varied parameter as numbers, for the axis of a figure.
+
+        If the entries of `values` are words, the result is `numbers`, which holds a number for each word.
+        """
         return self.numbers or self.values
 
 

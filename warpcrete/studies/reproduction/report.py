@@ -1,4 +1,4 @@
-"""Report of a reproduction: the paper's results next to ours, a verdict on each trend, and a figure."""
+"""Report of a reproduction: simulated results next to those of the paper, a verdict on each trend, and a figure."""
 
 from __future__ import annotations
 

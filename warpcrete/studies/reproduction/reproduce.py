@@ -1,4 +1,4 @@
-"""Reproduction of a paper: run the paper's cases and judge whether each figure and trend agrees."""
+"""Reproduction of a paper: run the paper's cases, and judge whether the results agree with its numbers and trends."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
 
 
 def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
-    """Return the trade-off record that fits a scene and a description of its source; both are empty without one."""
+    """Return the trade-off record that fits a scene, and a description of its source; both are empty if none fits."""
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():

@@ -230,7 +230,7 @@ class Trade:
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run each setting with those `seeds` that have not run yet, in order, on all workers.
+        """Run the settings in their order on all workers, each setting with those `seeds` that have not run yet.
 
         A run does not start if it is expected to end after the fraction `until` of the budget is spent.
         """
