@@ -148,7 +148,7 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
 
 
 def powder(mix: MixEntries) -> RuleVerdict:
-    """Compare the mass of powder with the smallest masses of concretes that could be pumped."""
+    """Compare the mass of powder with the smallest masses of powder in concretes that could be pumped."""
     name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
     mass = powder_mass(mix.parts)
     if mass == 0:
@@ -217,7 +217,7 @@ def fine_sand(mix: MixEntries) -> RuleVerdict:
 
 
 def bleeding(mix: MixEntries) -> RuleVerdict:
-    """Judge whether pressure can squeeze water out of the concrete, which would leave a plug of stones behind."""
+    """Judge whether pressure can squeeze water out of the concrete, which would leave a plug of dry stones."""
     name, source = "bleeding", f"{BLEEDING}; limits: {JGJ}, and Indian practice"
     ratio, water = mix.water_binder, water_mass(mix.parts)
     if ratio is None:

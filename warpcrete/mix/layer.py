@@ -186,8 +186,8 @@ def _pair(
     """Return an estimated slip layer, a pair of viscosity and yield stress.
 
     `value` is the viscosity and `ends` its band [Pa s/m]. `stress` holds the yield stress and the lower and upper end
-    of its band [Pa]. They are limited to the yield stress of the concrete, because the layer is concrete without
-    stones.
+    of its band [Pa]. These three stresses are limited to the yield stress of the concrete, because the layer is
+    concrete without stones.
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
     return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),

@@ -28,7 +28,7 @@ SHEARED = {"rate": "1/s", "stress": "Pa"}
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured constants by name, with one relative uncertainty for all of them; None if it is not stated."""
+    """Measured constants by name, and their common relative uncertainty, which is None if the mix does not state it."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: float | None = None
@@ -36,7 +36,10 @@ class Measured:
 
 @dataclass(frozen=True)
 class Layer:
-    """Measurements of the slip layer that a mix states: constants, points from a pipe, or points from a tribometer."""
+    """Measurements of the slip layer that a mix states: constants, points from a pipe, or points from a tribometer.
+
+    A point is a pair: of flow and pressure in a pipe, or of speed and stress in a tribometer.
+    """
 
     constants: Measured | None = None
     pipe_points: tuple[list[float], list[float]] | None = None
@@ -53,7 +56,7 @@ class Layer:
 
 
 def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
-    """Return the measured constants in the entry `name` of a mix, which are converted to `units`, and checked."""
+    """Return the measured constants in the entry `name` of a mix, checked and converted to `units`."""
     if not isinstance(given, Mapping):
         refuse(
             f"mix {name}",
@@ -87,8 +90,8 @@ def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
 def read_layer(given: Any, folder: Path) -> Layer:
     """Return the measurements of the slip layer that the entry `layer` of a mix contains.
 
-    The entry contains constants of the layer, points from a pipe, or points from a tribometer. Paths of files are
-    relative to `folder`.
+    The entry contains constants of the layer, flows and pressures measured in a pipe, or speeds and stresses measured
+    with a tribometer. Paths of files are relative to `folder`.
     """
     if not isinstance(given, Mapping):
         refuse(

@@ -80,7 +80,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """Concrete before its constants are multiplied by `factors`."""
+        """Concrete whose constants are not yet multiplied by the factors for another age or temperature."""
         return Concrete(name=self.name, **self.flow)
 
     @property
@@ -110,7 +110,10 @@ class Mix:
 
     @property
     def flow(self) -> dict[str, float]:
-        """Constants for the section `flow` of a concrete's file, such as the yield stress, without the factors."""
+        """Constants for the section `flow` of a concrete's file, such as the yield stress.
+
+        They are not yet multiplied by the factors for another age or temperature of the concrete.
+        """
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property

@@ -98,7 +98,7 @@ class AggregateParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
-    """Column of concrete that a piston drives up a pipe."""
+    """Parameters of a column of concrete in a pipe."""
 
     ends: Annotated[
         str,
@@ -110,7 +110,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the flow constants and, for two phases, the parameters of the aggregate from the concrete's file."""
+        """Return the flow constants and, for two phases, the parameters of the aggregate from the concrete's file.
+
+        A run's record keeps these values, so that they stay known if the file changes later.
+        """
         return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
@@ -218,17 +221,19 @@ def _is_reference_case(given: FlowParameters) -> bool:
 
 
 ACCURACY = {2: 0.01, 3: 0.02}
-"""Accepted relative error of pressure and slip velocity in flows with one phase, by number of dimensions."""
+"""Accepted relative deviation of pressure and slip velocity from theory in flows with one phase, by number of
+dimensions."""
 TWO_PHASE_ACCURACY = 0.03
-"""Accepted relative error of the pressure in flows with two phases. It is larger, because theory treats the two phases
-as one fluid."""
+"""Accepted relative deviation of the pressure from theory in flows with two phases. It is larger than with one phase,
+because theory treats the two phases as one fluid."""
 WALL_ACCURACY = {True: 0.05, False: 0.03}
-"""Accepted relative error of the wall stress in flows with two phases (key True) or one phase (key False).
+"""Accepted relative deviation of the wall stress from theory, in flows with two phases (key True) or one phase (key
+False).
 
 The wall stress is checked separately, because weight dominates the pressure and would hide an error of the wall stress.
 """
 PROFILE_ACCURACY = 0.01
-"""Accepted root mean square error of the velocity profile, relative to the mean velocity."""
+"""Accepted root mean square deviation of the velocity profile from theory, divided by the mean velocity."""
 
 
 CURES = {
@@ -268,12 +273,12 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     if scene.is_structured:
         found = {name: found[name] for name in ("volume", "balance of forces")}
     # The limits of this check assume that the yield stress is largest directly after the rest. This does not hold if
-    # structure also rebuilds while the concrete flows, so the check is skipped then.
+    # thixotropic structure also rebuilds while the concrete flows, so the check is skipped then.
     if scene.gained and not scene.rebuild_rate:
         peak, least = number(result["restart_pressure"]), scene.theory().pressure
         most = plug_restart_state(scene).pressure
         # The rest increased the yield stress of the slip layer, and slip removes this increase again. If all concrete
-        # slips as a plug, much of the increase must still exist at the first sample.
+        # slips as a rigid plug, much of the increase must still exist at the first measurement after the start.
         plug = (
             plug_restart_state(scene).wall_stress
             <= after_rest(scene.concrete, scene.rest, scene.thixotropy).yield_stress
@@ -298,7 +303,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def plug_restart_state(scene: FluidScene) -> Steady:
-    """Return the state just after a rest, if the whole cross-section slips as a plug and no structure is broken yet."""
+    """Return the theoretical state just after a rest if all concrete slips as a rigid plug with unbroken structure."""
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = float(concrete.layer_law.stress(scene.velocity))
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,

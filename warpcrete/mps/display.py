@@ -33,7 +33,7 @@ class FlowDisplay(Display):
 
     @property
     def pressure_label(self) -> str:
-        """Label of the pressure that drives the flow."""
+        """Label, in figures, of the pressure that drives the flow."""
         return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"
 
     @property
@@ -43,7 +43,7 @@ class FlowDisplay(Display):
         return aside, -1.0, 0.1 * aside
 
     def radii(self) -> np.ndarray:
-        """Return the radii of the drawn particles [m], half a spacing each, shape (n,)."""
+        """Return the radii of the drawn particles [m], which are half the particle spacing, shape (n,)."""
         return np.full(self.simulation.state.count, 0.5 * self.simulation.state.particle_spacing, np.float32)
 
     def centres(self) -> np.ndarray:
@@ -161,7 +161,7 @@ class FlowDisplay(Display):
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
-        # The picture always shows the whole box of these bounds. For a short column, the box is made higher than the
-        # column, so that the picture has room for the width of the pipe.
+        # The picture always shows the whole box between the lowest and the highest corner. For a short column, the box
+        # is made higher than the column, so that the picture has room for the width of the pipe.
         across = max(0.0, 4 * self.simulation.scene.radius - size)
         return np.array([[0.0, 0.0, -0.5 * across], [0.0, 0.0, size + 0.5 * across]])

@@ -17,9 +17,11 @@ class Grains:
     """Rigid grains of coarse aggregate; each grain is a group of particles."""
 
     order: np.ndarray
-    """Indices of the layout's particles in the order of the state: grain by grain, then the mortar."""
+    """Indices of the layout's particles, in the order in which the state stores the particles: grain by grain, then the
+    mortar."""
     group: np.ndarray
-    """Grain number of each particle in the order of the state, -1 for mortar, shape (n,)."""
+    """Grain number of each particle, -1 for mortar, in the order in which the state stores the particles, shape
+    (n,)."""
     first: np.ndarray
     """Index of the first particle of each grain, followed by the number of particles of all grains, shape (grains +
     1,)."""
@@ -60,8 +62,8 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            # The layout's particles are sorted by their distance from the piston. Those at the heights of a grain are
-            # therefore a contiguous range.
+            # The layout's particles are sorted by their distance from the piston. The particles at the heights of a
+            # grain are therefore a contiguous range.
             widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
             near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
             offset = places[near] - centre
@@ -97,7 +99,10 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
 
 
 def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
-    """Return a function of unit directions (n, dimensions) that gives a random shape's radius relative to its mean."""
+    """Return a function that gives the radius of a random shape, divided by its mean, in given directions.
+
+    The directions are unit vectors, shape (n, dimensions).
+    """
     strength = (1 - roundness) * rng.uniform(0.3, 1.0)
     axis = rng.normal(size=(3, dimensions))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
@@ -105,8 +110,8 @@ def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
 
     def radius(direction: np.ndarray) -> np.ndarray:
         c = direction @ axis.T
-        # The first term deforms the circle or ball into an oval, the second shifts its bulk to one side as in an egg,
-        # and the third gives it three corners.
+        # The first term deforms the circle or ball into an oval, the second makes one end thicker as in an egg, and the
+        # third gives it three corners.
         return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
             4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
 

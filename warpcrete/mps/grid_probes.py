@@ -14,7 +14,7 @@ from .probes import Snapshot, section, window
 from .scene import FluidScene
 
 POINTS_PER_CELL = 40
-"""Number of points per cell at which the theoretical velocity is evaluated for its mean over the cell."""
+"""Number of points per cell at which the theoretical velocity is evaluated to average it over the cell."""
 
 
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:

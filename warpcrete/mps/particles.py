@@ -26,8 +26,8 @@ from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 
 # Skin of the neighbour lists, in particle spacings: the lists contain pairs whose distance exceeds the range of the
-# operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last about eighty
-# steps.
+# differential operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last
+# about eighty steps.
 SKIN = 0.1
 CORRECTION = 0.2  # Fraction of the density error that one step removes.
 HISTORY = 256  # Maximum number of iterations whose residuals a solve stores.
@@ -40,7 +40,7 @@ class MovingParticles(Stepping):
     """
 
     flags: wp.array
-    """Control flags of the state."""
+    """Control flags, the array `flags` of the flow's state."""
     particles: Any
     """Arrays of the fluid particles, the struct `Particles` of the state."""
     lists: Any
@@ -50,9 +50,9 @@ class MovingParticles(Stepping):
     matrix: Any
     """Coefficients of the linear systems, a struct `Matrix`."""
     viscous: Any
-    """Linear system of the velocities, a struct `Solve` of vectors."""
+    """Linear system for the velocities of the particles, a struct `Solve` whose unknowns are vectors."""
     projection: Any
-    """Linear system of the pressure increment, a struct `NumberSolve`."""
+    """Linear system for the increment of the pressure in a step, a struct `NumberSolve`."""
     shifting: Any
     """Linear system whose solution moves particles out of crowded regions, a struct `NumberSolve`.
 
@@ -98,7 +98,7 @@ class MovingParticles(Stepping):
         return allocate(struct, self.device, **sizes)
 
     def _matrix(self) -> Any:
-        """Allocate the coefficients of the linear systems, except for arrays as long as the neighbour lists."""
+        """Allocate the coefficients of the linear systems, without the arrays that are as long as neighbour lists."""
         struct = self.structs.Matrix
         sizes = dict.fromkeys(("diagonal", "drag", "free"), self.count)
         matrix = allocate(struct, self.device, **sizes)
@@ -111,10 +111,10 @@ class MovingParticles(Stepping):
         return matrix
 
     def _coarse(self) -> CoarseGrid | None:
-        """Return the coarse grid that preconditions the solves, or None if it would be of no use.
+        """Return the coarse grid of cubes that preconditions the linear solves, or None if it would save no time.
 
-        There is none for flows with rigid grains, which are larger than its cubes, and for short columns, whose solves
-        are as fast with the diagonal preconditioner alone.
+        The result is None in two cases. Rigid grains are larger than the cubes. In a short column of concrete, solves
+        with the diagonal preconditioner alone take no longer.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
@@ -154,7 +154,7 @@ class MovingParticles(Stepping):
 
     @property
     def _list_reach(self) -> tuple[float, float]:
-        """Distances of neighbours in the lists, including the skin [m]: for the operators, and for the density."""
+        """Ranges of the neighbour lists, including the skin [m], for differential operators and for the density sum."""
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:

@@ -19,8 +19,8 @@ PARTICLES_PER_AXIS = 2
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
     """Return the number of cells across a pipe and the number of cells along it.
 
-    A whole number of cells fits across a channel, or into the radius of a tube. It is the number for which the width of
-    a cell is nearest to the scene's `spacing`.
+    A whole number of cells fits across a channel, or into the radius of a tube. This number is chosen such that the
+    width of a cell is nearest to the scene's `spacing`.
     """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))

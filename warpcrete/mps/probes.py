@@ -1,4 +1,4 @@
-"""Measurements of a particle flow: pressure, slip velocity, profiles, volume, balance of forces, aggregate."""
+"""Measurements of a particle flow: pressure, slip velocity, profiles, volume, force balance, aggregate fractions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ MIDDLE = (0.4, 0.6)
 STRAIGHT = (0.2, 0.8)
 """Range of heights in which the pressure gradient is measured, as fractions of the column's height."""
 LOWEST = 0.1
-"""Height of the zone above the piston from whose pressures the pressure on the piston is extrapolated, as a fraction of
-the column's height."""
+"""Height of a zone above the piston, divided by the height of the column. The pressure on the piston is extrapolated
+from the pressures of the particles in this zone."""
 WINDOW = (0.65, 0.85)
 """Two heights above the piston, divided by the height of the column. Between them, a particle's weight in the
 measurement of the volume falls from one to zero."""

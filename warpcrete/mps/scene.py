@@ -42,7 +42,8 @@ class Aggregates:
     density: float = 2630.0
     """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
-    """Smallest size [m], largest size [m] and volume share of each size class."""
+    """Size classes of the aggregate, each with its smallest size [m], its largest size [m] and its share of the
+    aggregate's volume."""
     roundness: float = 0.6
     """Roundness of the grains. With 1, they are circles or spheres. Otherwise their radius varies with the direction by
     up to 1 - roundness, relative to its mean."""
@@ -62,7 +63,7 @@ class Aggregates:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowWatch(Declared):
-    """Limits beyond which a flow stops with an InstabilityError, checked at every sample; NaN exceeds every limit."""
+    """Limits beyond which a flow stops with an InstabilityError, checked at each measurement; NaN exceeds any limit."""
 
     called = "watch"
 
@@ -291,6 +292,9 @@ class FluidScene(Parametrised, FlowSettings):
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
 
     def restart(self) -> Steady:
-        """Return the state by theory at full flow directly after the rest, before any structure is broken."""
+        """Return the theoretical state directly after the rest, when concrete flows but no structure is broken yet.
+
+        The velocity is that of the piston, and the yield stresses are those that the concrete has gained at rest.
+        """
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

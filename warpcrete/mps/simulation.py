@@ -32,11 +32,11 @@ TYPICAL_DURATION = 0.03
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, as fractions of the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Simulated time in which slip must break the structure of the slip layer, divided by the time in which the structure
-decays to 1/e."""
+"""Simulated time in which slip must break the thixotropic structure of the slip layer, divided by the time in which the
+structure decays to 1/e."""
 MIN_SLIP_RATIO = 0.1
-"""Minimum ratio of slip velocity to mean velocity. With more slip, a run continues until the slip layer's structure is
-broken."""
+"""Ratio of slip velocity to mean velocity above which a run continues until the thixotropic structure of the slip layer
+is broken."""
 MAX_STRUCTURE_LEFT = 0.01
 """Maximum fraction of the yield stress gained at rest that the slip layer may still have in a flow that counts as
 steady."""
@@ -79,7 +79,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def _structure_breaks(self) -> bool:
-        """True if slip will break the structure that the slip layer gained at rest, so that a run waits for it."""
+        """True if slip will break the thixotropic structure of the slip layer before the flow counts as steady."""
         scene = self.scene
         return (
             bool(scene.gained)
@@ -126,8 +126,8 @@ class FluidSimulation(FlowRun):
         """Return True if the flow is steady; always False if the scene states a duration."""
         now, part = self._rows[-1], self.scene.steadiness
         if self._structure_breaks and now["layer_gained"] > MAX_STRUCTURE_LEFT * self.scene.gained:
-            # Slip still breaks the structure of the slip layer, so the flow is not steady, even if this is so slow that
-            # all other quantities look steady.
+            # Slip still breaks the thixotropic structure of the slip layer, so the flow is not steady, even if the
+            # structure breaks so slowly that all other quantities look steady.
             return False
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
@@ -138,7 +138,8 @@ class FluidSimulation(FlowRun):
                 return False
             earlier.append(found[-1])
         scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
-        # The plug may still grow while the wall stress is steady, so compare the highest speed as well.
+        # The unsheared plug in the middle of the pipe may still grow while the wall stress is steady, so compare the
+        # highest speed as well.
         if self._periodic:
             scale["fastest"] = self.scene.velocity
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
@@ -161,7 +162,7 @@ class FluidSimulation(FlowRun):
         return found
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result that follow from the time series; a pipe flow has no tables."""
+        """Return the entries of the result that follow from the time series. A pipe flow has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
         result["profiles"] = [self._profile(part) for part in PROFILE_HEIGHTS]

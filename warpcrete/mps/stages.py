@@ -33,8 +33,9 @@ from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 
 DENSITY_TOLERANCES = 0.1, 1e-7
-"""Two tolerances of the density solve, which moves particles out of crowded regions: relative to the initial residual,
-and the rms residual at which the solve stops in any case."""
+"""Two tolerances of the density solve, which moves particles out of crowded regions. The solve stops when its residual,
+divided by the initial residual, falls below the first tolerance. It also stops when the root mean square of its
+residual falls below the second tolerance."""
 
 
 def step_stages(particles: Any) -> Step:
@@ -203,7 +204,7 @@ class StepPart:
         return self.scene.concrete.density / self.scene.time_step
 
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
-        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
+        """Return the stage of a conjugate-gradient solve that adds its solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below `absolute`.
         The preconditioner is the diagonal of the matrix, combined with the coarse grid if there is one.

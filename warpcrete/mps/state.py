@@ -128,8 +128,8 @@ GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     """Return the struct of constants of a flow for the kernels.
 
-    `skin` is the distance by which the neighbour lists reach beyond the range of the operators, in particle spacings.
-    `correction` is the fraction of the density error that one step removes.
+    `skin` is the distance by which the neighbour lists reach beyond the range of the differential operators, in
+    particle spacings. `correction` is the fraction of the density error that one step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()

@@ -106,7 +106,7 @@ class Cluster:
         return found
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
-        """Return the device that a worker selects for `device`, and its provenance record."""
+        """Return the device that a worker selects for `device`, and a record of that device and its software."""
         return self.ask(_machine, self.device(device), precision, seed)
 
     def hardware(self, device: str | None) -> str:

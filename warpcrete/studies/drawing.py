@@ -48,20 +48,20 @@ def draw(study: Any) -> Any:
 
 
 def _common(study: Any) -> list[str]:
-    """Return unit, diameter, concrete and flow with their values for the title, if they are equal in all cases."""
+    """Return the parameters in TITLE that are equal in all cases, with their values, as texts for the title."""
     first = study.cases[0].parameters
     same = [name for name in TITLE if name in first and all(c.parameters.get(name) == first[name] for c in study.cases)]
     return [_worded(study, name, first[name]) for name in same if first[name] is not None]
 
 
 def _worded(study: Any, name: str, value: Any) -> str:
-    """Return a parameter and its value with the unit in words, such as "yield stress 100 Pa"."""
+    """Return the name, the value and the physical unit of a parameter as text, such as "yield stress 100 Pa"."""
     number = f"{value:g}" if isinstance(value, float) else str(value)
     return f"{name.replace('_', ' ')} {number} {study.units.get(name, '')}".strip()
 
 
 def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
-    """Draw the quantities of one unit as functions of one parameter into one panel of the figure."""
+    """Draw all quantities of one physical unit, as functions of one parameter, into one panel of the figure."""
     mine = [row for row in rows if name in row] or rows
     values = list(dict.fromkeys(row.get(name, 0) for row in mine))
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)

@@ -139,7 +139,10 @@ def _run_group(
 def _outcomes(
     by_name: dict[str, tuple[Simulation, Path | None]], progress: Callable[[str, float], None]
 ) -> dict[str, Run | BaseException]:
-    """Run the simulations together with the function `run_many` of their method; return the outcomes by case name."""
+    """Run the simulations together with the function `run_many` of their simulation method.
+
+    Return the outcomes by case name.
+    """
     if not by_name:
         return {}
     simulations, checkpoints = zip(*by_name.values())

@@ -28,13 +28,13 @@ class Aggregates:
     """Spherical aggregates in a mortar at the start of a run."""
 
     centre: np.ndarray
-    """Positions of the centres in the coordinates of the grid [m], shape (n, 3)."""
+    """Positions of the aggregates' centres in the coordinates of the grid [m], shape (n, 3)."""
     radius: np.ndarray
-    """Radii [m], shape (n,)."""
+    """Radii of the aggregates [m], shape (n,)."""
     density: float
     """Density of the aggregates [kg/m3]."""
     velocity: np.ndarray | None = None
-    """Velocities of the centres [m/s], shape (n, 3); None if all aggregates are at rest."""
+    """Velocities of the aggregates' centres [m/s], shape (n, 3); None if all aggregates are at rest."""
 
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)
@@ -110,7 +110,7 @@ class BodyState:
         self.points = wp.zeros(count, dtype=wp.vec3f, device=device)
 
     def sort(self) -> None:
-        """Sort the points of the hash grid, the centres of the aggregates, into its cells."""
+        """Sort the centres of the aggregates into the cells of the hash grid."""
         self.grid.build(self.points, self.span)
 
     def state_dict(self) -> dict[str, np.ndarray]:
@@ -144,7 +144,7 @@ class BodyState:
         return float(np.sum(np.maximum(volume - left, 0.0)) / np.sum(volume))
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap of an aggregate to a neighbour or wall, divided by the aggregate's radius.
+        """Return the smallest gap of any aggregate to a neighbour or wall, divided by the radius of that aggregate.
 
         The gaps are those at the start of the last step. A gap is negative for an overlap.
         """

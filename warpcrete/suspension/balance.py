@@ -1,4 +1,4 @@
-"""Balance of power and of momentum in the last time step of a mortar with aggregates."""
+"""Balance of power and of momentum in the last time step of a flow of mortar with aggregates."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ PAIRS = (0, 1), (0, 2), (1, 2)
 
 @dataclass(frozen=True)
 class Balance:
-    """Balance of one time step: powers of all forces at the velocities of its end [W], and the change of momentum.
+    """Balance of one time step: powers of all forces [W], and the change of momentum.
 
-    The terms of the momentum are those along the last axis, as forces [N] unless another unit is stated.
+    The powers are those with the velocities at the end of the step. The terms of the momentum balance are components
+    along the last axis of the grid, as forces [N] unless another unit is stated.
     """
 
     walls: float
@@ -31,24 +32,26 @@ class Balance:
     yielding: float
     """Power that the yield stress of the mortar dissipates."""
     film: float
-    """Power that is dissipated between mortar and walls, in slip layers or in the film that makes mortar stick."""
+    """Power that is dissipated between mortar and walls: in slip layers, and in the thin film through which walls hold
+    mortar that sticks to them."""
     lubrication: float
     """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
     contacts: float
-    """Power that contacts dissipate, less the power that they supply to remove overlaps."""
+    """Power that contacts between aggregates, and of aggregates with walls, dissipate. The power that contacts supply
+    to remove overlaps is subtracted."""
     kinetic: float
-    """Increase of the kinetic energy of mortar and aggregates in the step, divided by its length."""
+    """Increase of the kinetic energy of mortar and aggregates in the step, divided by the length of the step."""
     damping: float
     """Power that is lost because the implicit Euler method damps motion in a step of finite length."""
     momentum: float
-    """Increase of the momentum of mortar and aggregates in the step, divided by its length."""
+    """Increase of the momentum of mortar and aggregates in the step, divided by the length of the step."""
     held: float
     """Momentum of mortar and aggregates at the end of the step [kg m/s]."""
     impulse: float
-    """Sum of the forces of walls, weight and other external forces. It equals `momentum`, unless a wall normal to the
-    axis adds a pressure force that is not included."""
+    """Sum of the forces of walls, weight and other external forces along the last axis of the grid. It equals
+    `momentum`, unless a wall normal to this axis adds a pressure force that is not included."""
     impulse_scale: float
-    """Sum of the magnitudes of the forces in `impulse`."""
+    """Sum of the magnitudes of the forces whose sum is `impulse`."""
 
     @property
     def supplied(self) -> float:
@@ -63,7 +66,7 @@ class Balance:
 
     @property
     def error(self) -> float:
-        """Difference of supplied and spent power, divided by the sum of the magnitudes of all terms."""
+        """Difference of supplied and spent power, divided by the sum of the magnitudes of all powers in the balance."""
         terms = (self.walls, self.weight, self.viscous, self.yielding, self.film, self.lubrication, self.contacts,
                  self.kinetic, self.damping)  # fmt: skip
         return (self.supplied - self.spent) / max(sum(abs(term) for term in terms), 1e-300)
@@ -111,11 +114,11 @@ class _Grid:
         self.mesh = flow.mesh
 
     def array(self, values: Any, count: int) -> np.ndarray:
-        """Return an array of the device with `count` values per cell, in double precision, shape (count, cells...)."""
+        """Return a device array with `count` values per cell as a host array of doubles, shape (count, cells...)."""
         return values.numpy().astype(float).reshape(count, *self.shape)[:, self.inner]
 
     def faces(self, name: str) -> np.ndarray:
-        """Return an array of the mesh with one value per face, shape (3, cells...)."""
+        """Return the values of the flow's array `name` on the faces of the grid, shape (3, cells...)."""
         return self.array(getattr(self.mesh, name), 3)
 
     @staticmethod
@@ -142,7 +145,7 @@ class _Step:
         self.mass = np.where(self.unknown, flow.scene.concrete.density * self.grid.faces("volume"), 0.0)
 
     def balance(self) -> Balance:
-        """Return the balance of the step."""
+        """Return the balance of power and of momentum in the time step."""
         bodies, (velocity, spin) = self.flow.aggregates.bodies, self.after
         force, torque = bodies.force.numpy().astype(float), bodies.torque.numpy().astype(float)
         gravity = np.array(self.flow.g.gravity)
@@ -220,9 +223,9 @@ class _Step:
         return viscous, sum_all - viscous
 
     def _pairs(self) -> tuple[float, float, float, float]:
-        """Return the powers of lubrication, contacts and walls that push aggregates [W], and the walls' force [N].
+        """Return the powers of lubrication, contacts and walls that push aggregates [W], and those walls' force [N].
 
-        The force is its component along the last axis.
+        The force is that of the walls on the aggregates, as its component along the last axis of the grid.
         """
         flow, pairs = self.flow, self.flow.aggregates.pairs
         number, rows = pairs.count.numpy(), np.arange(flow.aggregates.count)

@@ -1,6 +1,7 @@
-"""Search directions of the coupled solve, and the products of its matrix with them.
+"""Search directions of the coupled solve of mortar and aggregates, and their effects.
 
-The method of generalised conjugate residuals makes these products orthogonal to one another.
+The effect of a direction is the product of the solve's matrix with the direction. The method of generalised conjugate
+residuals makes the effects orthogonal to one another.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from ..kernels.suspension.vectors import vector_struct
 from ..mps.common.allocation import allocate
 
 CHUNK = 8
-"""Number of search directions whose arrays are allocated at once."""
+"""Number of search directions for which arrays are allocated at once."""
 
 
 class Directions:
@@ -29,18 +30,26 @@ class Directions:
         self._chunks: list[tuple[Any, Any]] = []
         self._each: list[tuple[Any, Any]] = []
         self.known = 0
-        """Number of directions that are stored with their effects."""
+        """Number of search directions that are stored. Their effects, the products of the matrix with them, are stored,
+        too."""
         self.orthogonal = 0
-        """Number of directions whose effects have been made orthogonal to one another."""
+        """Number of search directions whose effects have been made orthogonal to one another. An effect is the product
+        of the matrix with a direction."""
         self._norms = np.ones(0)
 
     def vector(self, count: int = 1) -> Any:
-        """Return a struct of arrays for `count` vectors, whose arrays hold the parts of one vector after another."""
+        """Return a struct of new arrays that hold `count` vectors of the coupled equations.
+
+        Each array holds its part of the first vector, then that of the second one, and so on.
+        """
         sizes = {name: count * size for name, size in self._sizes.items()}
         return allocate(vector_struct(self._scalar), self._device, **sizes)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        """Return the direction with a number, and its effect; allocate their arrays if they do not exist yet."""
+        """Return the search direction `number` and its effect, the product of the matrix with the direction.
+
+        If the arrays for this number do not exist yet, they are allocated first.
+        """
         while number >= len(self._each):
             pair = self.vector(CHUNK), self.vector(CHUNK)
             self._chunks.append(pair)
@@ -54,10 +63,10 @@ class Directions:
         return part
 
     def before(self, number: int) -> Iterator[tuple[int, int, Any, Any]]:
-        """Yield the arrays of all directions with lower numbers, chunk by chunk.
+        """Yield the arrays of all search directions whose numbers are below `number`, chunk by chunk.
 
         Each item consists of the number of the chunk's first direction, the number of directions, the directions, and
-        their effects.
+        their effects (products with the matrix).
         """
         for first, (change, effect) in zip(range(0, number, CHUNK), self._chunks, strict=False):
             yield first, min(CHUNK, number - first), change, effect
@@ -71,6 +80,6 @@ class Directions:
         return products / self._norms[first : first + len(products)]
 
     def add_norm(self, square: float) -> None:
-        """Store the squared norm of the next direction's effect, which is now orthogonal to all earlier effects."""
+        """Store the squared norm of the newest direction's effect, which is orthogonal to all earlier effects."""
         self._norms = np.append(self._norms[: self.orthogonal], square)
         self.orthogonal += 1

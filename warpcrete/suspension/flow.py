@@ -47,7 +47,7 @@ eight flows.
 
 
 class SuspensionStep(GridStep):
-    """Stages of one time step of a mortar with aggregates, apart from the coupled solve in its middle."""
+    """Stages of one time step of a mortar with aggregates, before and after the coupled solve."""
 
     def before(self) -> list[Any]:
         """Return the stages before the coupled solve, which set up its equations."""
@@ -113,8 +113,8 @@ class SuspensionStep(GridStep):
         flow, kind, scalar = self.flow, self.kind, self.scalar
         return [
             *(self._speeds() if flow.adaptive else []),
-            # The solve that disperses crowded particles needs the matrix of the projection. The kernel `resist` has
-            # changed this matrix for the coupled solve, so compute it again.
+            # The solve that moves crowded particles apart needs the matrix of the pressure projection. The kernel
+            # `resist` has changed this matrix for the coupled solve, so compute it again.
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
@@ -139,8 +139,8 @@ class SuspensionFlow(GridFlow):
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
         )
         state.aggregates = self.aggregates.bodies
-        # The struct `cut` shares all arrays with the mesh, except for the viscosities, which it holds divided by the
-        # mortar fractions of cells and edges.
+        # The struct `cut` shares all arrays of the flow's struct `mesh`, except for the viscosities. In `cut`, the
+        # viscosities are divided by the mortar fractions of cells and edges.
         self.cut = state.structs.Fields()
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
@@ -150,8 +150,8 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The last side, the top of the box, is open as well. It is left out, because it is above the concrete, so that
-        # no aggregate leaves there.
+        # The top of the box, which is the last of its sides, is open as well. It is left out, because it is above the
+        # concrete, so that no aggregate leaves there.
         self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
@@ -167,7 +167,10 @@ class SuspensionFlow(GridFlow):
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     def share(self, abreast: int) -> None:
-        """Set the number of flows that share the GPU; each flow's solves may occupy only their share of its blocks."""
+        """Set the number of flows that share the GPU.
+
+        The solves of each flow may occupy only the flow's share of the GPU's thread blocks.
+        """
         super().share(abreast)
         self._build_stages()
 
@@ -184,7 +187,10 @@ class SuspensionFlow(GridFlow):
         }  # fmt: skip
 
     def invert_blocks(self) -> None:
-        """Recompute the inverse blocks of the aggregates after new contacts have changed the matrix."""
+        """Recompute the inverse diagonal blocks of the aggregates after new contacts have changed the matrix.
+
+        The matrix is that of the viscous solve.
+        """
         for stage in self._blocks:
             stage()
 
@@ -203,7 +209,10 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return the iterations of the viscous and coupled solves of the last step, and the coupled solve's error."""
+        """Return the numbers of iterations of the viscous and coupled solves in the last step, and the coupled error.
+
+        The coupled error is the relative residual at the end of the coupled solve.
+        """
         coupled = self.coupled
         return {
             "viscosity": {"iterations": float(coupled.inner)},

@@ -15,11 +15,12 @@ from .aggregates import Aggregates
 from .scene import SuspensionScene
 
 CLEARANCE = 0.02
-"""Minimum gap at the start. Between two spheres it is relative to the mean of their radii, and between a sphere and a
-wall relative to the sphere's radius."""
+"""Minimum gap at the start. Between two spheres it is divided by the mean of their radii, and between a sphere and a
+wall by the sphere's radius."""
 MARGIN = 0.005
-"""Gap in excess of CLEARANCE to which overlapping spheres are pushed apart, divided by the sum of their radii; for a
-wall, divided by the sphere's radius. Without it, overlaps would become ever smaller, but never vanish."""
+"""Additional gap, beyond CLEARANCE, to which overlapping spheres are pushed apart. Between two spheres it is divided by
+the sum of their radii, and between a sphere and a wall by the sphere's radius. Without this additional gap, overlaps
+would become ever smaller, but never vanish."""
 ITERATIONS = 1000
 """Maximum number of attempts to place spheres clear of walls, and of iterations that push overlapping spheres apart."""
 SWEEPS = 100

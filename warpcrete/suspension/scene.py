@@ -11,8 +11,8 @@ from ..mps.free.scene import FreeScene
 from .aggregates import MIN_CELLS
 
 MAX_FRACTION = 0.5
-"""Largest volume fraction of spheres without overlaps for which random placement succeeds, in boxes six diameters
-wide."""
+"""Largest volume fraction for which spheres can be placed at random without overlaps, in boxes that are six sphere
+diameters wide."""
 
 
 @dataclass(frozen=True, kw_only=True)

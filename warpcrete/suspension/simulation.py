@@ -18,14 +18,15 @@ from .scene import SuspensionScene
 UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1", "aggregates_inside": "1"}
 """Units of the columns of the time series that describe the aggregates."""
 SOLVE_BYTES = 4 * 8 * 64
-"""Memory per cell for the search directions of the coupled solve and their effects [bytes], in single precision.
+"""Memory per cell that the coupled solve of mortar and aggregates needs for its search directions [bytes], in single
+precision.
 
-A direction and its effect have eight numbers for each cell. A solve of at most 60 iterations stores up to 64
-directions.
+With each direction, the solve stores the direction's product with the matrix. A direction and its product have eight
+numbers for each cell. A solve of at most 60 iterations stores up to 64 directions.
 """
 DEEPEST = 0.3
-"""Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error, divided by a
-radius."""
+"""Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error. The overlap is
+divided by the radius of the aggregate."""
 
 
 class SuspensionSimulation(FreeSimulation):
@@ -70,7 +71,10 @@ class SuspensionSimulation(FreeSimulation):
         return super().measured() | row
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap by more than DEEPEST."""
+        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap too far.
+
+        The limit of an overlap with a neighbour or wall is DEEPEST times the radius of the aggregate.
+        """
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(

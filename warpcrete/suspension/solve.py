@@ -124,14 +124,17 @@ class CoupledSolve:
         }  # fmt: skip
 
     def _sum(self, slot: int, sums: int = 1) -> None:
-        """Add up the partial sums of `sums` inner products, and store the results from the index `slot` on."""
+        """Add up the partial sums of several inner products on the device.
+
+        `sums` is the number of inner products. The results are stored in `self.sums` from the index `slot` on.
+        """
         block = 1 if not self.flow.parallel else BLOCK
         self._launch(self.add_up, sums * block, block=BLOCK, count=self.tasks + self.count, slot=slot)
 
     def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
         """Return the inner products of the vector `weighted` with other vectors.
 
-        Each of `vectors` is a number of vectors and the struct of arrays that holds them.
+        Each of `vectors` is a pair: a number of vectors, and the struct of arrays that holds these vectors.
         """
         slot = 0
         for count, many in vectors:
@@ -175,7 +178,10 @@ class CoupledSolve:
             )
 
     def _begin(self, again: bool) -> None:
-        """Compute the residual of the current solution, which is zero unless the solve is repeated (`again`)."""
+        """Compute the residual of the coupled equations for the current solution.
+
+        The solution is still zero, unless the solve is repeated with new contacts (`again`).
+        """
         flow, slots = self.flow, self.flow.state.slots
         # Earlier stages computed pressure forces and inflows as if faces that aggregates cover in part were mortar
         # only. Correct both for the covered parts.
@@ -201,7 +207,7 @@ class CoupledSolve:
     def _iterate(self, tolerance: float) -> None:
         """Reduce the residual to a tolerance; raise :class:`ConvergenceError` if this fails.
 
-        A repeated solve, with new contacts, first uses the search directions that are stored from the solve before.
+        A repeated solve, with new contacts, first uses the search directions that the previous solve has stored.
         """
         directions = self.directions
         first = directions.orthogonal
@@ -226,9 +232,10 @@ class CoupledSolve:
             raise ConvergenceError(self.flow.time, "coupled", len(history), history, self.error, self.tolerances.outer)
 
     def _orthogonalise(self, number: int) -> float:
-        """Make the effect of a direction orthogonal to earlier effects, and return the best step along the direction.
+        """Make the effect of a search direction orthogonal to earlier effects, and return the best step along it.
 
-        The step minimises the residual. It is 0 if the direction has no effect.
+        The effect is the product of the matrix with the direction. The best step is the one that minimises the
+        residual. It is 0 if the effect is zero.
         """
         change, effect = self.directions[number]
         self._weigh(effect)
@@ -264,7 +271,10 @@ class CoupledSolve:
         return True
 
     def _advance(self, factor: float, change: Any, effect: Any) -> float:
-        """Move the solution by `factor` along a direction, and return the residual's norm relative to the momentum."""
+        """Move the solution by `factor` along a direction, and return the relative residual.
+
+        The relative residual is the norm of the residual, divided by the norm of the flow's momentum.
+        """
         self._launch(
             self.moves.advance, self.tasks + self.count, factor=factor, change=change, effect=effect,
             solution=self.solution, residual=self.residual,
@@ -273,8 +283,8 @@ class CoupledSolve:
         left, whole = map(float, self.sums.numpy()[SUMS : SUMS + 2])
         self._largest, self._momentum = max(self._largest, left), whole
         if left <= (ROUNDING["float64" if self.scalar is wp.float64 else "float32"]) ** 2 * self._largest:
-            # Rounding errors prevent a smaller residual, so accept this one. This case occurs in a short first step, in
-            # which the weight is much larger than the momentum of the flow.
+            # Rounding errors prevent a smaller residual, so accept the present solution. This case occurs in a short
+            # first step, in which the weight is much larger than the momentum of the flow.
             return min(float(np.sqrt(left / whole)), self.tolerances.coupled) if whole > 0 else 0.0
         return float(np.sqrt(left / whole)) if whole > 0 else float(np.inf if left > 0 else 0.0)
 

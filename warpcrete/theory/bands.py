@@ -21,8 +21,8 @@ class Band:
     def factor(self) -> float:
         """Factor f such that the true value is expected between value / f and value * f.
 
-        For a band that is not symmetrical in this sense, f is the square root of its upper end divided by its lower
-        end. It is infinite if the lower end is 0 or less.
+        For a band that is not symmetrical in this sense, f is the square root of the ratio of its upper end to its
+        lower end. It is infinite if the lower end is 0 or less.
         """
         return math.sqrt(self.high / self.low) if self.low > 0 else math.inf
 

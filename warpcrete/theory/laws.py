@@ -43,7 +43,7 @@ class FlowLaw:
     viscosity: float
     """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
 
-    For a slip layer, it is this value divided by the n-th power of the layer's thickness.
+    In the law of a slip layer, mu or k is divided by the n-th power of the layer's thickness.
     """
     index: float = 1.0
     """Flow index n."""
@@ -102,7 +102,7 @@ class FlowLaw:
         )
 
     def mean_velocity(self, stress: Any, radius: float, form: str) -> np.ndarray:
-        """Return the velocity [m/s] that shear adds to the slip velocity, averaged over the section.
+        """Return the velocity [m/s] that shear adds to the slip velocity, averaged over the cross-section.
 
         `stress` is the shear stress tau at the wall [Pa], and g is the shear rate at a stress s. In a pipe of `radius`
         R, the mean is R / tau^3 times the integral of g s^2 ds over s from 0 to tau. In a channel of half-width R

@@ -81,12 +81,12 @@ class Concrete(Declared):
 
     @property
     def bulk_law(self) -> FlowLaw:
-        """Law of the bulk, with shear rates in [1/s]."""
+        """Flow law of the concrete inside the slip layer (the bulk), with shear rates in [1/s]."""
         return FlowLaw(self.yield_stress, self.viscosity, self.flow_index, self.quadratic_viscosity)
 
     @property
     def layer_law(self) -> FlowLaw:
-        """Law of the slip layer, with slip velocities [m/s] in place of shear rates."""
+        """Flow law of the slip layer, with slip velocities [m/s] in place of shear rates."""
         return FlowLaw(self.slip_yield, self.slip_viscosity, self.slip_flow_index, self.slip_quadratic_viscosity)
 
 
@@ -145,13 +145,13 @@ class Steady:
     flow: float
     """Volume flow Q [m3/s]."""
     pressure: float
-    """Pressure at the lower end [Pa]."""
+    """Pressure at the lower end of the pipe, where concrete enters [Pa]."""
     wall_stress: float
     """Shear stress tau_w at the wall [Pa]."""
     slip_velocity: float
     """Slip velocity V_L at the wall [m/s]."""
     plug_radius: float
-    """Radius of the plug, inside which nothing is sheared [m]."""
+    """Radius of the plug, the unsheared concrete in the middle of the pipe [m]."""
 
 
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
@@ -305,7 +305,7 @@ def restart(
 
 
 def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str = "pipe") -> Steady:
-    """Return the steady state that a `pressure` [Pa] at the lower end drives.
+    """Return the steady state that a `pressure` [Pa] at the lower end of the pipe drives.
 
     Raises :class:`SceneError` if nothing flows at this pressure.
     """
@@ -326,8 +326,8 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     """Return the velocity [m/s] at distances `radius` [m] from the axis or middle plane.
 
     The shear stress grows linearly from the middle to the wall in a pipe as in a channel, so both have the same
-    profile; with Bingham's law it is a parabola outside the plug. Raises :class:`SceneError` for places outside the
-    bulk.
+    profile. With Bingham's law the profile is a parabola outside the plug, the middle part that is not sheared. Raises
+    :class:`SceneError` for distances that lie in the slip layer or beyond the wall.
     """
     r = np.abs(np.asarray(radius, float))
     inner = line.radius - line.slip_thickness
@@ -336,9 +336,9 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # The velocity relative to that at the edge of the bulk is the integral of the shear rate over the radius. The
-        # stress is proportional to the radius, so this is the integral over the stress, divided by the gradient of the
-        # stress.
+        # Let the edge be the place where the slip layer begins. The velocity relative to that at the edge is the
+        # integral of the shear rate over the radius. The stress is proportional to the radius, so this is the integral
+        # over the stress, divided by the gradient of the stress.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)
@@ -354,9 +354,9 @@ def layer_share(concrete: Concrete, line: Line, flow: float) -> float:
 def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     """Return the steady state of Kaplan's two-regime model of a round pipe with a thin slip layer.
 
-    While the wall bears less than the bulk's yield stress, the concrete slips as a plug. Above that it slips and
-    shears; the x^4 term of the Buckingham-Reiner law, with x = yield stress / wall stress, is left out (Kaplan, de
-    Larrard & Sedran 2005). Raises :class:`SceneError` for other laws than Bingham's.
+    If the wall stress is below the bulk's yield stress, the concrete slips as a rigid plug. Otherwise it slips and is
+    sheared. For the sheared part, the x^4 term of the Buckingham-Reiner law, with x = yield stress / wall stress, is
+    left out (Kaplan, de Larrard & Sedran 2005). Raises :class:`SceneError` for other laws than Bingham's.
     """
     for law, part in ((concrete.bulk_law, ""), (concrete.layer_law, "slip_")):
         if law.name != BINGHAM:
@@ -372,7 +372,7 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
             1 + drag * concrete.slip_viscosity
         )
         # Kaplan's law for the flow by shear gives negative values if the wall stress is just above the yield stress.
-        # The concrete then slips as a plug.
+        # The concrete then slips as a rigid plug.
         if mean > slip:
             stress = concrete.slip_yield + concrete.slip_viscosity * slip
         else:

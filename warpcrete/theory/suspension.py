@@ -10,7 +10,8 @@ from ..core.errors import between, one_of
 from .pipe import Concrete
 
 SUSPENSIONS = {"spheres": (2.5, 0.60), "discs": (2.0, 0.82)}
-"""Intrinsic viscosity and densest random packing of rigid inclusions: spheres in three dimensions, discs in two."""
+"""Pairs of intrinsic viscosity and densest random packing (a volume fraction) of rigid inclusions: spheres in three
+dimensions, discs in two."""
 
 
 def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float, float]:

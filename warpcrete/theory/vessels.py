@@ -138,7 +138,7 @@ def box_at_rest(
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume [m3] and the depth at the near end [m] of resting concrete.
+        """Return the volume [m3] of concrete at rest in the box, and its depth at the near end, the inlet [m].
 
         `far` is the depth of the concrete at its far end [m], and `reach` is the distance between both ends [m].
         """

@@ -59,8 +59,8 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    # Time several steps together. Their number is limited, so that they do not span more than one interval between
-    # samples.
+    # Time several steps together. Their number is limited, so that they do not span more than the interval between two
+    # measurements of the flow.
     count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
     loading.flow.take(count)  # The first steps load the kernels. They are taken here, so that the loading is not timed.
     course = course_of(loading)

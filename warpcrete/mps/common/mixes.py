@@ -24,8 +24,8 @@ laws are equal to Bingham's law."""
 CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
-"""Names of all constants and factors of a concrete. A scene's parameter of such a name replaces the value of the named
-concrete."""
+"""Names of all constants and factors of a concrete. A scene may have parameters with these names; their values replace
+those of the named concrete."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
@@ -37,7 +37,7 @@ def concrete_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class ConcreteParameters:
-    """Concrete and its slip layer."""
+    """Parameters of the concrete and of its slip layer."""
 
     common: ClassVar[tuple[str, ...]] = (
         "concrete",

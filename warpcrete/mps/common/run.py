@@ -26,7 +26,7 @@ class FlowRun(Simulation):
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Key under which the run's result stores the attribute `steady`."""
+    """Name of the entry of a run's result that states whether the flow became steady or came to rest."""
     method: ClassVar[str] = "mps"
     """Name of the simulation method in the run's result."""
     cure: ClassVar[str] = "use a smaller 'time_step'"

@@ -15,7 +15,7 @@ STEP_ERROR = (
 
 
 def check_interval(scene: Any) -> None:
-    """Raise :class:`SceneError` if the sample interval is shorter than the time step, and all time steps are equal."""
+    """Raise :class:`SceneError` if all time steps are equal and longer than the interval between measurements."""
     positive("sample_interval", scene.sample_interval, "s")
     if not scene.step_error:
         between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use the time step or more")

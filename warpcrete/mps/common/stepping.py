@@ -77,7 +77,7 @@ class Stepping(ABC):
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
         """Return a stage that launches `kernel`.
 
-        Its arguments are those in `named`; all other parameters of the kernel receive the flow's arrays of the same
+        The kernel receives the arguments in `named`. All its other parameters receive the flow's arrays of the same
         names.
         """
         return Stage(kernel, dim, completed(kernel, named, self._kernel_arrays), self.device, block=block)
@@ -91,11 +91,14 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Do the work that the last step requested before the next one begins, such as a rebuild of neighbour lists."""
+        """Before the next step begins, do the work that the last step requested, such as rebuilding neighbour lists."""
         raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
-        """Set the number of flows that share the GPU; each flow's solves may occupy only their share of its blocks."""
+        """Set the number of flows that share the GPU.
+
+        The solves of each flow may occupy only the flow's share of the GPU's thread blocks.
+        """
         if abreast != self.abreast:
             self.abreast, self._step = abreast, None
             self._launcher.invalidate_graphs()
@@ -133,7 +136,7 @@ class Stepping(ABC):
         return self._goal - self.steps
 
     def launch(self) -> None:
-        """Launch some of the steps that the flow still needs to reach its goal.
+        """Launch some of the steps that the flow still needs to reach its goal, a time or a number of steps.
 
         On a GPU the method returns before the steps are completed.
         """
@@ -178,7 +181,7 @@ class Stepping(ABC):
         )
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return iterations and residuals of each solve in the last step."""
+        """Return, for each linear solve in the last step, the number of iterations and the residuals."""
         found = {}
         for what, solve in self.solves().items():
             outcome: np.ndarray = solve.outcome.numpy()
@@ -213,7 +216,7 @@ class _Run:
         self._resume(None)
 
     def launch_steps(self) -> None:
-        """Launch steps towards the goal without waiting for their completion."""
+        """Launch steps towards the time or the number of steps that the run has requested, without waiting for them."""
         try:
             with wp.ScopedStream(self._stream) if self._stream else nullcontext():
                 self._flow.launch()

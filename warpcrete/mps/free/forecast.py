@@ -30,7 +30,7 @@ COARSE_CELLS_HIGH = 12
 def forecast(
     scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation
 ) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` measures the wall time of recording one frame.
+    """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame.
 
     `make` is the class whose instance simulates the scene.
     """
@@ -66,15 +66,16 @@ def course_of(simulation: FreeSimulation) -> Course:
             return Course(scene.duration, mean, ["the yield stress may hold the concrete in the funnel"])
         return Course(min(DURATION_FACTOR * estimate, scene.duration), mean)
     if scene.depth:
-        # Run no coarser copy, because it would not resolve the obstacles that the concrete must pass.
+        # Do not predict the duration by a coarser copy of this flow, because coarse cells would not resolve the
+        # obstacles that the concrete must pass.
         remark = "the time until the concrete rests is not predicted; the longest allowed time is assumed"
         return Course(scene.duration, mean, [remark])
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
         # With adaptive steps, two limits apply: the error of a step, and the time in which concrete crosses a cell. The
-        # first limit is the same in the copy and in the flow itself. The second is stricter in the flow, whose cells
-        # are smaller, so the flow may need more steps.
+        # first limit is the same in the coarser copy and in the flow itself. The second limit is stricter in the flow
+        # itself, whose cells are smaller, so the flow may need more steps than the copy.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

@@ -36,7 +36,7 @@ NEVER_OPENS = 1e30
 
 
 def free_cells(scene: FreeScene) -> tuple[int, ...]:
-    """Return the numbers of cells along each axis."""
+    """Return the number of cells of the grid along each axis for a scene with a free surface."""
     nx = max(4, round(scene.width / scene.spacing))
     h = scene.width / nx
     deep = (max(2, round(scene.depth / h)),) if scene.depth else ()
@@ -115,7 +115,7 @@ def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
 def section_distance(scene: FreeScene, polygon: Points) -> Distance:
     """Return a function of points that gives the signed distance [m] from a body, negative inside.
 
-    The body has `polygon` as its section, and is a body of revolution if `scene.round` is true.
+    The body has `polygon` as its vertical cross-section, and is a body of revolution if `scene.round` is true.
     """
     distance = polygon_distance(polygon)
     if scene.round:
@@ -131,7 +131,7 @@ def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
 
 
 def _differing_cells(one: Geometry, two: Geometry) -> np.ndarray:
-    """Return a mask of the cells in which two geometries differ in any array, with the shape of `solid`."""
+    """Return a mask with one value per cell: True where any array of the two geometries differs."""
     faces = (one.part != two.part) | (one.gap != two.gap) | (one.shut != two.shut) | (one.surface != two.surface)
     return (
         faces.any(0)

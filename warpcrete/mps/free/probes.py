@@ -40,7 +40,7 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _means_of_rings(layout: GridLayout, values: np.ndarray) -> np.ndarray:
-    """Return the means of values per vertical column of cells over rings about the axis of a round vessel.
+    """Return means over rings about the axis of a round vessel, from one value for each vertical column of cells.
 
     `values` has the shape (..., ny, nx), and the result the shape (..., nx). Each ring is as wide as a cell and
     contains the columns whose middles lie in it.
@@ -125,7 +125,7 @@ def specimen(flow: GridFlow) -> Specimen:
         top=lambda radius: top,
         spread=lambda: 2 * far if flow.scene.about_axis else far,
         height_around=lambda inner, outer: float(np.mean(height[(across >= inner) & (across <= outer)])),
-        # Concrete clings to the walls of a vessel's column and stands higher there; the median ignores these few
+        # Concrete clings to the vertical walls of a vessel and stands higher there. The median ignores these few
         # heights.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
         front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,
@@ -139,9 +139,9 @@ def specimen(flow: GridFlow) -> Specimen:
 def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     """Measure a flow and return a row of the time series.
 
-    `whole` is the initial volume of the concrete, in the unit of :func:`volume`. The volume error is the fraction of it
-    that the flow gains (positive) or loses at its surface by numerical errors. Concrete that has left through an open
-    side is not counted as lost.
+    `whole` is the initial volume of the concrete, in the unit of :func:`volume`. The volume error is the fraction of
+    this volume that the flow gains (positive) or loses at its surface by numerical errors. Concrete that has left
+    through an open side is not counted as lost.
     """
     concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout, flow.scene.about_axis)
     row = dict.fromkeys(UNITS, 0.0)

@@ -47,7 +47,7 @@ QUANTITIES = (
     Quantity("rest_speed", "m/s", lambda k: float(k.series["fastest"][-1])),
     Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
 )
-"""Results of all flows with a free surface."""
+"""Result quantities that every flow with a free surface has, with or without a standard test."""
 
 
 def quantities() -> tuple[Quantity, ...]:

@@ -64,8 +64,8 @@ class FreeSettings(Declared):
 class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel: an axisymmetric, plane or three-dimensional flow with a free surface; SI units.
 
-    Each polygon is a section of a body. The body extends through the whole depth of the simulated space, or is a body
-    of revolution if the flow is about an axis or if `round` is true.
+    Each polygon is the vertical cross-section of a body. The body extends through the whole depth of the simulated
+    space, or is a body of revolution if the flow is about an axis or if `round` is true.
     """
 
     name: str
@@ -85,9 +85,10 @@ class FreeScene(Parametrised, FreeSettings):
     depth: float = 0.0
     """Depth of the simulated space [m]; 0 for a flow in a plane or about an axis."""
     round: bool = False
-    """True if the polygons of a flow in space are sections of bodies of revolution about the axis x = y = 0."""
+    """True if the polygons of a flow in space are vertical cross-sections of bodies of revolution about the axis x = y
+    = 0."""
     blocks: tuple[Points, ...] = ()
-    """Polygons that are sections of walls at rest."""
+    """Polygons that are the vertical cross-sections of walls at rest."""
     walls: tuple[Wall, ...] = ()
     """Three-dimensional walls at rest. Concrete is on the side of a wall's closed mesh on which the point `amid`
     lies."""

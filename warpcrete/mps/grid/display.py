@@ -68,11 +68,11 @@ class GridDisplay(Display):
         return palette_colours(values, scale[2], scale[1], self.palette)
 
     def _shown(self, values: np.ndarray) -> np.ndarray:
-        """Convert values of the field that colours the display from SI units to the unit of its scale."""
+        """Convert values of the field that colours the display from SI units to the unit of the colour scale."""
         return values / 1e3 if self.colouring == "pressure" else values
 
     def surface_values(self, surface: Surface) -> np.ndarray:
-        """Return the quantity that colours the surface, at its vertices and in the unit of the scale, shape (v,)."""
+        """Return the quantity that colours the surface at its vertices, in the unit of the colour scale, shape (v,)."""
         return self._shown(surface.fields[FIELDS[self.colouring]])
 
     def surface(self, cut: bool = False) -> Surface:
@@ -90,7 +90,10 @@ class GridDisplay(Display):
         return None if self.cut is None else Cut(np.array([0.0, 1.0, 0.0]), self.cut)
 
     def _level(self) -> Level:
-        """Return the level-set function of the concrete at the cells' centres, with mirror images and fields."""
+        """Return the data for drawing the surface of the concrete: a level-set function and fields in the cells.
+
+        The level-set function is zero on the surface. The fields colour the surface.
+        """
         layout = self._layout
         places = tuple(
             layout.room.origin[k] + (np.arange(n) + 0.5) * layout.room.width[k] for k, n in enumerate(layout.cells)
@@ -98,7 +101,10 @@ class GridDisplay(Display):
         return Level(places, self._cell_levels(), self._cell_fields())
 
     def _cell_levels(self) -> np.ndarray:
-        """Return the filled fraction of each cell minus one half, shape (nx, ..., nz)."""
+        """Return the fraction of each cell that concrete fills, minus one half, shape (nx, ..., nz).
+
+        The result is zero on the drawn surface of the concrete, where cells are half full.
+        """
         return self._filled() - HALF_CELL
 
     def _filled(self) -> np.ndarray:

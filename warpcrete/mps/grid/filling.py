@@ -32,8 +32,8 @@ def fill_cells(
     there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
     part = count / per_axis**axes
-    # The surface of the concrete may cross cells that are partly full, and cells of which only one of two neighbours
-    # contains concrete. Compute the filled fractions of these cells from a finer set of sample points.
+    # The surface of the concrete may cross cells that are partly full, and cells with concrete on one side only.
+    # Compute the filled fractions of these cells from a finer set of sample points.
     edge = (part > 0) & (part < 1)
     for axis in range(axes):
         step = np.diff((part > 0).astype(int), axis=axis) != 0

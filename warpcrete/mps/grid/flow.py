@@ -31,7 +31,8 @@ from .stages import DISPERSION_TOLERANCES, GridStep
 from .state import GridState, grid_numbers
 from .systems import CHUNKS, System, solve_arrays, system_of
 
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the net inflow of a cell, by precision.
+# Rounding error of a cell's net inflow, divided by a typical net inflow, by precision.
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 MIN_RELATIVE_SPEED = 0.05
 """Minimum speed by which the error of a time step is divided to get its relative error, as a fraction of the typical
 speed of the flow."""
@@ -41,10 +42,10 @@ UNREACHABLE_STEPS = 2**31 - 1  # Number of steps so large that no run reaches it
 
 
 class GridFlow(Stepping):
-    """Flow on a grid, which advances its state in time."""
+    """Object that advances a flow on a grid in time."""
 
     next_step: float
-    """Length of the next step [s], unless the step must end earlier to meet the goal."""
+    """Length of the next step [s]. The step is shorter if the time up to which the flow runs is reached earlier."""
     rebuilds = 0
     """Number of rebuilds of neighbour lists; always zero, because a grid needs no lists."""
 
@@ -65,8 +66,8 @@ class GridFlow(Stepping):
         near, shape = (kind.velocity_neighbours, kind.pressure_neighbours), state.shape
         self.viscous = system_of(self.scalar, self.device, shape, state.layout.axes, near[0])
         self.projection = system_of(self.scalar, self.device, shape, 1, near[1])
-        # A second system, with the matrix of the pressure, moves particles out of crowded regions. A full pipe needs no
-        # such system, because its cells are full by definition.
+        # A second linear system, with the matrix of the pressure, moves particles out of crowded regions. A full pipe
+        # needs no such system, because its cells are full by definition.
         self.dispersion = (
             None
             if self.full
@@ -146,7 +147,7 @@ class GridFlow(Stepping):
         super().launch()
 
     def begin_goal(self) -> None:
-        """Send the goal to the device, unless this has been done."""
+        """Send the goal, a time or a number of steps, to the device, unless this has been done."""
         if not self._goal_sent:
             launch(
                 self.clock_kernels.begin, 1, self.device, until=min(self._goal_time, 1e300), goal=self._goal,
@@ -163,12 +164,15 @@ class GridFlow(Stepping):
 
     @property
     def goal_reached(self) -> bool:
-        """True when the flow has reached its goal."""
+        """True when the flow has reached the time or the number of steps that `set_goal` has set."""
         return self._goal_reached
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal if no time step gets shorter; steps beyond the goal have no effect."""
+        """Number of steps to the goal if no time step gets shorter.
+
+        The number may be too large, because steps that are launched beyond the goal have no effect.
+        """
         if not self.adaptive:
             return self._goal - self.steps
         by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)
@@ -236,19 +240,22 @@ class GridFlow(Stepping):
 
     @property
     def _force(self) -> float:
-        """Norm of the force residual if every velocity is wrong by the typical speed, in the longest time step."""
+        """Norm that the residual of the velocity solve has if every velocity is wrong by the typical speed of the flow.
+
+        The norm is that in a time step of the longest allowed length.
+        """
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
 
     @property
     def _rounding(self) -> float:
-        """Norm of the rounding error of the divergence; no solve can reduce its residual below this norm."""
+        """Norm of the rounding error of the divergence; a pressure solve cannot reduce its residual below this norm."""
         part = ROUNDING["float64" if self.scalar is wp.float64 else "float32"]
         return part * self._force / min(self.state.layout.room.width)
 
     @property
     def _volume(self) -> float:
-        """Volume of a cell [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
+        """Cell volume [m3]; in plane flow per metre of depth, in axisymmetric flow per radian at a typical radius."""
         layout = self.state.layout
         return math.prod(layout.room.width) * (layout.length if layout.axial else 1.0)
 

@@ -30,13 +30,14 @@ class GridLayout:
     slip: tuple[float, float]
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
     speed: float
-    """Typical speed of the flow [m/s], by which errors of the solves are judged."""
+    """Typical speed of the flow [m/s]. Linear solves stop when the errors of the velocities are small compared with
+    it."""
     length: float
     """Length over which the velocity typically varies [m]."""
     frame: float = 0.0
     """Velocity of the grid along its last axis [m/s]. In a periodic pipe it is the mean velocity of the concrete."""
     drive: float = 0.0
-    """Driving force per volume at the start [N/m3]."""
+    """Driving force per volume of concrete in a periodic pipe at the start [N/m3]."""
     mean_velocity_fixed: bool = True
     """True if the driving force of a periodic pipe adapts to keep the mean velocity; False if the force is constant."""
     resistance: float = 0.0
@@ -49,15 +50,16 @@ class GridLayout:
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
-    """True if concrete fills the grid at all times; without it, only periodic flows have no free surface."""
+    """True if concrete fills the grid at all times. If False, concrete may have a free surface, except in a periodic
+    flow."""
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on ROUGH walls; by default concrete sticks to them."""
     slips: bool = True
-    """True if `slip` is the concrete's own slip layer, which follows its flow law; False if its stress grows linearly
-    with the slip velocity."""
+    """True if the slip layer on walls, `slip`, is the concrete's own, which follows its flow law; False if its stress
+    grows linearly with the slip velocity."""
     rough_slips: bool = False
-    """True if `rough` is the concrete's own slip layer, which follows its flow law; False if its stress grows linearly
-    with the slip velocity."""
+    """True if the slip layer on ROUGH walls, `rough`, is the concrete's own, which follows its flow law; False if its
+    stress grows linearly with the slip velocity."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()
@@ -70,7 +72,7 @@ class GridLayout:
     gained: float = 0.0
     """Increase of the yield stresses of bulk and slip layer during a rest before the start [Pa]."""
     inflow: tuple[float, ...] | None = None
-    """Velocity with which particles re-enter the grid after they have left it [m/s]."""
+    """Velocity with which particles re-enter the grid after they have left it [m/s]; None for zero."""
 
     @property
     def cells(self) -> tuple[int, ...]:
@@ -99,7 +101,7 @@ class GridLayout:
 
     @property
     def step(self) -> float:
-        """Height of a cell [m]."""
+        """Height of a cell [m], which is the distance from one cell to the next along the last axis."""
         return self.room.width[-1]
 
     @property
@@ -114,7 +116,7 @@ class GridLayout:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of cells along each axis, last axis first, with one more cell at both ends of the axis."""
+        """Number of cells along each axis, last axis first, with one additional cell at each end of the axis."""
         return tuple(n + 2 for n in reversed(self.cells))
 
     @property

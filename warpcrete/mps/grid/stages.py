@@ -35,8 +35,8 @@ from .systems import CHUNKS, System
 
 # Number of layers of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 EXTRAPOLATED_CELLS = 3
-# Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
-# second is relative to the residual that arises if every cell must lose its whole volume in one step.
+# Two tolerances of the solve that moves crowded particles apart. The first one is a fraction of the initial residual.
+# The second one is a fraction of the residual that arises if every cell must lose its whole volume in one step.
 DISPERSION_TOLERANCES = 0.1, 1e-5
 
 
@@ -126,9 +126,9 @@ class GridStep:
     def _extrapolate(self) -> list[Stage]:
         """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
 
-        The first launch reads the velocities of the mesh, and each further one those that the launch before it has
-        written. The launches write to the two arrays `flow.extended` in alternation, so that the last one writes to the
-        first array.
+        The first launch reads the velocities on the faces of the grid. Each further launch reads the velocities that
+        the launch before it has written. The launches write to the two arrays `flow.extended` in alternation, so that
+        the last one writes to the first array.
         """
         flow, found = self.flow, []
         for turn in range(EXTRAPOLATED_CELLS):
@@ -178,7 +178,10 @@ class GridStep:
         ]
 
     def _complete(self, system: System) -> list[Stage]:
-        """Return the stages that compute the coarser multigrid levels of a system, and list its rows with unknowns."""
+        """Return the stages that prepare a linear system for its solve.
+
+        The stages compute the coarser multigrid levels of the system, and list its rows with unknowns.
+        """
         kernels, matrix = level_kernels(self.scalar, not self.flow.parallel), system.matrix
         found = []
         for level in range(1, len(system.first) - 1):
@@ -190,7 +193,7 @@ class GridStep:
         return [*found, *self._alone(kernels.list_rows, system.first[-1] if self.flow.parallel else 1, matrix=matrix)]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
-        """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
+        """Return the stage that solves a system by conjugate gradients and adds the solution to the array `x`.
 
         The solve stops when the norm of its residual is below `tolerance` times the initial norm, or below the norm
         stored in the system.

@@ -21,10 +21,10 @@ MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress"
 """Names of the arrays on which the next step depends: those of the particles (PARTICLE_ARRAYS), and those on cells,
 faces and edges (MESH_ARRAYS)."""
 STRUCTURE_ARRAYS = ("gained", "layer")
-"""Names of further mesh arrays on which the next step depends if the concrete is thixotropic."""
+"""Names of further arrays of the struct `Fields` on which the next step depends if the concrete is thixotropic."""
 FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
-"""Names of the mesh arrays with one entry per face. EDGE_ARRAYS names those with one entry per edge, and PARTICLE_LISTS
-those with one entry per particle. Most other mesh arrays have one entry per cell."""
+"""Names of the arrays of the struct `Fields` with one entry per face. EDGE_ARRAYS names those with one entry per edge,
+and PARTICLE_LISTS those with one entry per particle. Most other arrays of the struct have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles")
 SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
@@ -47,7 +47,7 @@ class GridState:
     particles: Any
     """Arrays of the particles, a struct `Particles`."""
     mesh: Any
-    """Arrays on cells, faces and edges, a struct `Fields`."""
+    """Arrays on the cells, faces and edges of the grid, a struct `Fields`."""
     geometry: Any
     """Geometry of the walls as the next step uses it, a struct `Geometry`; the attribute `opened` holds the geometry
     that applies after the gate has opened."""
@@ -126,7 +126,7 @@ class GridState:
         )
 
     def _rows(self, name: str) -> int:
-        """Return the number of entries of the mesh array called `name`."""
+        """Return the number of entries of the array `name` of the struct `Fields`."""
         if name in PARTICLE_LISTS:
             return self.count
         if name == "reserved_places":
@@ -142,9 +142,10 @@ class GridState:
         return many.get(name, 1) * self.slots
 
     def _geometry(self, found: Geometry | None) -> Any:
-        """Return a struct `Geometry`.
+        """Return the struct `Geometry` of the walls for the kernels, with its arrays on the device.
 
-        Without a geometry (`found` is None), all walls are sides of cells, and the arrays of the struct are empty.
+        If `found` is None, no wall cuts a cell: all walls are sides of cells, and the arrays of cells, faces and edges
+        are empty.
         """
         own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
         names = [name for name in self.structs.Geometry.vars if name not in own]
@@ -161,7 +162,7 @@ class GridState:
         return getattr(self.mesh, name).numpy().astype(float).reshape(-1, *self.shape)
 
     def cells(self, name: str) -> np.ndarray:
-        """Return an array of the mesh or geometry with one entry per cell, in double precision.
+        """Return an array of the struct `Fields` or `Geometry` that has one entry per cell, in double precision.
 
         The layer of cells around the grid is left out, and the last axis comes first.
         """

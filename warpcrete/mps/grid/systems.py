@@ -31,17 +31,17 @@ grids have a single level, so that the preconditioner is the diagonal of the mat
 On smaller grids, coarser levels take more time than they save.
 """
 COARSEST = 32
-"""Number of cells at or below which a level is not coarsened further."""
+"""Number of cells of a multigrid level at or below which no coarser level follows."""
 COARSEST_STEPS = 6
-"""Number of smoothing steps by which the equations of the coarsest level are solved approximately."""
+"""Number of smoothing steps by which the equations of the coarsest multigrid level are solved approximately."""
 VISITS = {"cpu": 2, "gpu": 1}
 """Number of visits of the next coarser level in a multigrid cycle: 1 is a V-cycle, 2 a W-cycle.
 
 A second visit reduces the number of iterations. On a GPU, however, its barriers take more time than it saves.
 """
 STEPS = {"cpu": 1, "gpu": 2}
-"""Number of smoothing steps before and after the visits of the next coarser level. On the finest level it is always
-1."""
+"""Number of smoothing steps before and after the visits of the next coarser multigrid level. On the finest level, the
+number is always 1."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class System:
     """Linear system with a row for each face or for each cell of the grid."""
 
     rows: int
-    """Number of rows of the finest level."""
+    """Number of rows on the finest multigrid level, whose cells are those of the grid itself."""
     first: tuple[int, ...]
-    """Index of the first row of each level, followed by the total number of rows."""
+    """Index of the first row of each multigrid level, followed by the total number of rows."""
     matrix: Any
-    """Coefficients of the systems of all levels, a struct `Matrix`."""
+    """Coefficients of the linear systems of all multigrid levels, a struct `Matrix`."""
     arrays: Any
     """Working arrays of the solve, a struct `Solve`."""
 
@@ -85,7 +85,7 @@ NUMBERS = ("near_capacity", "rows", "levels", "children")
 
 
 def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
-    """Return the working arrays of a solve with `finest` rows on the finest level and `rows` rows on all levels."""
+    """Return the working arrays of a solve with `finest` rows on the finest multigrid level and `rows` rows in all."""
     wide = parallel(device)
     sizes = {
         "direction": finest * (2 if wide else 1), "product": finest, "stop_norm": 1, "outcome": OUTCOME,
@@ -96,7 +96,10 @@ def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
 
 
 def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Return the number of cells along each axis for all levels; it halves from each level to the next coarser one."""
+    """Return the number of cells along each axis for all multigrid levels.
+
+    The number halves from each level to the next coarser one.
+    """
     shapes = [tuple(shape)]
     while math.prod(shapes[-1]) > COARSEST and max(shapes[-1]) > 2:
         shapes.append(tuple((n + 1) // 2 for n in shapes[-1]))
@@ -104,10 +107,10 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def kinship(shapes: list[tuple[int, ...]], copies: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each row its parent on the next coarser level, and for each coarser row its children, the finer rows.
+    """Return for each row its parent on the next coarser multigrid level, and for each coarser row its children.
 
-    Rows of the coarsest level have the parent -1. The second array has 2^axes entries for each coarser row, one after
-    the other; entries without a child are -1.
+    The children are rows of the next finer level. Rows of the coarsest level have the parent -1. The second array has
+    2^axes entries for each coarser row, one after the other; entries without a child are -1.
     """
     axes = len(shapes[0])
     parent = np.full(first[-1], -1)
@@ -141,7 +144,7 @@ def cycle(levels: int, visits: int, steps: int) -> list[tuple[int, int, int, int
         return side
 
     def visit(level: int, side: int, first: bool) -> int:
-        """Add a visit of a level whose solution is in the array `side`; return the array of its new solution.
+        """Add a visit of a multigrid level with a solution in the array `side`; return the array of its new solution.
 
         The arrays are 0 for `even` and 1 for `odd`. The `first` visit of a level in a cycle needs one smoothing step
         less.

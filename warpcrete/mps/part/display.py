@@ -132,7 +132,10 @@ class PartDisplay(GridDisplay):
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and, for each, the frictional loss from there to the end of straight pipes by theory [Pa]."""
+        """Arc lengths [m] and, for each, the theoretical frictional loss from there to the end [Pa].
+
+        The loss is that of straight pipes with the bores of the part.
+        """
         end = self._scene.axis.length
         s = np.linspace(0, end, RING_COUNT)
         return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])

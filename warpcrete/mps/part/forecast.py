@@ -15,7 +15,7 @@ from .simulation import PartSimulation
 
 
 def forecast(scene: PartScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` measures the wall time of recording one frame."""
+    """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame."""
     return flow_forecast(
         lambda: PartSimulation(scene, device=str(device), precision=precision, threads=threads),
         _course,

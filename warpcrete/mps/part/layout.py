@@ -28,7 +28,7 @@ MIN_AXIS_POINTS, POINTS_PER_RADIUS = 200, 8
 """Number of points along the axis from which the extent of a part is computed: POINTS_PER_RADIUS for each radius of the
 bore, but at least MIN_AXIS_POINTS."""
 ROUNDING = 1e-6
-"""Largest rounding error of a length that is a whole number of cells [cells]."""
+"""Largest rounding error, in cell widths, of a length that is a whole number of cells."""
 
 
 class Frame:
@@ -48,10 +48,13 @@ class Frame:
             across = across - (across @ out) * out
         across = across / np.linalg.norm(across)
         self.axes = np.stack([across, np.cross(out, across), out])
-        """Axes of the grid as rows, shape (3, 3)."""
+        """Axes of the grid as rows, in the coordinates of the scene, shape (3, 3)."""
 
     def to_grid(self, x: np.ndarray) -> np.ndarray:
-        """Convert points of the scene to grid coordinates, whose origin is the end of the pipe's axis; shape (n, 3)."""
+        """Convert points of the scene to grid coordinates, shape (n, 3).
+
+        The origin of the grid coordinates is the downstream end of the pipe's axis.
+        """
         return (x - self.end) @ self.axes.T
 
     def to_scene(self, x: np.ndarray) -> np.ndarray:
@@ -179,9 +182,9 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
 
 
 def stations(scene: PartScene, room: Room, chosen: np.ndarray) -> np.ndarray:
-    """Return the arc length at the middle of each chosen cell [m].
+    """Return the arc length along the pipe's axis at the middle of each chosen cell [m].
 
-    `chosen` is a mask with the shape of the state's cells, last axis first.
+    `chosen` is a mask with one value for each cell of the grid, last axis first.
     """
     cells = np.argwhere(chosen)[:, ::-1]
     return scene.axis.along(Frame(scene).to_scene(np.array(room.origin) + (cells + 0.5) * np.array(room.width)))

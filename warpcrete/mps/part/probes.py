@@ -56,8 +56,8 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
     """Return lines fitted to the pressure in the straight pipes upstream and downstream of a part's middle.
 
     The middle is the stretch from the first to the last bend or taper. Each line is returned as its slope [Pa/m] and
-    its value at arc length zero [Pa]. Points closer than CLEARANCE radii to an end of a straight pipe are not used.
-    With fewer than three points, slope and value are NaN.
+    its value at arc length zero [Pa]. Points are not used if their distance from an end of a straight pipe is less than
+    CLEARANCE times the pipe's radius. With fewer than three points, slope and value are NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))
@@ -127,8 +127,8 @@ def measured(flow: GridFlow) -> dict[str, float]:
     top = layout.shape[0] - 1
     out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
-    # Only half of the control volume of a face on the open side lies in the grid. The area of the face is therefore
-    # that volume divided by half a spacing.
+    # Only half of the control volume of a face on the open side lies in the grid. The area of the face is therefore the
+    # volume of this half, divided by half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")

@@ -31,7 +31,7 @@ ROUNDNESS_TOLERANCE = 0.03
 """Maximum relative deviation of a mesh's radius, around the axis, from that of a circle of equal area. With larger
 deviations, theory of round pipes is not applied."""
 AXIS_SAMPLES = 60
-"""Number of points along the axis at which the bore of a mesh is measured."""
+"""Number of points along the pipe's axis at which the bore inside a mesh is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,8 @@ class PartScene(Parametrised, PartSettings):
     flow: float
     """Volume flow of the concrete through the part [m3/s]."""
     spacing: float
-    """Wanted width of the cells [m]; the nearest width that divides the radius at the start is used."""
+    """Wanted width of the cells [m]. The nearest width is used that divides the pipe's radius at the start of the
+    part."""
     parts: tuple[Section, ...] = ()
     """Sections whose losses are reported; if empty, they are derived from `axis` and `bores`."""
     wall: MeshWall | None = None
@@ -165,7 +166,8 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
-            # Compare with a tolerance for rounding errors, because both lengths are differences of arc lengths.
+            # Compare with a tolerance for rounding errors, because the lengths of the straight pipes at both ends are
+            # differences of arc lengths.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",

@@ -23,8 +23,8 @@ from .quantities import QUANTITIES, RunData
 from .scene import PartScene
 
 SAMPLES = 10
-"""Length of the two successive periods over which the pressure must not change in a steady flow, in longest allowed
-time steps."""
+"""Length of each of two successive periods, divided by the longest allowed time step. A flow counts as steady if its
+pressure hardly changes over both periods."""
 
 
 class PartSimulation(FlowRun):
@@ -56,14 +56,14 @@ class PartSimulation(FlowRun):
     def ended_early(self) -> bool:
         """Return whether the frictional pressure changed by less than `steadiness` in each of two successive periods.
 
-        The length of a period is `SAMPLES` time steps.
+        The length of a period is `SAMPLES` times the longest allowed time step.
         """
         scene, rows = self.scene, [row for row in self._rows if row["time"] > 0]
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        # The hydrostatic pressure does not depend on the flow; without it, the relative change of the friction is
-        # measured.
+        # Subtract the hydrostatic pressure, which does not depend on the flow, so that the relative change is that of
+        # the frictional pressure.
         weight = scene.concrete.density * scene.gravity * scene.rise
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)

@@ -26,8 +26,8 @@ START_CANDIDATES = 2048
 starting points of the walkers that sample the posterior."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Distance from a failed run over which it lowers the estimated probability that other runs succeed. Parameters are
-scaled to 0 to 1 over their ranges."""
+"""Distance from a failed run within which other runs are considered less likely to succeed. Each parameter is scaled to
+0 to 1 over its range."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 

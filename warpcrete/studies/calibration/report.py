@@ -16,7 +16,7 @@ from .posterior import confounded_pairs
 from .targets import Target
 
 SMOOTH = 60
-"""Number of bins in a histogram of the posterior."""
+"""Number of bins in a histogram of the posterior. It is so large that the histogram looks like a smooth curve."""
 
 
 def write(found: Calibration, modules: Mapping[str, Any]) -> None:

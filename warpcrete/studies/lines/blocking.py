@@ -30,11 +30,11 @@ FOLDER = "blocking"
 """Name of the folder with the runs for the probability of a blockage, next to the folders of the line's parts."""
 RECORD = "blocking-probability.json"
 STRAIGHT_DIAMETERS = 2.0
-"""Length of straight pipe before and behind the line's narrowest part in a simulation, in diameters of its wider
-end."""
+"""Length of straight pipe before and behind the line's narrowest part in a simulation, divided by the larger of the
+diameters at the two ends of the part."""
 TRAVEL_DIAMETERS = 4.0
-"""Travel of the piston [diameters]. It leaves room for the check for blockage, which needs up to two diameters of
-travel to recognise concrete that stands still."""
+"""Travel of the piston, divided by the diameter of the pipe. The travel leaves room for the check for blockage, which
+recognises concrete that stands still only after a travel of up to two diameters."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
 """Coefficient of friction between stones, as for dry stones.
@@ -60,7 +60,7 @@ class BlockingProbability:
     blocked: int
     """Number of runs that ended because the part was blocked."""
     failed: int
-    """Number of runs that ended with an error, and do not count."""
+    """Number of runs that ended with an error; they do not count in the probability of a blockage."""
     short: int
     """Number of runs that were not blocked, but at whose end part of the concrete stood still."""
     stones: int

@@ -14,7 +14,7 @@ from ...geometry.pipe_line import Part, PipeLine
 from .run import GRAVITY
 
 STEPS = 50
-"""Number of intervals into which a part is divided to integrate the pressure along it."""
+"""Number of intervals into which a part of the pump line is divided to integrate the pressure along it."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class WallLaw:
     slope: float
     """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
-    """Largest pressure in the measurements to which the law was fitted [Pa]."""
+    """Largest pressure among the measurements to which this law of wall friction was fitted [Pa]."""
     largest: float
     """Pressure above which the wall stress is assumed constant [Pa]. At such pressures the overlaps of the elements are
     so large that the linear law is not valid."""

@@ -31,13 +31,13 @@ from .run import folder_name
 
 SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
-"""Length of the straight pipe before a simulated bend or reducer, in diameters. The straight pipe behind it has the
-same length. If a straight pipe is simulated, it consists of two such lengths."""
+"""Length of the straight pipe before a simulated bend or reducer, divided by the larger of the part's diameters. The
+straight pipe behind the part has the same length. A simulation of straight pipe alone consists of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
-"""Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
-they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
+"""Smallest ratio of the largest stone's diameter to the narrowest bore of the line in a simulation. If the stones are
+smaller, they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
-"""Default factor on the elastic modulus of the concrete.
+"""Default factor by which the elastic modulus of the elements is multiplied.
 
 Soft aggregates are still being compressed after they have travelled many pipe diameters, so that less concrete leaves a
 part of the line than enters it. The factor hardly changes the pressure. In straight pipe of 125 mm the loss is 9.48
@@ -46,19 +46,19 @@ kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five times t
 PRESSED_RUN = "pressed"
 """Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
-In this simulation, a plug at the outlet presses against the concrete. In the first simulation, the plug hardly resists,
-so that the pressure remains low. A friction law fitted to these low pressures alone would overestimate the friction at
-high pressure.
+In this simulation, the movable plug that closes the outlet presses against the concrete. In the first simulation, the
+plug hardly resists, so that the pressure remains low. A friction law fitted to these low pressures alone would
+overestimate the friction at high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure of the plug at the pipe's outlet in the second simulation of straight pipe, divided by the elastic modulus
-of the elements. With this pressure the plug resists the flow."""
+"""Pressure of the plug that closes the pipe's outlet in the second simulation of straight pipe, divided by the elastic
+modulus of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to elastic modulus above which the wall friction is assumed constant, because the linear friction
 law is not valid for the large overlaps of elements at such pressures."""
 MIN_FLUX_RATIO = 0.8
-"""Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
-compressed."""
+"""Ratio of the outflow of elements from a part to the inflow, below which a remark warns the user that the concrete is
+still being compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -75,7 +75,8 @@ class Elements:
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor by which the elastic modulus of the concrete is multiplied in the simulations."""
+    """Factor on the elastic modulus of the elements. The simulations use the modulus that the concrete states,
+    multiplied by this factor."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -140,8 +141,9 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield each kind of part that needs a simulation, as its key and an example part.
 
-    Straight pipe is needed at every diameter of the line, once with and once without a plug that presses on the
-    concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
+    Straight pipe is simulated twice at every diameter of the line. In the second simulation, a movable plug at the
+    outlet presses against the concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no
+    simulation of their own.
     """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:
@@ -155,7 +157,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the parameters of the scene that simulates a part by discrete elements, without weight."""
+    """Return the parameters of the scene that simulates a part by discrete elements, without gravity."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,
@@ -193,8 +195,8 @@ def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elemen
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
     factor = elements.coarse or max(1.0, LARGEST_STONE_RATIO * narrowest / most)
-    # The plug in the pipe consists of balls. They are enlarged together with the aggregate, because small balls would
-    # limit the time step.
+    # The plug that closes the pipe consists of balls. They are enlarged together with the aggregate, because small
+    # balls would limit the time step.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}

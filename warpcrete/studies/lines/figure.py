@@ -10,11 +10,11 @@ from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THE
 from .pressures import LinePressures
 
 MIN_STRIPE = 0.004
-"""Smallest width of the stripe that marks a bend in the figure, relative to the length of the line."""
+"""Smallest width of the stripe that marks a bend in the figure, divided by the length of the pump line."""
 
 
 def draw(result: LinePressures) -> Any:
-    """Return a Matplotlib figure of the pressure along a line, with its uncertainty band and the closed form."""
+    """Return a Matplotlib figure of the pressure along a pump line, with its uncertainty band and the closed form."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4.2), layout="constrained")

@@ -86,14 +86,14 @@ class FittedConstant:
 
 @dataclass(frozen=True)
 class LineFit:
-    """Slip layer and factor of bends that were fitted to pressures measured at taps, the places of gauges on a line."""
+    """Slip layer and factor of bends that were fitted to pressures at taps, the places of gauges on a pump line."""
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
     """Fitted constants in this order: the viscosity of the slip layer, its yield stress and, if the line has bends, the
     friction of bends divided by that of straight pipe."""
     pressures: tuple[float, ...]
-    """Pressures at the taps according to the fit [Pa], in the order of the taps."""
+    """Pressures at the taps (places of gauges) according to the fit [Pa], in the order of the taps."""
     uncertainty: float
     """Uncertainty of the friction of straight pipe: half the width of its 95 % confidence interval, divided by the
     friction."""
@@ -149,7 +149,7 @@ class LineFit:
 
 
 def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
-    """Read pressures measured along a line from a CSV file.
+    """Read pressures measured along a pump line from a CSV file.
 
     The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place of a
     gauge, the column `part` may give the number of the part before which the gauge sits. Without a column of flows, all
@@ -206,7 +206,8 @@ class _Model:
         outlet and slip layer. The friction per metre of the first part is calculated once and holds for all parts of
         the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`.
+        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`. A tap is the place
+        of a gauge.
 
         The first length is that of straight pipe with the same friction as all parts whose factor is known. The second
         length is that of the bends whose factor is fitted.
@@ -245,9 +246,9 @@ class _Model:
         return np.array(found)
 
     def sensitivities(self, constants: np.ndarray, free: Sequence[int]) -> np.ndarray:
-        """Return the derivatives of the pressures at the taps with respect to some constants, shape (taps, free).
+        """Return the derivatives of the pressures at the taps (places of gauges) with respect to some constants.
 
-        `free` holds the indices of these constants in `constants`.
+        `free` holds the indices of these constants in `constants`. The result has the shape (taps, free).
         """
         here, steps = self.pressures(constants), (1e-4 * constants[0], max(1e-4 * constants[1], 1e-3), 1e-3)
         columns = []
@@ -259,14 +260,14 @@ class _Model:
 
 
 def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
-    """Fit the slip layer and the factor of bends to pressures along a line, by least squares.
+    """Fit the slip layer and the factor of bends to pressures along a pump line, by least squares.
 
     All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
     It also supplies the fitted constants that the pressures do not determine:
 
     - The yield stress of the layer, if all pressures were measured at a single flow. Such pressures do not distinguish
       it from the layer's viscosity.
-    - The factor of bends, if bends have the same share in the line behind each gauge.
+    - The factor of bends, if the fraction of pipe behind the gauge that consists of bends is the same for all gauges.
 
     Raises :class:`SceneError` for too few measured points or an impossible result.
     """
@@ -333,8 +334,9 @@ def _metre(line: PipeLine) -> PipeLine:
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
     """Return the first constants of `free`, as many as the measured pressures determine.
 
-    `slopes` holds the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). As
-    long as the columns of `slopes` are linearly dependent, the last constant is dropped together with its column.
+    `slopes` holds the derivatives of the pressures at the taps (places of gauges) with respect to these constants,
+    shape (taps, free). As long as the columns of `slopes` are linearly dependent, the last constant is dropped together
+    with its column.
     """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -393,7 +395,7 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     """Return a report on the fit as lines of Markdown.
 
     The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
-    the files of the concrete and of the line, and a table of the taps.
+    the files of the concrete and of the line, and a table of all measured pressures.
     """
     eta, tau, *bends = fit.constants
     off = fit.deviations()

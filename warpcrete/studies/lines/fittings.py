@@ -43,7 +43,7 @@ class ModelError:
     low: float
     high: float
     source: str
-    """Publications and rules that gave the lower and the upper end of the range."""
+    """Publications and rules from which the lower and the upper end of the range of a part's friction were taken."""
 
 
 MODEL_ERRORS = {
@@ -53,8 +53,9 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Range of a part's friction divided by that of straight pipe, by kind of part. For a valve, the upper end follows from
-the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of straight pipe."""
+"""Range of the ratio of a part's friction to that of straight pipe of the same length, by kind of part. For a valve,
+the upper end follows from the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of
+straight pipe."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:

@@ -1,4 +1,4 @@
-"""Folder of a simulated pump line, with one run for each kind of part; an interrupted simulation continues in it."""
+"""Folder of a simulated pump line, with one run for each kind of part. An interrupted simulation continues there."""
 
 from __future__ import annotations
 

@@ -45,12 +45,12 @@ class PracticeRow:
     """Pressure losses in the pump line [Pa], summed over the parts of each kind. The weight of rising concrete counts
     for the kind of the part in which the concrete rises."""
     implies: str
-    """Sentence that states which friction the rule assumes, and which pressure for rising concrete."""
+    """Sentence that states which friction the rule assumes, and which pressure it adds where concrete rises."""
     source: str = ""
 
     @property
     def pressure(self) -> float:
-        """Pressure at the pump [Pa]."""
+        """Pressure at the pump by this rule of practice [Pa]."""
         return max(sum(self.pressures.values()), 0.0)
 
 

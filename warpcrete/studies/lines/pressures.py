@@ -63,7 +63,8 @@ class Stop:
     growth: float
     """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
-    """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
+    """Lowest and highest growth rate of the yield stresses at rest [Pa/s], between which the true rate is expected;
+    None if `growth` has no uncertainty."""
 
 
 @dataclass(repr=False)
@@ -186,7 +187,7 @@ class LinePressures:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressures [Pa] at the line's start and at its parts' ends if `concrete` fills the line."""
+        """Return the pressures [Pa] at the start of the line and the ends of its parts if `concrete` fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory

@@ -27,10 +27,11 @@ CELLS = 12
 """Default number of cells across the narrowest bore of a bend or reducer. In parts of 125 mm, the pressure loss of
 straight stretches deviates from theory by -0.7 to 1.7 % with 12 cells, and by 1.6 % with 8 cells."""
 TUBE_CELLS = 20
-"""Number of particles across the bore of a simulated straight pipe. It may be larger than in bends and reducers because
-a periodic pipe is short and cheap to simulate."""
+"""Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
+periodic pipe is short and cheap to simulate."""
 STRAIGHT_DIAMETERS = 2.5
-"""Length of straight pipe before and behind a simulated bend or reducer, in pipe diameters."""
+"""Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
+diameters."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

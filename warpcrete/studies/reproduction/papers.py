@@ -13,7 +13,8 @@ EQUAL_SPREAD = 0.05
 MIN_DETERMINATION = 0.98
 """Coefficient of determination of a straight line's fit above which a relation counts as linear."""
 MIN_GROWTH = 0.03
-"""Relative growth of a pressure above which it counts as growing."""
+"""Increase of the pressure from the first to the last parameter value, divided by the pressure at the first one, above
+which the pressure counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
 """Function that judges a claim of a paper. Its arguments are the values of a parameter and the pressure at each value
@@ -25,14 +26,14 @@ class Row:
     """Parameter that the paper varies while all others stay fixed, with the paper's claim about its effect."""
 
     name: str
-    """Name of the variation in the report and in the option `--only`."""
+    """Name of the parameter variation in the report and in the option `--only`."""
     parameter: str
     """Name of the varied parameter of the scene function."""
     values: tuple[Any, ...]
     claim: str
     """Claim of the paper about the effect of the parameter."""
     judge: Judge
-    """Function that judges whether our pressures support the claim."""
+    """Function that judges whether the simulated pressures support the claim."""
     base: Mapping[str, Any] = field(default_factory=dict)
     """Further parameters that have the same values in all runs of this variation."""
     numbers: tuple[float, ...] = ()
@@ -43,12 +44,15 @@ class Row:
 
     @property
     def is_hydrated(self) -> bool:
-        """True if the varied parameter is a property of hydrated bonds."""
+        """True if the varied parameter describes hydrated bonds, which are the stiffer ones among bonds of elements."""
         return self.parameter.startswith("hydration")
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Values of the varied parameter as numbers, even where `values` holds words."""
+        """Values of the varied parameter as numbers, for the axis of a figure.
+
+        If the entries of `values` are words, the result is `numbers`, which holds a number for each word.
+        """
         return self.numbers or self.values
 
 

@@ -1,4 +1,4 @@
-"""Report of a reproduction: the paper's results next to ours, a verdict on each trend, and a figure."""
+"""Report of a reproduction: simulated results next to those of the paper, a verdict on each trend, and a figure."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def _verdict(errors: list[float], count: int) -> str:
 
 
 def draw(found: Reproduction) -> Any:
-    """Return a figure with a panel for each parameter; lines are our pressures, and crosses those in the paper."""
+    """Return a figure with a panel for each parameter; lines are simulated pressures, crosses those in the paper."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 6.5), layout="constrained")

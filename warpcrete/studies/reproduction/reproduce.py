@@ -1,4 +1,4 @@
-"""Reproduction of a paper: run the paper's cases and judge whether each figure and trend agrees."""
+"""Reproduction of a paper: run the paper's cases, and judge whether the results agree with its numbers and trends."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
     # By default, only the concretes in `HYDRATED` are run with hydrated bonds. If the user named both columns and rows,
-    # run them for every named concrete; the named rows then decide whether there are such cases.
+    # run every named concrete with hydrated bonds; the named rows then decide whether there are such cases.
     if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
@@ -162,7 +162,7 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[s
     """
     asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
     units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
-    # Leave the aggregate sizes out of a quick reproduction, because small stones make a run long.
+    # Leave out the runs with other aggregate sizes in a quick reproduction, because small stones make a run long.
     rows = [row for row in ZHAN if row.name in asked and row.is_hydrated == hydrated
             and not (reproduction.quick and row.parameter == "size_max")]  # fmt: skip
     cases = units + [zhan_case(row, value, reproduction.quick) for row in rows for value in row.values]

@@ -62,7 +62,7 @@ def key_of(group: str, parameters: Mapping[str, Any]) -> str:
 
 
 def unit_case(unit: str, quick: bool) -> dict[str, Any]:
-    """Return the scene parameters of a pipe unit of Zhan et al."""
+    """Return the scene parameters of one of the four pipe units of Zhan et al."""
     return zhan_case(Row("unit", "unit", UNITS, "", lambda values, pressures: (True, "")), unit, quick)
 
 

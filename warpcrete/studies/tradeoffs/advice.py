@@ -37,8 +37,8 @@ class Advice:
     """Descriptions of recommended settings that cannot be used in this scene. Without them, the promised error may be
     exceeded."""
     outside: tuple[str, ...]
-    """Differences between this scene and the measured scene, in words. Where they differ, the promised error is
-    untested."""
+    """Differences between this scene and the measured scene, in words. With each of them, the promised error is less
+    certain, because it was not tested there."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str
@@ -54,8 +54,8 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
     Only records of the scene function `name` are considered. They are ranked by four criteria, the most important
     first:
 
-    - whether both scenes agree in having a closed form,
-    - how few knobs (accuracy parameters) exist in only one of them,
+    - whether a closed form exists for both scenes or for neither of them,
+    - how few knobs (accuracy parameters) exist in only one of the two scenes,
     - how few parameters differ,
     - whether the kind of machine is the same (GPU or CPU).
     """
@@ -147,8 +147,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Return a description of each parameter whose value differs from that in the measured scene."""
-    # Convert the values before comparing them, because one value can be stated in different ways. A pipe unit, for
-    # example, has both a letter and a name.
+    # Convert the values before comparing them, because one value can be stated in different ways. For example, the
+    # parameter for the pipe unit of Zhan et al. accepts a letter or a name.
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)

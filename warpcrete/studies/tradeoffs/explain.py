@@ -50,7 +50,7 @@ class Explanation:
     scene: str
     forecast: Forecast
     savings: tuple[Saving, ...]
-    """Savings in order of effect, largest first."""
+    """Simplifications that shorten the run, in order of their effect, the largest first."""
     source: str
     """Source of the measured errors; empty if there are none."""
 
@@ -97,7 +97,7 @@ def explain(
 def _frames(simulation: Any) -> dict[str, float]:
     """Return the mean wall time that each default recorder needs for one frame [s].
 
-    The time includes a share of the recorder's work at the end of a run.
+    The wall time for finishing the recording at the end of a run is divided among the frames.
     """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
@@ -194,7 +194,7 @@ def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
 
 
 def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
-    """Return the trade-off record that fits a scene and a description of its source; both are empty without one."""
+    """Return the trade-off record that fits a scene, and a description of its source; both are empty if none fits."""
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():

@@ -19,7 +19,8 @@ class Error:
 
     quantity: str
     shift: float
-    """Signed relative difference, as a fraction."""
+    """Difference between the mean of the quantity and its reference value, divided by the reference value. It may be
+    negative."""
     interval: float
     """Half width of the 95 % confidence interval of `shift`. The value is 0 if the results contain no randomness, and
     NaN if there are too few runs."""

@@ -93,7 +93,7 @@ class Trade:
 
     @property
     def given(self) -> Setting:
-        """Setting that leaves all accuracy parameters as in the scene as given."""
+        """Setting in which all accuracy parameters have the values of the scene as given."""
         return self.points[0]
 
     @property
@@ -230,7 +230,7 @@ class Trade:
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run each setting with those `seeds` that have not run yet, in order, on all workers.
+        """Run the settings in their order on all workers, each setting with those `seeds` that have not run yet.
 
         A run does not start if it is expected to end after the fraction `until` of the budget is spent.
         """
@@ -289,9 +289,9 @@ class Trade:
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Setting, seed: int) -> Path:
-        # Name the folder after the parameters that differ from those of the scene as given (`self.base`). These leave
-        # out parameters with default values. Therefore, treat a parameter that is missing in `self.base` as None if its
-        # default is None.
+        # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
+        # `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there as None
+        # if its default is None.
         fields = declared_fields(self.module.scene.parameters)
         plain = {name for name, field in fields.items() if field.default is None}
         changed = {k: v for k, v in sorted(point.parameters.items())

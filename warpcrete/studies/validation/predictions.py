@@ -112,13 +112,13 @@ def _fitting(case: Case) -> list[Band]:
 
 
 def line_weight(case: Case) -> float:
-    """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
+    """Return the pressure due to the weight of the concrete in the pump line of a validation case [Pa]."""
     line = _line_of(case)
     return mix_of_case(case).concrete.density * Line().gravity * line.rise
 
 
 def _layer(case: Case) -> list[Band]:
-    """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
+    """Predict the wall stress [Pa] of the slip layer at one slip velocity."""
     speed = _number(case, "speed", "m/s")
     return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
 

@@ -15,8 +15,8 @@ from .predictions import mix_of_case
 
 SIMULATED = {"slump": ("slump", "slump", {}), "spread": ("slump", "spread", {}),
              "funnel": ("funnel", "funnel_time", {"surfaces": "sticks"})}  # fmt: skip
-"""Simulations of three kinds of measurements. Each entry holds the name of the scene, the quantity of its result that
-is compared with the measurement, and parameters of the scene."""
+"""Simulations that predict three kinds of measurements. Each entry holds the name of the scene, the quantity of its
+result that is compared with the measurement, and parameters of the scene."""
 
 
 def representatives(cases: Sequence[Case]) -> list[Case]:

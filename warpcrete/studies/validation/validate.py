@@ -53,8 +53,8 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Verdict of the rules against blocking and observation, for each concrete of which it is known whether it
-    blocked."""
+    """For each concrete of which it is known whether it blocked: the verdict of the rules against blocking, and the
+    observation."""
     refused: dict[str, str]
     """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
@@ -203,7 +203,7 @@ def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
 
 
 def summary_cells(x: Summary) -> tuple[str, ...]:
-    """Return the cells of a summary's row, as texts."""
+    """Return the texts in the cells of a table row that shows the statistics of one kind of measurement."""
     return (KINDS[x.kind].label, x.chosen, str(x.count), str(x.groups), f"{x.ratio:.2f}", f"{100 * x.error:.0f} %",
             f"{100 * x.inside:.0f} %", f"{x.factor:.2f}")  # fmt: skip
 
@@ -216,5 +216,5 @@ def _case_cells(x: Comparison) -> tuple[str, ...]:
 
 
 def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a Markdown table."""
+    """Return a table with the given column headings and rows as lines of Markdown."""
     return [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *(f"| {' | '.join(row)} |" for row in rows)]
