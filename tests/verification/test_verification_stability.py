@@ -43,7 +43,7 @@ def test_limits_are_the_largest_fractions_without_growth(monkeypatch):
 
     def growth(scene, table, fraction, device, precision, bonds):
         looked.append((scene, table, fraction, device, precision, bonds))
-        return 1.9 if bonds is None and fraction < 1.7 or fraction == 5.0 else 2.1
+        return 1.9 if (bonds is None and fraction < 1.7) or fraction == 5.0 else 2.1
 
     monkeypatch.setattr(stability, "growth", growth)
     monkeypatch.setattr(stability, "pack", shared)
@@ -55,4 +55,4 @@ def test_limits_are_the_largest_fractions_without_growth(monkeypatch):
     ]
     for scene, table, _, device, precision, bonds in looked:
         assert (device, precision, scene.bonds) == ("cpu", "float32", bonds)
-        assert scene.name == "pair" or len(table) > 60 and table.velocity.std() > 0.04 and table.spin.std() > 8
+        assert scene.name == "pair" or (len(table) > 60 and table.velocity.std() > 0.04 and table.spin.std() > 8)
