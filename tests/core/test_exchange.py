@@ -199,7 +199,7 @@ def test_memory_of_copies_is_reused_once_they_have_arrived(drawn):
     drawn.work()
     del copies
     other = array(1.0, 2.0)
-    copies = PendingCopies({"one": other}, pool)  # other sizes: memory for the old ones is given up
+    PendingCopies({"one": other}, pool)  # other sizes: memory for the old ones is given up
     assert len(drawn.pinned) == 3 * made and not pool._outdated_queues[0]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from warpcrete.core.run.method import Quantity
+from warpcrete.core.units import quantity
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibration import Calibration, Trial
 from warpcrete.studies.calibration.posterior import Posterior
@@ -174,7 +175,7 @@ class Linear:
 
 
 def test_a_calibration_is_kept(tmp_path):
-    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0}
+    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0, "viscosity": 30.0}
     raw = {
         "vary": {"viscosity": [10.0, 100.0], "slip_viscosity": [300.0, 3000.0], "slip_yield": [0.0, 100.0]},
         "targets": [
@@ -319,3 +320,80 @@ def test_every_setting_of_a_study_reaches_its_runs(tmp_path, monkeypatch):
     del record["threads"]
     running.simulation_of(record, tube, tmp_path / "t", cases[1], print)
     assert made["threads"] == 1
+
+
+def test_the_rounds_of_a_calibration_are_kept(tmp_path, monkeypatch):
+    """Search, posterior, points of the next rounds and repeats at the best ones; results and posterior are made up."""
+    search = importlib.import_module("warpcrete.studies.calibration.calibrate")
+    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0, "viscosity": 30.0}
+    raw = {
+        "vary": {"slip_viscosity": [300, 3000], "slip_yield": [0, 100]},
+        "targets": [
+            {"scene": "tube", "parameters": own | {"flow": 1e-3}, "quantity": "pressure", "value": 9e3,
+             "uncertainty": "3%"},
+        ],
+    }  # fmt: skip
+    log, posteriors, told = [], [], []
+
+    def run_listed(name, module, cases, *, out, progress, **settings):
+        log.append([name, module.__name__, out.name, settings, [[c.name, c.varied, c.parameters] for c in cases]])
+        progress("running", 0.5, {})
+        results = {
+            case.name: {"pressure": quantity(8e3 + 10 * case.parameters["slip_yield"], "Pa"), "checks": {}}
+            for case in cases
+        }
+        if len(log) == 1:
+            results[cases[1].name] |= {"checks": FAILED}
+            del results[cases[2].name]
+            results[cases[3].name].pop("pressure")
+        failures = {} if len(log) > 1 else {cases[2].name: "it burst"}
+        return Study(out, name, cases, results=results, failures=failures)
+
+    def posterior(task, points, values, seed):
+        rng = np.random.default_rng(seed)
+        found = SimpleNamespace(
+            best=np.array([0.3, 0.6]), samples=rng.normal([0.3, 0.6], 0.1 / (1 + len(posteriors)), (300, 2)).clip(0, 1),
+            emulator_error_ratio=lambda target: 0.9 if len(posteriors) < 3 else 0.01,
+        )  # fmt: skip
+        posteriors.append([points, list(values.values()), seed])
+        return found
+
+    monkeypatch.setattr(search, "run_listed", run_listed)
+    monkeypatch.setattr(search, "posterior", posterior)
+    monkeypatch.setattr(search, "write", lambda *rest: None)
+    out = tmp_path / "out"
+    found = search.calibrate(
+        raw, out=out, trials=40, batch=8, repeat=2, seed=3, device="cpu", processes=1,
+        progress=lambda phase, fraction, figures: told.append([phase, fraction]),
+    )  # fmt: skip
+    trials = [
+        [trial.number, trial.seed, trial.proof, trial.failure, trial.suspect, list(trial.values.values())]
+        for trial in found.trials
+    ]
+    record = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
+    kept.compare(
+        "calibration-rounds",
+        {"record": record, "log": log, "posteriors": posteriors, "trials": trials, "told": told,
+         "finished": found.finished, "settled": found.settled},
+    )  # fmt: skip
+    again, count = [], len(log)
+    monkeypatch.setattr(search, "run_listed", lambda *rest, **settings: pytest.fail("all rounds were run before"))
+    for name in {each[2] for each in log}:
+        (out / "rounds" / name).mkdir(parents=True)
+        (out / "rounds" / name / "study.json").touch()
+
+    def resume_study(folder, module, *, progress, **settings):
+        again.append([folder.name, module.__name__, settings])
+        done = next(each for each in log if each[2] == folder.name)
+        cases = [SimpleNamespace(name=name) for name, _, _ in done[4]]
+        return SimpleNamespace(
+            finished=len(again) < count, lost=[], cases=cases, failures={},
+            results={case.name: {"pressure": quantity(9e3, "Pa"), "checks": {}} for case in cases},
+        )  # fmt: skip
+
+    monkeypatch.setattr(search, "resume_study", resume_study)
+    posteriors.clear()
+    cut = search.resume_calibration(out, modules(), trials=50, processes=3)
+    assert not cut.finished and [each[0] for each in again] == [each[2] for each in log]
+    assert len(cut.trials) == len(found.trials) - len(log[-1][4]) and again[0][2]["processes"] == 3
+    assert json.loads((out / "calibration.json").read_text(encoding="utf-8"))["settings"]["trials"] == 50

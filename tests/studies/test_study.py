@@ -1,6 +1,7 @@
 """Parameter studies: cases, table, figure, resumption, failures."""
 
 import importlib
+import itertools
 import json
 import shutil
 from types import SimpleNamespace
@@ -53,7 +54,7 @@ def check_ways_to_run(study, tmp_path):
         )  # fmt: skip
     assert isinstance(outcomes.pop("wrong"), SceneError)
     assert [phase for phase, *_ in told] == ["running"] * len(told) and told[-1][1] == pytest.approx(2 / 3)
-    assert all(0 < one[1] <= other[1] for one, other in zip(told, told[1:]))
+    assert all(0 < one[1] <= other[1] for one, other in itertools.pairwise(told))
     results = running.run_cases(record, channel, tmp_path / "b", [*study.cases, wrong], lambda: False)
     assert isinstance(results.pop(), SceneError)
     for case, other in zip(study.cases, results, strict=True):
