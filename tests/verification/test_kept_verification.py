@@ -11,8 +11,22 @@ import kept
 import numpy as np
 import pytest
 
+from warpcrete.core.errors import SceneError
 from warpcrete.dem.scene.bodies import placed_bodies
-from warpcrete.verification import assemblies, spreading, suspensions, suspensions_many, vessels
+from warpcrete.mps.common.mixes import CONCRETE_CONSTANTS
+from warpcrete.verification import (
+    Case,
+    Row,
+    assemblies,
+    extremes,
+    flow_extremes,
+    spreading,
+    stability,
+    suspensions,
+    suspensions_many,
+    vessels,
+)
+from warpcrete.verification.figure import draw
 
 SOLVED = 1e-4
 """Tolerance of numbers that iterative solves leave, relative to the largest number of a line."""
@@ -199,3 +213,96 @@ def test_spreading_is_kept(monkeypatch):
     monkeypatch.setattr(spreading, "surface", lambda flow: (across, 0.04 * np.sqrt(np.maximum(0.3 - across, 0))))
     rows = [row for case in spreading.CASES for row in case.run("cpu", "float64")]
     kept.compare("verified-spreading", {"rows": rows, "scenes": asked, "shorter": replace(asked[0], duration=1.0)})
+
+
+def numbers_of(scene):
+    """Return the numbers of a scene in which extreme scenes differ."""
+    bodies = scene.bodies[0]
+    return {
+        "bodies": [bodies.positions, bodies.sizes, bodies.density], "gravity": scene.gravity, "bonds": scene.bonds,
+        "step": scene.time_step.safety, "hydration": scene.hydration, "contact": scene.contact,
+        "walls": [[wall.name, getattr(wall, "point", None), wall.motion] for wall in scene.walls],
+    }  # fmt: skip
+
+
+def test_extreme_scenes_are_kept():
+    """Names, numbers of steps and outcomes of all scenes, and those scenes that differ by more than a number."""
+    cases = list(extremes.scenes())
+    listed = [
+        [name, steps, *(extremes.expected_outcome(name, each) for each in ("float32", "float64"))]
+        for name, _, steps in cases
+        if not name.startswith("corner") or name == cases[40][0]
+    ]
+    chosen = (
+        "all parameters at their middle", "bonds of 2e4 Pa beside bonds of 1e9 Pa", "two coincident centres",
+        "all bodies in one spot", "one file of spheres in a pipe 0.5 % wider", "1 km from the origin", cases[40][0],
+    )  # fmt: skip
+    made = {name: numbers_of(make()) for name, make, _ in cases if name in chosen}
+    assert len(made) == len(chosen)
+    flows = []
+    for name, make, steps in flow_extremes.scenes():
+        if not name.startswith("corner") or name.endswith("flow 0.1, gravity 981"):
+            try:
+                scene = make()
+                own = [getattr(scene.concrete, each) for each in CONCRETE_CONSTANTS]
+                more = scene.time_step, scene.spacing, scene.length, scene.velocity, scene.gravity
+                flows.append([name, steps, [*more, *own]])
+            except SceneError as error:
+                flows.append([name, str(error)])
+    kept.compare("verified-extremes", {"listed": listed, "made": made, "flows": flows[:45] + flows[-3:]})
+
+
+@pytest.mark.parametrize("module", [extremes, flow_extremes])
+def test_outcomes_of_extreme_scenes_are_judged_and_told(module):
+    """A bound that is exceeded, an error that does not say enough, and an outcome that was not expected, are wrong."""
+    if module is extremes:
+        within = module.Outcome("a", "", 1.0, module.ENERGY, 100, "run")
+        wrong = [replace(within, deepest=1.01), replace(within, growth=0.11), replace(within, expected_outcome="speed")]
+        stopped = replace(
+            within, stopped="t = 1 s, body 3: speed; usual cures: a smaller step", expected_outcome="spe+"
+        )
+        words = ("t = ", "body ", "usual cures: ", "speed")
+        corners = [
+            replace(within, name="corner: 1"), replace(within, name="corner: 2", deepest=0.5, growth=0.0),
+            *(replace(stopped, name=f"corner: {k}", stopped=f"{why}; usual cures: speed")
+              for k, why in enumerate(("overlap", "energy of body", "overlap", "not a finite number"))),
+        ]  # fmt: skip
+    else:
+        within = module.FlowOutcome("a", "", False, 0.2, 0.015, 4.0, 0.3, 100, "run")
+        wrong = [
+            replace(within, balance=0.21), replace(within, volume=0.016), replace(within, speed=4.1),
+            replace(within, closest=0.29), replace(within, expected_outcome="did not"),
+        ]  # fmt: skip
+        stopped = replace(within, stopped="t = 1 s: pressure; usual cure: a smaller step", expected_outcome="pressure")
+        words = ("t = ", "usual cure", "pressure")
+        refused = replace(stopped, stopped="pressure = 1: wrong", refused=True)
+        assert refused.acceptable and not replace(refused, stopped="pressure is wrong").acceptable
+        wrong.append(replace(stopped, expected_outcome="run"))
+        corners = [
+            replace(within, name="corner: 1"), replace(within, name="corner: 2", closest=0.9, balance=0.0, speed=1.0),
+            *(replace(stopped, name=f"corner: {k}", stopped=why)
+              for k, why in enumerate(("did not converge", "fastest", "did not converge", "left the column", "other"))),
+            replace(refused, name="b"),
+        ]  # fmt: skip
+    assert within.acceptable and stopped.acceptable and replace(within, expected_outcome="").acceptable
+    assert not any(each.acceptable for each in wrong)
+    for word in words:
+        assert not replace(stopped, stopped=stopped.stopped.replace(word, "")).acceptable
+    kept.compare(f"verified-outcomes-{module.__name__.rpartition('.')[2]}", module.table([within, stopped, *corners]))
+
+
+def test_the_figure_of_the_verification_is_kept():
+    """All curves are made up, and one row fails."""
+    x = np.linspace(1, 70, 8)
+    curves = {
+        "oblique impact": {"angle": x, "tangential": x / 100, "spin": -10 * x},
+        "oblique impact, normalised": {name: [x / 6, x / 7, x / 8, x / 9] for name in ("speed", "angle")},
+        "stability limit": {"linear": np.geomspace(1, 1e9, len(stability.FRACTIONS)), "layer": [np.inf] * 15},
+    }
+    results = []
+    for name, own in curves.items():
+        case = Case(name, "source", lambda device, precision: [], "group")
+        case.curves.update({label: np.array(each) for label, each in own.items()})
+        rows = [Row("a", 1.001, 1.0, 0.01), Row("b", 1.1, 1.0, 0.01), Row("c", 1.0, 1.0, 0.0), Row("d", 2.0, 2.0, 0.1)]
+        results.append((case, rows))
+    kept.compare("verified-figure", {"all": kept.drawn(draw(results)), "one": kept.drawn(draw(results[:1]))})
