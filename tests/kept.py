@@ -64,7 +64,7 @@ def described(value: Any, name: str = "", seen: frozenset[int] = frozenset()) ->
     if isinstance(value, Path):
         value = value.name
     if value is None or isinstance(value, str | bool):
-        yield f"{name} = {value}"
+        yield f"{name} = {value}".replace("\n", "\\n")
     elif isinstance(value, int | float | np.number | np.bool_):
         yield f"{name} = {_number(value)}"
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":

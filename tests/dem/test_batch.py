@@ -13,6 +13,7 @@ from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
+from warpcrete.core.device.launching import Launcher
 from warpcrete.core.errors import CapacityError, InstabilityError
 from warpcrete.core.run.run_loop import Recorder, Run
 from warpcrete.dem.batch_run import run_batch
@@ -105,11 +106,36 @@ def test_a_finished_scene_stands_still_while_others_go_on(device):
     assert simulations[0].stepper.steps == runs[0].result["steps"]
 
 
+def test_a_launch_goes_on_while_a_scene_runs_and_ends_when_none_does(monkeypatch):
+    """Two scenes on a CPU, the first of which is to take 3 steps and the second 11."""
+    models = [build_model(falling(0.1), find_device("cpu"), "float32") for _ in range(2)]
+    first, _ = steppers = stepper.steppers_of(models, [State(m, placed_bodies(m.scene)) for m in models])
+    for each in steppers:
+        each.take(1)
+    first.batch.set_goal(0, steps=3)
+    first.batch.set_goal(1, steps=11)
+    ends = []
+    replay = Launcher.replay
+
+    def noting(self, step, alone, sizes, ended, appended=None):
+        replay(self, step, alone, sizes, lambda: ends.append(ended()) or ends[-1], appended)
+
+    monkeypatch.setattr(Launcher, "replay", noting)
+    first.batch.launch()
+    first.batch.settle()
+    assert [each.steps for each in steppers] == [3, 11]
+    assert ends[-1] and not any(ends[:-1]) and len(ends) > 2
+
+
 def test_unlike_scenes_fall_into_batches_of_their_own(device):
     bonded = scenes.pipe(**SMALL)
     frictionless = scenes.pipe(friction=0.0, bonds=False, **SMALL)
-    simulations = simulate(device, [bonded, frictionless])
-    runs = run_batch(simulations)
+    simulations, told = simulate(device, [bonded, frictionless]), []
+    runs = run_batch(simulations, progress=lambda *each: told.append(each))
+    # A CPU runs one batch after the other.
+    assert [each for each in told if each[0] == "running"][-2 * (device == "cpu") :] == (
+        [("running", 0.5), ("running", 1.0)] if device == "cpu" else [("running", 1.0)]
+    )
     assert [isinstance(run, Run) and run.finished for run in runs] == [True] * 2
     assert simulations[1].stepper.batch.count == 1
 

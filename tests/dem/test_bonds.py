@@ -85,6 +85,28 @@ def broken(stepper, steps=4000):
     return 0, 0, history
 
 
+def test_a_bond_that_breaks_in_contact_adds_its_energy_to_the_loss_of_the_contact(start):
+    """Two spheres that are too heavy to be slowed down: the dashpot takes the same energy in every step."""
+    bonds, booked = strong(cohesion=20.0, friction_angle=0.0), []
+    for damping in (0.0, 1e-6):
+        contact = Contact(friction=0.0, normal_damping_ratio=damping)
+        scene = two_spheres(gap=-1e-4, velocity=(0.05, 0.1, 0), contact=contact, bonds=bonds, dt=2e-6, density=1e15)
+        stepper = start(dataclasses.replace(scene, energy_balance=True))
+        assert stepper.bond(bonds, 1) == 1
+        lost = [0.0]
+        for _ in range(30):
+            stepper.take(1)
+            lost.append(stepper.state.spheres.dissipated_energy.numpy().sum())
+        assert stepper.state.spheres.broken.numpy().sum() == 1
+        booked.append(np.diff(lost))
+    step = int(np.argmax(booked[0]))
+    stiffness = 2e5 / (2 * RADIUS - 1e-4) * AREA
+    held = 0.5 * stiffness * ((0.05 * step * 2e-6) ** 2 + (0.1 * step * 2e-6) ** 2 / 2)
+    assert booked[0][step] == pytest.approx(held, rel=0.02) and np.count_nonzero(booked[0]) == 1
+    dashpot = (booked[1] - booked[0])[1:]
+    assert dashpot.min() > 0.05 * held and dashpot == pytest.approx(np.full(29, dashpot.mean()), rel=1e-3)
+
+
 def test_breaks_in_tension_at_its_strength(start):
     strength = 2000.0
     stepper = bonded(start, strong(tensile_strength=strength), velocity=(0.3, 0, 0))

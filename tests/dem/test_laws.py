@@ -21,6 +21,7 @@ from warpcrete.dem.laws import (
     PlasticMortar,
     damping_ratio,
 )  # fmt: skip
+from warpcrete.dem.laws.linear import DASHPOTS
 from warpcrete.dem.measure.probes import body_sums, contact_sums
 from warpcrete.dem.pumping.vessels import CONTACTS
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
@@ -181,6 +182,17 @@ def test_lubrication_layer_drags_with_yield_stress_and_viscosity(start, speed):
     area, spring = math.pi * RADIUS**2, 1e5 * math.pi * RADIUS * 1e-4
     tau = 251.0 + 893.0 * speed
     assert -stepper.state.walls.force.numpy()[0, 0] == pytest.approx(0.1 * spring + tau * area, rel=1e-6)
+
+
+@pytest.mark.parametrize("dashpot", DASHPOTS)
+def test_the_shear_dashpot_of_a_sliding_layer_acts_unless_slip_cuts_it(start, dashpot):
+    contact = Contact(friction=0.1, normal_damping_ratio=0.0, shear_damping_ratio=1e-6, dashpot=dashpot)
+    law = LubricationLayer(contact=contact, yield_stress=251.0, viscosity=0.0)
+    stepper = start(sheared_wall(law, speed=0.2))
+    stepper.advance(2e-3)
+    area, normal, mass = math.pi * RADIUS**2, 1e5 * math.pi * RADIUS, 1e15 * 4 / 3 * math.pi * RADIUS**3
+    drag = 0.0 if dashpot in ("slip-cut", "both") else 2e-6 * math.sqrt(mass * normal / 2) * 0.2
+    assert -stepper.state.walls.force.numpy()[0, 0] == pytest.approx(0.1 * normal * 1e-4 + 251 * area + drag, rel=1e-6)
 
 
 def test_lubrication_layer_at_rest_holds_up_to_its_yield_stress(start):

@@ -14,6 +14,7 @@ from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.stepper import steppers_of
 from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.kernels.dem.structs import APART
 
 WAYS = [*devices(), "like a GPU", "like a GPU, a thread a sphere"]
 
@@ -71,6 +72,30 @@ def near(stepper) -> tuple[set, set]:
 def check(stepper) -> None:
     found, (sure, perhaps) = listed(stepper), near(stepper)
     assert sure <= found <= perhaps and len(sure) > 10
+
+
+def check_links(steppers) -> None:
+    """Check that a GPU has one link for each listed pair of each scene, which both entries of the pair name."""
+    batch = steppers[0].batch
+    if not batch.parallel:
+        return
+    links, first = batch.links, np.append(0, np.cumsum(batch.capacity // 2))
+    link, end = links.link.numpy().reshape(-1, 4), links.end.numpy()
+    for s, stepper in enumerate(steppers):
+        own = slice(first[s], first[s + 1])
+        assert np.all(links.scene.numpy()[own] == s)
+        used = np.flatnonzero(link[own][:, 0] >= 0)
+        one, other, entry, twin = link[own][used].T
+        pairs = stepper.state.pairs
+        start, neighbour = pairs.start.numpy(), pairs.other.numpy()
+        assert set(zip(np.minimum(one, other).tolist(), np.maximum(one, other).tolist())) == listed(stepper)
+        assert len(used) == len(listed(stepper)) and 2 * len(used) == start[-1]
+        for sphere, place in ((one, entry), (other, twin)):
+            assert np.all((start[sphere] <= place) & (place < start[sphere + 1]))
+        assert np.array_equal(neighbour[entry], other) and np.array_equal(neighbour[twin], -1 - one)
+        ends = end[2 * first[s] : 2 * first[s + 1]]
+        assert np.array_equal(ends[entry], used) and np.array_equal(ends[twin], -1 - used)
+        assert np.all(links.state.numpy()[own][used] == APART) or stepper.steps
 
 
 BOXES = {
@@ -198,9 +223,20 @@ def test_scenes_of_a_batch_have_their_own_neighbours_only(way):
     steppers = started(scenes, way)
     for stepper in steppers:
         check(stepper)
+    check_links(steppers)
     for stepper, scene in zip(steppers, scenes):
         (alone,) = started([scene], way)
         assert listed(alone) == listed(stepper)
+        check_links([alone])
+    before = listed(steppers[2])
+    for factor in (3.0, 0.2):  # farther apart, and so close that the lists need more room
+        for array in (steppers[2].state.spheres.position, steppers[2].state.bodies.position):
+            values = array.numpy().copy()
+            values[:, :3] *= factor
+            array.assign(values)
+        steppers[2].rebuild()
+        check_links(steppers)
+        assert (len(listed(steppers[2])) > len(before)) == (factor < 1)
 
 
 def test_what_spreads_gets_more_cells(way):

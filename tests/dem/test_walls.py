@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from conftest import by_id
 
+from warpcrete.dem.measure.probes import contact_sums
 from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
@@ -119,6 +120,53 @@ def test_convex_edge_and_corner_give_one_force_towards_the_centre(start):
         n = np.array(direction) / np.linalg.norm(direction)
         force = force_on_sphere(start, (wall,), np.array(corner) + (RADIUS - depth) * n)
         assert force == pytest.approx(K_WALL * depth * n, rel=1e-7, abs=1e-9)
+
+
+@pytest.mark.parametrize("by", [0.0, 0.1])
+def test_a_convex_body_touches_each_sphere_once(start, by):
+    """Twelve bodies of arbitrary shape, with a sphere at every corner, or beside it on one of its edges."""
+    rng = np.random.default_rng(2)
+    points = 0.2 * trimesh.creation.icosahedron().vertices * rng.uniform(0.9, 1.1, (12, 12, 1))
+    hulls = [trimesh.convex.convex_hull(each + [number, 0, 0]) for number, each in enumerate(points)]
+    hull = trimesh.util.concatenate(hulls)
+    places, normals = [], []
+    for corner, beside in enumerate(hull.vertex_faces):
+        edges = [sorted((corner, other)) for other in hull.vertex_neighbors[corner]]
+        edge = edges[rng.integers(len(edges))]
+        meeting = hull.face_adjacency[hull.face_adjacency_edges.tolist().index(edge)] if by else beside[beside >= 0]
+        along = hull.vertices[sum(edge) - corner] - hull.vertices[corner]
+        normal = hull.face_normals[meeting].mean(axis=0)
+        normals.append(normal / np.linalg.norm(normal))
+        places.append(hull.vertices[corner] + by * RADIUS * along / np.linalg.norm(along))
+    places, normals, depth = np.array(places), np.array(normals), 0.02 * RADIUS
+    scene = Scene(
+        name="hulls", duration=0, gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-6),
+        walls=(MeshWall(name="hulls", vertices=hull.vertices, faces=rng.permutation(hull.faces)),),
+        bodies=(Bodies(positions=places + (RADIUS - depth) * normals, sizes=2 * RADIUS, density=DENSITY),),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.take(1)
+    force = by_id(stepper.state, "velocity") * MASS / (0.5 * stepper.dt)
+    assert force == pytest.approx(K_WALL * depth * normals, rel=1e-6, abs=1e-6 * K_WALL * depth)
+
+
+def test_the_energy_in_a_mesh_is_that_in_a_plane(start):
+    """Springs store energy at the time of the positions, although a mesh's overlaps are half a step older."""
+    vertices, faces = grid_plane()
+    rising = Prescribed(velocity=(0.0, 0.0, 0.2))
+    flat = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1), motion=rising)
+    stored = []
+    for wall in (flat, MeshWall(name="floor", vertices=vertices, faces=faces, motion=rising)):
+        scene = Scene(
+            name="bounce", duration=1, walls=(wall,), contact=SMOOTH, time_step=TimeStep(fixed=5e-5),
+            bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY, velocities=[[0, 0, -0.5]]),),
+        )  # fmt: skip
+        stepper, energies = start(scene), []
+        for _ in range(20):
+            stepper.take(3)
+            energies.append(contact_sums(stepper.model, stepper.state).elastic_energy)
+        stored.append(np.array(energies))
+    assert stored[1] == pytest.approx(stored[0], rel=1e-9) and stored[0].min() > 0
 
 
 def test_concave_corner_gives_both_forces(start):

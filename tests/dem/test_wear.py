@@ -3,6 +3,7 @@
 import dataclasses
 from types import SimpleNamespace
 
+import kept
 import numpy as np
 import pytest
 from pumping import SMALL, command, small_options
@@ -13,10 +14,11 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.drawing.paint import Paint, palette_colours, rounded_up
 from warpcrete.core.run.files import read_json
 from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.units import quantity
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.measure.wear import PipePatches, WornWall, patches_of
-from warpcrete.dem.measure.wear_results import QUANTITIES, covered
+from warpcrete.dem.measure.wear_results import QUANTITIES, covered, plot_wear, report
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Wear
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
@@ -365,3 +367,29 @@ def test_wear_of_a_thick_wall_is_that_of_its_inside():
         wall.done[: len(faces), 2] = 3.0
         depths.append(wall.mean_depth(covered(wall, scene)))
     assert depths[1] == pytest.approx(depths[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("wall", ["exact", "mesh"])
+def test_kept_wear(wall):
+    """Results, report and figure of an elbow whose patches are worn by made-up amounts (see `kept`)."""
+    given = dict(unit="elbow-up", length=0.4, diameter=0.1, elbow_radius=0.3, wear=True)
+    scene = scenes.pipe(**given, **(dict(wall="mesh", facets=24) if wall == "mesh" else {}))
+    worn = []
+    for each in scene.walls:
+        patches = patches_of(each, 0.03)
+        k = np.arange(len(patches.areas))
+        done = np.stack([1 + np.sin(0.3 * k), 0.1 + 0.05 * np.cos(0.2 * k), 2 + np.sin(0.05 * k)], 1) * 1e3
+        done[k % 7 == 0] = 0.0
+        worn.append(WornWall(each.name, patches, done * patches.areas[:, None], 2e-12))
+    run = SimpleNamespace(
+        wear=SimpleNamespace(walls=worn, main=worn[-1]), scene=scene, result={}, units={},
+        series={"time": np.linspace(0, 0.5, 6), "travel": np.linspace(0, 0.1, 6)},
+    )  # fmt: skip
+    for each in QUANTITIES:
+        if (value := each.of(run)) is not None:
+            run.result[each.name] = quantity(value, each.unit)
+    kept.compare(
+        f"wear-{wall}",
+        {"result": run.result, "report": list(report(run)), "figure": kept.drawn(plot_wear(run, worn[-1])),
+         "names": [each.name for each in worn]},
+    )  # fmt: skip

@@ -10,6 +10,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.kernels.mps import flow_laws
+from warpcrete.kernels.mps.grid.bingham import bingham_functions
 from warpcrete.kernels.mps.grid.cells import grid_parameters_struct
 from warpcrete.kernels.mps.grid.other_laws import edge_function, rate_functions, wall_function
 from warpcrete.mps.column import check_flow
@@ -296,6 +297,54 @@ def test_the_stress_of_a_wall_makes_the_mean_velocity_beside_it(name):
                 assert stress == pytest.approx(wanted, rel=2e-4), (yields, inner, slip_index)
                 assert slip == pytest.approx(layer.rate(wanted), rel=1e-3)
                 assert growth == pytest.approx((more - stress) / (1e-4 * exact), rel=0.02)
+
+
+def test_the_functions_of_bingham_are_means_of_two_straight_lines():
+    """Concrete is so soft below the yield stress that both lines count: its viscosity is six times that above."""
+    law = bingham_functions(wp.float64, 2)
+    Cells = grid_parameters_struct(wp.float64, 2)
+
+    @wp.kernel(module="unique")
+    def ask(g: Cells, rate: wp.float64, change: wp.float64, speed: wp.float64, out: wp.array(dtype=wp.float64)):
+        one = wp.float64(1.0)
+        out[0] = law.apparent(g, rate)
+        out[1] = law.apparent_at_edge(g, rate, change)
+        stress, growth, slip = law.at_wall(g, speed, change, wp.float64(5.0e-3), one, wp.float64(800.0),
+                                           wp.float64(30.0))  # fmt: skip
+        out[2] = stress
+        out[3] = growth
+        out[4] = slip
+
+    def asked(*given):
+        wp.launch(ask, dim=1, inputs=[g, *given, out], device="cpu")
+        return out.numpy().copy()
+
+    def rate_of(stress):
+        size = np.abs(stress)
+        return np.sign(stress) * (np.maximum(size - 100, 0) / 20 + np.minimum(size, 100) / 120)
+
+    g, _ = numbers(1.0, 0.0, 100.0)
+    g.regularisation = 1.0
+    out, y = wp.zeros(5, dtype=wp.float64, device="cpu"), np.linspace(-1, 1, 40001)
+    for rate in (1e-9, 5e-4, 2e-3, 0.5, 9.0):
+        exact = 20 - 100 * np.expm1(-rate) / rate
+        assert asked(rate, 0.0, 0.0)[0] == pytest.approx(exact, rel=1e-6)
+    for stress, change in ((60.0, 30.0), (90.0, 30.0), (105.0, 15.0), (110.0, 30.0), (180.0, 30.0), (97.0, 0.5)):
+        rate = float(np.trapezoid(rate_of(stress + change * y) * (1 - np.abs(y)), y))
+        plain, edge = asked(rate, change, 0.0)[:2]
+        most = min(120 * rate, 100 + 20 * (rate - 100 / 120))
+        within = change > 0.01 * most and most - change < 100 < most + change
+        assert edge == pytest.approx(plain * (stress / most if within else 1.0), rel=2e-5), (stress, change)
+    y = (np.arange(20000) + 0.5) / 20000
+    for stress in (80.0, 150.0):
+        for inner in (0.0, 60.0, 95.0, 130.0, 149.0):
+            if inner > stress:
+                continue
+            slip = (stress - 30) / 800
+            speed = np.mean(rate_of(stress + (inner - stress) * y) * (1 - y)) * 5e-3 + slip
+            found, more = asked(1.0, inner, speed)[2:], asked(1.0, inner, 1.0001 * speed)[2:]
+            assert found[[0, 2]] == pytest.approx([stress, slip], rel=2e-5), (stress, inner)
+            assert found[1] == pytest.approx((more[0] - stress) / (1e-4 * speed), rel=0.02)
 
 
 def test_viscosities_stay_finite_and_positive_at_rest():

@@ -1,6 +1,7 @@
 """Steps as long as the flow lets them be: their error, their way, and where they end."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from test_free_flows import slump, vessel
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError
 from warpcrete.mps.free.forecast import course_of
+from warpcrete.mps.grid import flow as grid_flow
+from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.verification.starting import worst
 
 
@@ -67,6 +70,15 @@ def test_no_step_is_a_sliver():
         times.append(flow.time)
     assert flow.time == pytest.approx(begun + 2.1 * wanted, rel=1e-12)
     assert flow.steps >= 3 and np.diff(times).min() > 0.2 * wanted
+
+
+def test_no_more_steps_are_launched_than_are_left():
+    def left(**given):
+        flow = dict(adaptive=True, steps=40, time=0.5, next_step=0.01, _goal=60, _goal_time=0.55) | given
+        return GridFlow._steps_left.fget(SimpleNamespace(**flow))
+
+    assert [left(), left(_goal_time=0.5501), left(_goal_time=0.5), left(_goal_time=9.0)] == [5, 6, 1, 20]
+    assert left(adaptive=False) == 20 and left(_goal_time=np.inf, _goal=10**9) == grid_flow.UNREACHABLE_STEPS
 
 
 def test_equal_steps_are_as_long_as_the_scene_has_them(device):

@@ -182,6 +182,63 @@ def test_a_line_by_elements_is_kept(line, monkeypatch):
     )
 
 
+@pytest.mark.parametrize("kind", ["line", "meshed"])
+def test_runs_of_a_line_by_elements_are_kept(kind, line, meshed, tmp_path, monkeypatch):
+    """Two seeds of each kind of part, with runs that are made up; the first of them is known from an earlier line."""
+    line = {"line": line, "meshed": meshed}[kind]
+    asked, told, known = [], [], []
+
+    def run_of(scene):
+        own = scene.parameters
+        k = own["seed"] + len(asked) % 3
+        columns = {
+            "axial_stress": np.array([np.nan, 1e3, 2e3, 5e3]) * (1 + 0.1 * k),
+            "wall_stress": np.array([1.0, 50.0, 70.0, 110.0]) / own["diameter"] ** 0.1,
+            "bulk_density": np.array([np.nan, 2300.0, 2310.0, 2290.0 + k]),
+        }
+        result = {
+            "middle_ratio": quantity(1.2 + 0.1 * k, "1"), "blocked": float(own["unit"] != "horizontal" and k > 1),
+            "flux_ratio": quantity(0.5 + 0.25 * k, "1"), "speed": {"wall_time": quantity(2.0 + k, "s")},
+            "checks": {"energy": {"passed": k < 2, "found": f"{k} %"}},
+        }  # fmt: skip
+        tables = {"stations": SimpleNamespace(columns=columns)}
+        return SimpleNamespace(finished=True, result=result, tables=tables, scene=SimpleNamespace(parameters=own))
+
+    def part_simulation(scene, check, out, called, digest, **settings):
+        asked.append([called, scene.name, check.__module__, out.name, len(digest), *settings.values()])
+        return SimpleNamespace(scene=scene), called
+
+    def run_many(simulations, checkpoints, progress):
+        assert list(checkpoints) == [each[0] for each in asked]
+        progress("running", 0.5)
+        return [run_of(each.scene) for each in simulations]
+
+    def previous(folders, scene, digest):
+        known.append([[None if each is None else each.name for each in folders], len(digest)])
+        return scene if len(known) == 1 else None
+
+    monkeypatch.setattr(by_elements, "part_simulation", part_simulation)
+    monkeypatch.setattr(by_elements, "method_of", lambda scene: SimpleNamespace(run_many=run_many))
+    monkeypatch.setattr(by_elements, "previous_run", previous)
+    monkeypatch.setattr(by_elements, "load", run_of)
+    monkeypatch.setattr(by_elements, "check_known", lambda folder: known.clear())
+    found = by_elements.run_elements(
+        line, "zhan", FLOW, elements=Elements(seeds=2), out=tmp_path / "out", known=tmp_path / "known", device="cpu",
+        threads=2, progress=lambda *each: told.append(each),
+    )  # fmt: skip
+    assert json.loads((tmp_path / "out" / "line-dem.json").read_text(encoding="utf-8")) == found.record()
+    kept.compare(
+        f"line-runs-{kind}",
+        {"asked": asked, "told": told, "known": known, "record": found.record(), "remarks": found.remarks,
+         "failed": found.failed, "took": found.took},
+    )  # fmt: skip
+    for failed, error in ((SimpleNamespace(finished=False), KeyboardInterrupt), (ValueError("burst"), ValueError)):
+        many = SimpleNamespace(run_many=lambda simulations, *rest, failed=failed: [failed] * len(simulations))
+        monkeypatch.setattr(by_elements, "method_of", lambda scene, many=many: many)
+        with pytest.raises(error):
+            by_elements.run_elements(line, "zhan", FLOW, out=tmp_path / "other", device="cpu")
+
+
 def test_a_probability_of_blocking_is_kept(line):
     own = _parameters(line.parts[3], line, "zhan", FLOW, Elements(coarse=1.0), 0)
     results = {

@@ -1,6 +1,7 @@
 """Tables, records and figures of studies, trade-offs and calibrations, made of made-up results, kept (see `kept`)."""
 
 import importlib
+import itertools
 import json
 from types import SimpleNamespace
 
@@ -8,7 +9,9 @@ import kept
 import numpy as np
 import pytest
 
+from warpcrete.core.errors import InstabilityError, SceneError
 from warpcrete.core.run.method import Quantity
+from warpcrete.core.units import quantity
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibration import Calibration, Trial
 from warpcrete.studies.calibration.posterior import Posterior
@@ -16,6 +19,7 @@ from warpcrete.studies.calibration.report import answer, concrete_of, report
 from warpcrete.studies.calibration.report import draw as draw_calibration
 from warpcrete.studies.calibration.targets import task_of
 from warpcrete.studies.cases import cases_of
+from warpcrete.studies.cluster import WorkerLost
 from warpcrete.studies.study_result import Study
 from warpcrete.studies.study_table import columns_of
 from warpcrete.studies.tradeoffs.fronts import Error
@@ -174,7 +178,7 @@ class Linear:
 
 
 def test_a_calibration_is_kept(tmp_path):
-    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0}
+    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0, "viscosity": 30.0}
     raw = {
         "vary": {"viscosity": [10.0, 100.0], "slip_viscosity": [300.0, 3000.0], "slip_yield": [0.0, 100.0]},
         "targets": [
@@ -319,3 +323,166 @@ def test_every_setting_of_a_study_reaches_its_runs(tmp_path, monkeypatch):
     del record["threads"]
     running.simulation_of(record, tube, tmp_path / "t", cases[1], print)
     assert made["threads"] == 1
+
+
+def test_the_rounds_of_a_calibration_are_kept(tmp_path, monkeypatch):
+    """Search, posterior, points of the next rounds and repeats at the best ones; results and posterior are made up."""
+    search = importlib.import_module("warpcrete.studies.calibration.calibrate")
+    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0, "viscosity": 30.0}
+    raw = {
+        "vary": {"slip_viscosity": [300, 3000], "slip_yield": [0, 100]},
+        "targets": [
+            {"scene": "tube", "parameters": own | {"flow": 1e-3}, "quantity": "pressure", "value": 9e3,
+             "uncertainty": "3%"},
+        ],
+    }  # fmt: skip
+    log, posteriors, told = [], [], []
+
+    def run_listed(name, module, cases, *, out, progress, **settings):
+        log.append([name, module.__name__, out.name, settings, [[c.name, c.varied, c.parameters] for c in cases]])
+        progress("running", 0.5, {})
+        results = {
+            case.name: {"pressure": quantity(8e3 + 10 * case.parameters["slip_yield"], "Pa"), "checks": {}}
+            for case in cases
+        }
+        if len(log) == 1:
+            results[cases[1].name] |= {"checks": FAILED}
+            del results[cases[2].name]
+            results[cases[3].name].pop("pressure")
+        failures = {} if len(log) > 1 else {cases[2].name: "it burst"}
+        return Study(out, name, cases, results=results, failures=failures)
+
+    def posterior(task, points, values, seed):
+        rng = np.random.default_rng(seed)
+        found = SimpleNamespace(
+            best=np.array([0.3, 0.6]), samples=rng.normal([0.3, 0.6], 0.1 / (1 + len(posteriors)), (300, 2)).clip(0, 1),
+            emulator_error_ratio=lambda target: 0.9 if len(posteriors) < 3 else 0.01,
+        )  # fmt: skip
+        posteriors.append([points, list(values.values()), seed])
+        return found
+
+    monkeypatch.setattr(search, "run_listed", run_listed)
+    monkeypatch.setattr(search, "posterior", posterior)
+    monkeypatch.setattr(search, "write", lambda *rest: None)
+    out = tmp_path / "out"
+    found = search.calibrate(
+        raw, out=out, trials=40, batch=8, repeat=2, seed=3, device="cpu", processes=1,
+        progress=lambda phase, fraction, figures: told.append([phase, fraction]),
+    )  # fmt: skip
+    trials = [
+        [trial.number, trial.seed, trial.proof, trial.failure, trial.suspect, list(trial.values.values())]
+        for trial in found.trials
+    ]
+    record = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
+    kept.compare(
+        "calibration-rounds",
+        {"record": record, "log": log, "posteriors": posteriors, "trials": trials, "told": told,
+         "finished": found.finished, "settled": found.settled},
+    )  # fmt: skip
+    again, count = [], len(log)
+    monkeypatch.setattr(search, "run_listed", lambda *rest, **settings: pytest.fail("all rounds were run before"))
+    for name in {each[2] for each in log}:
+        (out / "rounds" / name).mkdir(parents=True)
+        (out / "rounds" / name / "study.json").touch()
+
+    def resume_study(folder, module, *, progress, **settings):
+        again.append([folder.name, module.__name__, settings])
+        done = next(each for each in log if each[2] == folder.name)
+        cases = [SimpleNamespace(name=name) for name, _, _ in done[4]]
+        return SimpleNamespace(
+            finished=len(again) < count, lost=[], cases=cases, failures={},
+            results={case.name: {"pressure": quantity(9e3, "Pa"), "checks": {}} for case in cases},
+        )  # fmt: skip
+
+    monkeypatch.setattr(search, "resume_study", resume_study)
+    posteriors.clear()
+    cut = search.resume_calibration(out, modules(), trials=50, processes=3)
+    assert not cut.finished and [each[0] for each in again] == [each[2] for each in log]
+    assert len(cut.trials) == len(found.trials) - len(log[-1][4]) and again[0][2]["processes"] == 3
+    assert json.loads((out / "calibration.json").read_text(encoding="utf-8"))["settings"]["trials"] == 50
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("budget", [700.0, 300.0])
+def test_the_course_of_a_trade_is_kept(budget, workers, tmp_path, monkeypatch):
+    """Settings that a trade runs, in order, their reference and promises; runs and their times are made up."""
+    state, phases = (importlib.import_module(f"warpcrete.studies.tradeoffs.{name}") for name in ("state", "trade"))
+    pipe = importlib.import_module("warpcrete.scenes.pipe")
+    clock, ran, told = [0.0], [], []
+
+    def outcome_of(parameters):
+        seed, safety = parameters["seed"], parameters.get("safety", 0.8)
+        size = parameters.get("size_max", 0.03) / 0.03
+        cost = 10 / safety / size**3
+        clock[0] += cost
+        ran.append([seed, safety, size, clock[0]])
+        if size > 2.9:
+            return InstabilityError("burst")
+        peak = 2e4 * (1 + 0.02 * safety**2 + 0.03 * (size - 1) + 2e-3 * np.sin(seed + 3 * safety))
+        return measured(
+            seed, peak_pressure=quantity(peak, "Pa"), end_pressure=quantity(0.8 * peak + 20 * seed, "Pa"),
+            speed={"packing_time": quantity(0.0, "s"), "wall_time": quantity(cost, "s")},
+        )  # fmt: skip
+
+    class Cluster:
+        count = workers
+
+        def each(self, function, where, jobs, store, gap, lazily):
+            assert function.__name__ == "run_worker_job" and where[1] is pipe and lazily
+            told.append([where[0], where[2].name])
+            running = list(itertools.islice(jobs, workers))
+            while running:
+                job, given = running.pop(0)
+                told.append([[case.name for case in given.cases], given.load_kernels, given.time_left])
+                store(job, [outcome_of(case.parameters) for case in given.cases])
+                running += itertools.islice(jobs, 1)
+
+    record = {
+        "scene": "pipe", "parameters": {"seed": 2, "bonds": False}, "quantities": ["peak_pressure", "end_pressure"],
+        "knobs": ["time step", "coarse-graining"], "repeat": 2, "seeded": True, "device": "cpu", "threads": 1,
+        "provenance": {"device_name": "cpu", "processor": "a processor"},
+    }  # fmt: skip
+    trade = Trade(tmp_path, pipe, record)
+    monkeypatch.setattr(Trade, "_run", lambda self, point, seed, folder: self._store_outcome(
+        point, seed, outcome_of(self._parameters(point, seed))))  # fmt: skip
+    monkeypatch.setattr(state, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr(phases, "write", lambda trade: None)
+    trade.budget, trade.cluster = budget, Cluster() if workers else None
+    phases._measure(trade, lambda name, fraction, figures: told.append([name, fraction]))
+    points = [
+        [p.origin, p.levels, sorted(p.results), {k: str(v) for k, v in p.failures.items()}, p.left_out, p.suspect,
+         [[e.quantity, e.shift, e.interval] for e in p.errors]]
+        for p in trade.points
+    ]  # fmt: skip
+    promises = [
+        [each.target, each.bound, each.found and each.found.shift, each.point and trade.points.index(each.point)]
+        for each in trade.promises
+    ]
+    kept.compare(
+        f"trade-course-{budget:g}-{workers}",
+        {"points": points, "promises": promises, "ran": ran, "told": told, "spent": trade.spent,
+         "reference": trade.points.index(trade.reference), "finest": trade.record.get("finest"),
+         "abreast": trade.record.get("abreast"), "interrupted": trade.interrupted},
+    )  # fmt: skip
+
+
+def test_outcomes_of_a_trades_runs(tmp_path):
+    """Only what the scene itself does is its failure; a lost worker leaves a setting out, and an interruption ends."""
+    trade = made_trade(tmp_path)
+    point = trade.point(COMBINED, {knob.name: 1 for knob in trade.knobs})
+    seed = 77
+    trade._store_outcome(point, seed, {"finished": False})
+    assert trade.interrupted and not point.results
+    for outcome in (None, KeyboardInterrupt()):
+        trade.interrupted = False
+        trade._store_outcome(point, seed, outcome)
+        assert trade.interrupted
+    trade._store_outcome(point, seed, WorkerLost("gone"))
+    assert point.left_out == "not run: gone" and not point.failures
+    with pytest.raises(OSError, match="full"):
+        trade._store_outcome(point, seed, OSError("full"))
+    trade._store_outcome(point, seed, SceneError("x = 1: is wrong"))
+    assert point.failures == {seed: "failed: x = 1: is wrong"}
+    (path,) = tmp_path.glob("runs/*/failed.txt")
+    assert path.parent == trade._folder(point, seed) and path.read_text(encoding="utf-8").startswith("failed: x = 1")
+    assert trade._take_over(point, [seed]) == [] and str(seed) in path.parent.name

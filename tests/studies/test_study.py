@@ -1,8 +1,10 @@
 """Parameter studies: cases, table, figure, resumption, failures."""
 
 import importlib
+import itertools
 import json
 import shutil
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -14,6 +16,8 @@ import warpcrete
 from warpcrete import scenes
 from warpcrete.cli.study import parameter_values
 from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.studies import running
+from warpcrete.studies.cases import Case
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
@@ -36,11 +40,53 @@ def test_cases_are_all_combinations_or_one_parameter_at_a_time():
         cases_of({}, {"velocity": [0.1]}, repeat=0)
 
 
+def check_ways_to_run(study, tmp_path):
+    """Run cases as a GPU does, in groups, and as a worker process does: both give the results of the study."""
+    channel = importlib.import_module("warpcrete.scenes.channel")
+    record = json.loads((study.folder / "study.json").read_text(encoding="utf-8"))
+    wrong = Case("wrong", {}, {"spacing": -1.0})
+    outcomes, told = {}, []
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(running, "CASES_TOGETHER", 1)
+        running.run_on_gpu(
+            record, channel, tmp_path / "a", [*study.cases, wrong],
+            lambda case, outcome: outcomes.update({case.name: outcome}), lambda *each: told.append(each),
+        )  # fmt: skip
+    assert isinstance(outcomes.pop("wrong"), SceneError)
+    assert [phase for phase, *_ in told] == ["running"] * len(told) and told[-1][1] == pytest.approx(2 / 3)
+    assert all(0 < one[1] <= other[1] for one, other in itertools.pairwise(told))
+    results = running.run_cases(record, channel, tmp_path / "b", [*study.cases, wrong], lambda: False)
+    assert isinstance(results.pop(), SceneError)
+    for case, other in zip(study.cases, results, strict=True):
+        hashes = {each["state_hash"] for each in (study.results[case.name], outcomes[case.name].result, other)}
+        assert len(hashes) == 1 and (tmp_path / "a" / case.name / "result.json").is_file()
+    assert running.run_cases(record, channel, tmp_path / "c", study.cases, lambda: True) == [None, None]
+    assert running.run_cases(record, channel, tmp_path / "c", [], lambda: False) == [] and not (tmp_path / "c").exists()
+
+
+def test_a_study_ends_when_it_is_asked_to():
+    """Runs end at their next sample; whatever comes before is interrupted, and nothing is while kernels compile."""
+    one, asked = SimpleNamespace(stop_requested=False), []
+    tell = running.stop_callback(lambda: bool(asked), [one])
+    tell("packing", 0.5, {})
+    assert not one.stop_requested
+    asked.append(True)
+    tell("compiling", 0.5, {})
+    assert one.stop_requested
+    one.stop_requested = False
+    with pytest.raises(KeyboardInterrupt):
+        tell("packing", 0.5, {})
+    assert not one.stop_requested
+    tell("running", 0.5, {})
+    assert one.stop_requested
+
+
 def test_a_study_from_python(tmp_path):
     flow = dict(spacing=0.02, duration=0.012, sample_interval=4e-3, device="cpu", processes=1)
     study = warpcrete.study(scenes.channel, vary={"flow": [1e-3, 2e-3]}, out=tmp_path / "study", **flow)
     assert study.finished and list(study.table()["flow"]) == [1e-3, 2e-3]
     assert warpcrete.load(tmp_path / "study").scene == "channel"
+    check_ways_to_run(study, tmp_path)
     with pytest.raises(SceneError, match="must be a scene function"):
         warpcrete.study("channel", vary={"flow": [1e-3]}, out=tmp_path / "other")
     for vary, message in (({"flow": 1e-3}, "flow = 0.001: must be a list"), ({"ends": "open"}, "ends = 'open'"),

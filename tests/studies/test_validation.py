@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
+import kept
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
+from warpcrete.core.units import quantity
 from warpcrete.mix.rheology import HEAP_CENTRE_MEDIAN
+from warpcrete.studies.validation import predictions, simulated
 from warpcrete.studies.validation.cases import FITTED, held_out_groups, read_cases, shipped_cases
 from warpcrete.studies.validation.comparison import compare
 from warpcrete.studies.validation.kinds import UNITS
+from warpcrete.studies.validation.predictions import PREDICTORS, mix_of_case
 from warpcrete.studies.validation.simulated import representatives, simulate
 from warpcrete.studies.validation.validate import validate
 from warpcrete.theory.bands import combined
@@ -194,3 +199,64 @@ def test_every_shipped_measurement_is_positive_and_has_a_source():
     for case in shipped_cases():
         assert np.all(np.array(case.measured) >= 0) and len(case.source) > 20
         assert case.kind == "blocking" or min(case.measured) > 0
+
+
+def test_kept_predictions(monkeypatch):
+    """Bands of one measured case of each kind (see `kept`); the time of a funnel, which takes seconds, is made up."""
+
+    def funnel_time(*given, layer, **law):
+        (outlet, top), (low, high), depth, viscosity, stress, density = given
+        slips = 1.0 if layer is None else 0.7 + 1e-4 * layer[0] + 1e-3 * layer[1] + 0.1 * sum(layer[2:])
+        return (viscosity + 0.1 * stress) * slips * sum(law.values()) * top * high * depth / (outlet * low * density)
+
+    monkeypatch.setattr(predictions, "funnel_time", funnel_time)
+    first = {}
+    for case in shipped_cases():
+        first.setdefault(case.kind, case)
+    del first["blocking"]
+    assert set(first) == set(PREDICTORS)
+    kept.compare(
+        "predictions",
+        {kind: [case.name, [[b.value, b.low, b.high, b.shares] for b in PREDICTORS[kind](case)]]
+         for kind, case in first.items()},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["slump", "spread", "funnel"])
+def test_a_simulation_gets_the_concrete_of_the_case(kind, monkeypatch):
+    """Its result, which is made up, takes the place of the closed form; both have the same relative band."""
+    cases = [each for each in representatives(shipped_cases()) if each.kind == kind]
+    case, scenes = cases[0], []
+
+    def simulation(scene, *, device):
+        scenes.append([scene, device])
+        names = {"slump": "slump", "spread": "spread", "funnel": "funnel_time"}
+        result = {names[kind]: quantity(0.123, "m")}
+        return SimpleNamespace(run=lambda: SimpleNamespace(finished=len(scenes) < 2, result=result))
+
+    form = compare(next(each for each in shipped_cases() if each.kind == "slump"))
+    monkeypatch.setattr(simulated, "method_of", lambda scene: SimpleNamespace(simulation=simulation))
+    monkeypatch.setattr(simulated, "compare", lambda known: form)  # that of a funnel takes seconds
+    found = simulate(case, True, device="cpu", spacing=0.015)
+    assert found.simulated and found.held_out and found.measured == form.measured and found.case is case
+    assert found.band.value == 0.123 and found.band.shares == form.band.shares
+    assert [found.band.low, found.band.high] == pytest.approx(
+        [0.123 * each / form.band.value for each in (form.band.low, form.band.high)]
+    )
+    ((scene, device),) = scenes
+    own = mix_of_case(case).concrete
+    assert device == "cpu" and scene.spacing == 0.015 and scene.name == ("funnel" if kind == "funnel" else "slump")
+    for name in ("viscosity", "yield_stress", "density", "slip_viscosity"):
+        assert getattr(scene.concrete, name) == getattr(own, name)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(case, False, device="cpu")
+
+
+def test_the_case_with_the_median_stands_for_its_group():
+    cases = shipped_cases()
+    chosen = representatives(cases)
+    assert [case.kind for case in chosen] == sorted([case.kind for case in chosen], key=["slump", "spread",
+                                                                                        "funnel"].index)  # fmt: skip
+    for case in chosen:
+        values = sorted(each.measured[0] for each in cases if (each.kind, each.group) == (case.kind, case.group))
+        assert case.measured[0] == values[len(values) // 2]

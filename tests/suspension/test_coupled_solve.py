@@ -1,11 +1,14 @@
 """Coupled solve of mortar, spheres and pressure: its number of iterations, search directions and new contacts."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from warpcrete.core.errors import ConvergenceError
 from warpcrete.suspension import solve
 from warpcrete.suspension.aggregates import Aggregates
-from warpcrete.suspension.solve import Tolerances
+from warpcrete.suspension.solve import CoupledSolve, Tolerances
 from warpcrete.verification.suspensions import DENSITY, RADIUS, mortar_flow
 
 WIDTH = RADIUS / 2
@@ -73,3 +76,36 @@ def test_the_known_directions_keep_their_effects_when_pairs_touch(device):
         expected = product.linear.numpy()
         assert effect.linear.numpy() == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
     assert np.abs(directions[1][1].linear.numpy() - before).max() > 0
+
+
+@pytest.mark.parametrize(("known", "orthogonal", "iterations", "begins"), [(0, 0, 5, 1), (7, 0, 12, 1), (7, 9, 14, 0)])
+def test_a_repeated_solve_gets_as_many_new_iterations_as_the_first(known, orthogonal, iterations, begins):
+    """Known directions cost little, so they do not count; only the others are preconditioned and multiplied."""
+
+    class Numbered(SimpleNamespace):
+        def __getitem__(self, number):
+            return number, number
+
+    directions = Numbered(known=known, orthogonal=orthogonal)
+    done = []
+
+    def orthogonalise(number):
+        done.append(("orthogonalise", number))
+        directions.orthogonal += 1
+        return 0.5
+
+    solver = SimpleNamespace(
+        directions=directions, error=1.0, outer=0, tolerances=Tolerances(outer=5), flow=SimpleNamespace(time=0.25),
+        direction="direction", product="product", residual="residual",
+        _advance=lambda factor, change, effect: done.append(("advance", factor, change)) or 1.0,
+        _precondition=lambda residual, change: done.append(("precondition", change)),
+        _multiply=lambda change, effect: done.append(("multiply", change)), _orthogonalise=orthogonalise,
+    )  # fmt: skip
+    with pytest.raises(ConvergenceError, match="maximum_iterations = 5") as raised:
+        CoupledSolve._iterate(solver, 1e-4)
+    new = iterations - max(known, orthogonal)
+    assert raised.value.iterations == iterations - orthogonal + 1 and solver.outer == new == 5
+    assert [each[1] for each in done if each[0] == "orthogonalise"] == list(range(orthogonal, iterations))
+    for name in ("precondition", "multiply"):
+        assert [each[1] for each in done if each[0] == name] == list(range(max(known, orthogonal), iterations))
+    assert done.count(("advance", 0.0, "direction")) == begins and directions.known == iterations
