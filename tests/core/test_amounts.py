@@ -7,7 +7,7 @@ import pytest
 
 from warpcrete import SceneError
 from warpcrete.cli.schemas import text_pattern
-from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, unit_names
+from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, is_customary, unit_names
 from warpcrete.mix.ingredients import mass_per_volume
 from warpcrete.mix.mix import mix_of
 
@@ -133,3 +133,16 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
 def test_amounts_that_are_no_mass_per_volume_are_refused(parts, volume, says):
     with pytest.raises(SceneError, match=says):
         mix_of({"parts": parts, "slump": "150 mm", **volume})
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("5 in", True), ("4 1/2 in", True), ("330 ft", True), ("6 ft 3 in", True), ('3"', True), ("1200 psi", True),
+        ("60 yd3/h", True), ("200 gpm", True), (".5 in", True), ({"bend": {"radius": "20 in"}}, True),
+        ("125 mm", False), ("30 m3/h", False), ("85 bar", False), ("3 min", False), ("5", False), ("bend in", False),
+        ([1, "1 m"], False), (5.0, False), (None, False), ("12 inc", False), ("3 m, 5 inside", False),
+    ],
+)  # fmt: skip
+def test_us_units_are_recognised_wherever_they_stand(value, expected):
+    assert is_customary(value) is expected

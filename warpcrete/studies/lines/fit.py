@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import SceneError, between, positive, refuse
-from ...core.inputs.amounts import amount
+from ...core.inputs.amounts import PSI, amount
 from ...core.inputs.limits import check_limit, check_velocity
 from ...core.inputs.text_files import read_columns
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
+from .answers import beside
 from .fittings import MODEL_ERRORS, library_factor
 from .losses import GRAVITY, straight_friction, with_layer_factor
 
@@ -392,7 +393,9 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         "",
         *(f"- {each.text}" for each in fit.constants),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
-        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar (line {fit.taps[worst].row})",
+        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
+        f"{beside(line.customary, 'psi', measured[worst])} "
+        f"(line {fit.taps[worst].row})",
         "",
         "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
         "30 %, that of other deliveries):",
@@ -409,9 +412,11 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
             found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
                       f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
                       "factor: check the taps before you use it.", ""]  # fmt: skip
-    found += ["| place [m] | flow [m3/h] | measured [bar] | fitted [bar] | deviation [bar] |", "|---|---|---|---|---|"]
+    size, unit = (PSI, "psi") if line.customary else (1e5, "bar")
+    found += [f"| place [m] | flow [m3/h] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
+              "|---|---|---|---|---|"]  # fmt: skip
     for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
-        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / 1e5:.4g}", f"{fitted / 1e5:.4g}",
-                 f"{each / 1e5:+.2g}")  # fmt: skip
+        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / size:.4g}", f"{fitted / size:.4g}",
+                 f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
