@@ -109,7 +109,8 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
     for other in found[1:]:
         assert other.flow == pytest.approx(found[0].flow, rel=1e-4)
     assert found[0].flow["density"] == pytest.approx(2396.48, rel=1e-5)
-    assert mass_per_volume("superplasticizer", "40 oz/yd3") == pytest.approx(1100 * 40 * 2.95735296e-5 / YARD)
+    for unit in ("oz/yd3", "oz/cy", "fl oz/yd3", "fl oz/cy"):
+        assert mass_per_volume("superplasticizer", f"40 {unit}") == pytest.approx(1100 * 40 * 2.95735296e-5 / YARD)
     share = mix_of({"density": 2350, "slump": "6 in", "aggregate": "1800 lb/yd3"}).given.share
     assert share == pytest.approx(1067.9 / 2650, rel=1e-4)
 
@@ -126,6 +127,7 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
         ({"sand": "300 l/m3"}, {}, r"^mix parts: sand = '300 l/m3': is a volume, which is accepted for water"),
         ({"sand": "3 yd3"}, {"volume": "8 yd3"}, r"^mix parts: sand = '3 yd3': is a volume"),
         ({"water": "18 %"}, {}, r"^mix parts: water = '18 %': must be a number with one of kg/m3"),
+        ({"water reducer": "4 oz/cwt"}, {}, r"^mix parts: water reducer = '4 oz/cwt': counts per 100 lb of cement"),
         ({"cement": 340}, {"volume": 0}, r"^mix volume = 0.*: must be in \[0\.001, 10000\] m3"),
         ({"cement": 340}, {"volume": "8 kg"}, r"^mix volume = '8 kg': must be a number with one of m3, l"),
     ],

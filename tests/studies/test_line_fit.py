@@ -196,3 +196,14 @@ def test_the_text_of_a_fit_names_every_tap():
     assert any(
         line.startswith("    layer: {viscosity: 6") or line.startswith("    layer: {viscosity: 7") for line in text
     )
+
+
+def test_a_factor_of_bends_that_the_points_hardly_determine_is_not_recommended():
+    sure = "\n".join(fit_lines(fit_line(LINE, GUESS, taps()), LINE))
+    assert "    factor: 2.2" in sure and "Leave out" not in sure
+    unsure = fit_line(LINE, GUESS, taps(noise=1e5, parts=(0, 1, 2)))
+    low, high = unsure.constants[2].low, unsure.constants[2].high
+    assert unsure.constants[2].fitted and low <= 1 and high >= 3
+    text = "\n".join(fit_lines(unsure, LINE))
+    assert f"Leave out the factor of the bends: its band of {low:.3g} to {high:.3g} is wider" in text
+    assert "    factor:" not in text
