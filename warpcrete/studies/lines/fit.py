@@ -31,6 +31,9 @@ before which it sits."""
 SAME_FLOW = 0.02
 """Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
+REVERSED = 1.1
+"""Largest accepted ratio between the friction behind a tap and that behind a tap nearer to the pump, at the same flow.
+The true ratio is below 1; the tolerance is for errors of gauges that are close to each other."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
@@ -270,6 +273,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
                 f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
                 "check the place of the gauge, its unit and zero point, and the density of the concrete",
             )  # fmt: skip
+    _check_course(taps, measured - concrete.density * GRAVITY * np.array(model.rises))
     start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
     bends = any(_is_free(part) for part in line.parts)
     free = [0]
@@ -351,6 +355,17 @@ def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
                 f"fit: the points give a {NAMES[place]} of {found[place]:.4g}{unit}, which is impossible; check "
                 "places, flows, rise and diameters, the density, and the viscosity and yield stress of the concrete"
             )
+
+
+def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
+    """Refuse pressures that grow along the line at one flow; `friction` is that behind each tap [Pa]."""
+    for near, before in zip(taps, friction, strict=True):
+        for far, behind in zip(taps, friction, strict=True):
+            same = abs(far.flow - near.flow) <= SAME_FLOW * near.flow
+            if same and far.place > near.place and behind > REVERSED * before:
+                refuse(f"fit, line {far.row}: pressure", far.pressure,
+                       f"must be below that of line {near.row}, whose tap is nearer to the pump, by the weight and the "
+                       "friction between both", "check the places of the gauges; they count from the pump")  # fmt: skip
 
 
 def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
