@@ -7,7 +7,7 @@ import pytest
 
 from warpcrete import SceneError
 from warpcrete.cli.schemas import text_pattern
-from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, unit_names
+from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, is_customary, unit_names
 from warpcrete.mix.ingredients import mass_per_volume
 from warpcrete.mix.mix import mix_of
 
@@ -109,7 +109,8 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
     for other in found[1:]:
         assert other.flow == pytest.approx(found[0].flow, rel=1e-4)
     assert found[0].flow["density"] == pytest.approx(2396.48, rel=1e-5)
-    assert mass_per_volume("superplasticizer", "40 oz/yd3") == pytest.approx(1100 * 40 * 2.95735296e-5 / YARD)
+    for unit in ("oz/yd3", "oz/cy", "fl oz/yd3", "fl oz/cy"):
+        assert mass_per_volume("superplasticizer", f"40 {unit}") == pytest.approx(1100 * 40 * 2.95735296e-5 / YARD)
     share = mix_of({"density": 2350, "slump": "6 in", "aggregate": "1800 lb/yd3"}).given.share
     assert share == pytest.approx(1067.9 / 2650, rel=1e-4)
 
@@ -126,6 +127,7 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
         ({"sand": "300 l/m3"}, {}, r"^mix parts: sand = '300 l/m3': is a volume, which is accepted for water"),
         ({"sand": "3 yd3"}, {"volume": "8 yd3"}, r"^mix parts: sand = '3 yd3': is a volume"),
         ({"water": "18 %"}, {}, r"^mix parts: water = '18 %': must be a number with one of kg/m3"),
+        ({"water reducer": "4 oz/cwt"}, {}, r"^mix parts: water reducer = '4 oz/cwt': counts per 100 lb of cement"),
         ({"cement": 340}, {"volume": 0}, r"^mix volume = 0.*: must be in \[0\.001, 10000\] m3"),
         ({"cement": 340}, {"volume": "8 kg"}, r"^mix volume = '8 kg': must be a number with one of m3, l"),
     ],
@@ -133,3 +135,16 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
 def test_amounts_that_are_no_mass_per_volume_are_refused(parts, volume, says):
     with pytest.raises(SceneError, match=says):
         mix_of({"parts": parts, "slump": "150 mm", **volume})
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("5 in", True), ("4 1/2 in", True), ("330 ft", True), ("6 ft 3 in", True), ('3"', True), ("1200 psi", True),
+        ("60 yd3/h", True), ("200 gpm", True), (".5 in", True), ({"bend": {"radius": "20 in"}}, True),
+        ("125 mm", False), ("30 m3/h", False), ("85 bar", False), ("3 min", False), ("5", False), ("bend in", False),
+        ([1, "1 m"], False), (5.0, False), (None, False), ("12 inc", False), ("3 m, 5 inside", False),
+    ],
+)  # fmt: skip
+def test_us_units_are_recognised_wherever_they_stand(value, expected):
+    assert is_customary(value) is expected

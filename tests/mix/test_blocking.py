@@ -113,6 +113,13 @@ def test_the_slump(slump, admixture, verdict):
     assert verdicts(parts=own, slump=f"{slump} mm")["consistency"].verdict == verdict
 
 
+@pytest.mark.parametrize(("slump", "verdict"), [(120, "fine"), (160, "fine"), (161, "unknown"), (40, "risky")])
+def test_a_slump_alone_does_not_tell_whether_a_plasticizer_is_in_the_mix(slump, verdict):
+    mix = mix_of({"density": 2350, "slump": f"{slump} mm"})
+    (found,) = [each for each in blocking_rules(mix.given) if each.rule == "consistency"]
+    assert found.verdict == verdict and ("superplasticizer" in found.change) == (verdict == "unknown")
+
+
 def test_sand_and_its_fines():
     stony = parts(sand=600, gravel=1230)
     assert verdicts(parts=stony, aggregate="1230 kg/m3")["sand"].verdict == "risky"

@@ -458,6 +458,18 @@ def test_a_mix_states_another_law(tmp_path):
     assert scenes.tube(**kept).concrete == mix.concrete
 
 
+@pytest.mark.parametrize("law", [{"flow_index": 0.9}, {"quadratic_viscosity": "20 Pa s2/m2"}])
+def test_the_command_prints_a_mix_whose_layer_has_another_law(tmp_path, law):
+    """Elements have no such layer, so the written file has no section for them, and flows read it."""
+    layer = {"yield_stress": 20, "viscosity": 800, **law}
+    path = written(tmp_path, {"density": 2300, "concrete": {"yield_stress": 40, "viscosity": 30}, "layer": layer})
+    done = CliRunner().invoke(cli, ["mix", str(path), "--out", str(tmp_path / "o.yaml")])
+    assert done.exit_code == 0 and "elements have a linear slip layer only" in done.output
+    assert "run pipe (elements)" not in done.output
+    flow = scenes.tube(concrete=tmp_path / "o.yaml").concrete
+    assert all(getattr(flow, f"slip_{key}") == float(str(value).split()[0]) for key, value in law.items())
+
+
 def test_a_flow_states_another_law(tmp_path):
     path = tmp_path / "law.yaml"
     path.write_text("base: no1\nflow: {flow_index: 0.8, slip_flow_index: 1.2}\n", encoding="utf-8")

@@ -198,6 +198,30 @@ def test_a_pressure_that_no_pump_delivers_is_remarked():
     assert pressure_text(6894757.0) == "68.95 bar (6.89 MPa, 1000 psi)"
 
 
+US_LINE = {"diameter": "5 in", "pump": {"pressure": "1233 psi", "flow": "70 yd3/h", "power": "200 hp"},
+           "parts": [{"straight": "330 ft"}, {"bend": "up"}, {"straight": "65 ft 6 in"}]}  # fmt: skip
+
+
+def test_a_line_in_us_units_is_answered_in_both_units():
+    """Metric amounts stay as they are, and US ones follow: 330 ft are 100.584 m, and 60 yd3/h are 45.87 m3/h."""
+    stop = Stop(1200.0, 0.5, None)
+    ours = run_line(line_of(US_LINE), PLUG, 60 * 0.9144**3 / 3600, simulate=False, layer_factor=2.0, stop=stop)
+    text = "\n".join(lines_of(ours))
+    band, psi = ours.band(), 6894.757293
+    for each in (
+        f"{ours.line.length:.4g} m ({ours.line.length / 0.3048:.4g} ft)",
+        "at 45.87 m3/h (60 yd3/h)",
+        f"{band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar ({band.low / psi:.4g} to {band.high / psi:.4g} psi)",
+        "delivers 85.01 bar (1233 psi)", "the motor has 149 kW (200 hp)", "its flow of up to 53.52 m3/h (70 yd3/h)",
+        "| 1 | straight | 127 (5) | 100.6 (330) | 0 (0) |", "friction [kPa (psi)]",
+        f"bar, or {ours.restart().value / psi:.4g} (",
+    ):  # fmt: skip
+        assert each in text, each
+    metric = line_of({**US_LINE, "diameter": "127 mm", "pump": "85 bar", "parts": [{"straight": "100 m"}]})
+    plain = "\n".join(lines_of(run_line(metric, PLUG, 0.01, simulate=False, layer_factor=2.0)))
+    assert ours.line.customary and not metric.customary and "yd3" not in plain and plain.count("psi") == 1
+
+
 SHARP = """\
 diameter: 125 mm
 flow: 20 m3/h

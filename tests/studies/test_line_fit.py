@@ -196,3 +196,26 @@ def test_the_text_of_a_fit_names_every_tap():
     assert any(
         line.startswith("    layer: {viscosity: 6") or line.startswith("    layer: {viscosity: 7") for line in text
     )
+
+
+def test_a_factor_of_bends_that_the_points_hardly_determine_is_not_recommended():
+    sure = "\n".join(fit_lines(fit_line(LINE, GUESS, taps()), LINE))
+    assert "    factor: 2.2" in sure and "Leave out" not in sure
+    unsure = fit_line(LINE, GUESS, taps(noise=1e5, parts=(0, 1, 2)))
+    low, high = unsure.constants[2].low, unsure.constants[2].high
+    assert unsure.constants[2].fitted and low <= 1 and high >= 3
+    text = "\n".join(fit_lines(unsure, LINE))
+    assert f"Leave out the factor of the bends: its band of {low:.3g} to {high:.3g} is wider" in text
+    assert "    factor:" not in text
+
+
+def test_pressures_that_grow_along_the_line_are_refused():
+    """Two gauges are mixed up; gauges at one place, or a little off, are accepted."""
+    flat = line_of({"diameter": "125 mm", "parts": [{"straight": 100}]})
+    for second, fine in ((9e5, True), (10.9e5, True), (11.1e5, False)):
+        points = [Tap(0, 10e5, 0.01, 2), Tap(10, second, 0.01, 3), Tap(0, 12e5, 0.02, 4), Tap(0, 12.1e5, 0.02, 5)]
+        if fine:
+            fit_line(flat, TRUE, points)
+        else:
+            with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be below that of line 2"):
+                fit_line(flat, TRUE, points)

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from ..core.errors import between, positive, refuse
-from ..core.inputs.amounts import amount
+from ..core.inputs.amounts import amount, is_customary
 from ..core.inputs.limits import check_limit, check_velocity
 from ..geometry.axis import Axis, Line
 from ..geometry.pipe_line import Part, PipeLine
@@ -26,6 +26,8 @@ FINEST = 4e-3
 """Diameter of the smallest coarse aggregate [m] that is assumed if the user states only the largest stone."""
 SHAPE = ("diameter", "length", "rise")
 """Options that describe a straight pump line, for a user who has no file that describes the line."""
+MEASURES = (*SHAPE, "slump", "spread", "stone", "flow", "pump_pressure", "pump_flow", "pump_power")
+"""Options whose amounts may have customary US units."""
 EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
 
 
@@ -57,6 +59,8 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     """
     given = _straight(settings) if line is None else _from_file(line, settings)
     given = _with_pump(given, {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")})
+    if any(is_customary(settings[name]) for name in MEASURES):
+        given = replace(given, customary=True)
     stone = _amount("stone", settings, "m", "size_max")
     guess = _guessed(settings, stone)
     name = guess.name if guess is not None else settings["concrete"] or given.concrete

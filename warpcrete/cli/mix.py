@@ -14,6 +14,7 @@ from ..core.run.files import atomic_file
 from ..dem.pumping.parameters import PipeParameters
 from ..mix.blocking import blocking_rules, rule_lines
 from ..mix.mix import Mix, read_mix
+from ..theory.laws import BINGHAM
 
 
 def run(name: str, out: Path | None, bore: str | None = None) -> None:
@@ -42,7 +43,13 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
         click.echo(f"remark: {remark}")
     where = "" if wide is None else f"bore of {1e3 * wide:.4g} mm"
     click.echo("\n" + "\n".join(rule_lines(blocking_rules(mix.given, wide), where)))
-    click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows), run pipe (elements), line, theory")
+    elements = ", run pipe (elements)" if concrete.get("elements") else ""
+    click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows){elements}, line, theory")
+    if not elements:
+        click.echo(
+            "elements have a linear slip layer only: for them, state layer_yield and layer_viscosity in the section "
+            "'elements'"
+        )
     click.echo(f"to simulate its slump with elements: {_cone(mix)}")
     if out is not None:
         with atomic_file(out) as partial:
@@ -51,11 +58,16 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
 
 
 def plain(name: str, mix: Mix) -> dict[str, object]:
-    """Return the contents of a concrete's file, with the sections `elements` and `flow` calculated from a mix."""
+    """Return the contents of a concrete's file, with the sections `elements` and `flow` calculated from a mix.
+
+    The section `elements` is missing if the slip layer follows another law than Bingham's, which elements do not have,
+    and the mix states no layer for them.
+    """
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
-    elements = PipeParameters.implied({"concrete": name})
-    flow = {key: getattr(mix.concrete, key) for key in mix.flow}
-    return {"name": mix.name, "source": source, "elements": dict(elements), "flow": flow}
+    found: dict[str, object] = {"name": mix.name, "source": source}
+    if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
+        found["elements"] = dict(PipeParameters.implied({"concrete": name}))
+    return found | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}
 
 
 STIFF = 700.0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import one_line, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount
+from ..core.inputs.amounts import amount, is_customary
 from ..core.inputs.concretes import is_file
 from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
@@ -109,6 +109,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         source=_text(given, "source", ""),
         recorded=recorded,
         pump=_pump(given),
+        customary=any(is_customary(given.get(key)) for key in (*AMOUNTS, "pump", "parts")),
     )
     check_crossing(line)
     return with_stone(line, stone)

@@ -107,6 +107,9 @@ class PipeLine:
     """Pressure recorded at the pump [Pa]."""
     pump: Pump | None = None
     """Data sheet of the pump."""
+    customary: bool = False
+    """True if the line is described in customary US units. Texts about the line then give psi, feet and cubic yards
+    beside metric units."""
 
     @property
     def length(self) -> float:

@@ -257,6 +257,9 @@ def slump(mix: MixEntries) -> RuleVerdict:
     if mix.slump < usual - 1e-9:
         limit = f"; below {1e3 * least:g} mm it cannot be pumped" if mix.slump < least else ""
         return RuleVerdict(name, "risky", words + limit, "raise it with a plasticizer, not with water", source)
+    if mix.slump > largest + 1e-9 and not mix.parts:
+        words += "; more needs a superplasticizer"
+        return RuleVerdict(name, "unknown", words, "add parts to the mix, with its superplasticizer", source)
     if mix.slump > largest + 1e-9 and not (mix.thickener or mix.plasticizer):
         return RuleVerdict(name, "risky", words, "reach this slump with a superplasticizer, not with water, and state "
                            "it in parts", source)  # fmt: skip

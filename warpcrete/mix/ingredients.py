@@ -169,6 +169,9 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
                    "give its mass, for example '340 kg/m3' or '570 lb/yd3'")  # fmt: skip
         return DENSITIES[noun] * (amount(field, value, "m3") / load if whole and load
                                        else amount(field, value, "m3/m3"))  # fmt: skip
+    if isinstance(value, str) and "cwt" in value:
+        refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete",
+               "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 

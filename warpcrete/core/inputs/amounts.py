@@ -9,7 +9,7 @@ import functools
 import math
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -51,7 +51,8 @@ UNITS = {
               "lb/yd3": POUND / YARD**3, "lb/yd³": POUND / YARD**3, "lb/cy": POUND / YARD**3},
     "m3/m3": {"m3/m3": 1.0, "%": 1e-2, "l/m3": 1e-3, "L/m3": 1e-3, "l/m³": 1e-3, "L/m³": 1e-3, "ml/m3": 1e-6,
               "gal/yd3": GALLON / YARD**3, "gal/yd³": GALLON / YARD**3, "gal/cy": GALLON / YARD**3,
-              "oz/yd3": GALLON / 128 / YARD**3, "oz/yd³": GALLON / 128 / YARD**3, "ft3/yd3": 1 / 27},
+              "oz/yd3": GALLON / 128 / YARD**3, "oz/yd³": GALLON / 128 / YARD**3, "oz/cy": GALLON / 128 / YARD**3,
+              "fl oz/yd3": GALLON / 128 / YARD**3, "fl oz/cy": GALLON / 128 / YARD**3, "ft3/yd3": 1 / 27},
     "1": {"1": 1.0, "%": 1e-2},
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0},
     "1/s": {"1/s": 1.0, "Hz": 1.0},
@@ -65,6 +66,12 @@ UNITS = {
 }  # fmt: skip
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
 unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
+CUSTOMARY = {
+    *(name for name, factor in UNITS["m"].items() if factor in (INCH, FOOT, YARD)),
+    *(name for name in UNITS["m3/s"] if name.startswith(("yd", "cy", "ft", "gal", "gpm"))),
+    *("psi", "PSI", "ksi", "hp"),
+}
+"""Names of the customary US units of lengths, flows, pressures and powers."""
 DECIMAL = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 """Pattern of a number without sign, with an optional decimal point and an optional exponent: `12`, `0.5` or `1e-3`."""
 COMMA = r"(?:0,[0-9]+|[0-9]{1,3},(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)"
@@ -172,6 +179,20 @@ def is_amount(value: object, unit: str) -> bool:
         and not bare_number(value)
         and math.isfinite(_parsed(value.strip(), unit))
     )
+
+
+def is_customary(value: object) -> bool:
+    """Return whether `value` is, or contains in its lists and mappings, an amount in a customary US unit."""
+    if isinstance(value, Mapping):
+        return any(is_customary(each) for each in value.values())
+    if isinstance(value, str):
+        return len(value) <= LONGEST and _customary().fullmatch(value.strip()) is not None
+    return isinstance(value, Sequence) and any(is_customary(each) for each in value)
+
+
+@functools.cache
+def _customary() -> re.Pattern[str]:
+    return re.compile(rf"[-+]?\.?[0-9](?:.*[0-9.])?\s*(?:{_alternatives(CUSTOMARY)})")
 
 
 def unit_names(unit: str) -> list[str]:

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
+from ...core.inputs.amounts import FOOT, INCH, POUND, PSI, YARD
 from ...core.units import quantity
 from ...geometry.pumps import Pump
 from ...theory.bands import Band
@@ -33,11 +34,22 @@ ADVICE = {
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
 }
 """Advice for the user on how to reduce the uncertainty that comes from a cause, by the name of the cause."""
+CUSTOMARY_SIZES = {"in": INCH, "ft": FOOT, "yd3": YARD**3, "yd3/h": YARD**3 / 3600, "psi": PSI,
+                   "hp": 550 * FOOT * POUND * 9.80665}  # fmt: skip
+"""SI values of the customary US units in which answers are given beside metric units."""
 
 
 def pressure_text(pressure: float) -> str:
     """Return a pressure [Pa] in bar, MPa and psi."""
-    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / 6894.757:.4g} psi)"
+    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / PSI:.4g} psi)"
+
+
+def beside(shown: bool, unit: str, *values: float) -> str:
+    """Return one value, or two as a range, in a customary US unit and in parentheses, to follow the metric amount.
+
+    `unit` is a key of :data:`CUSTOMARY_SIZES`, and the values are in SI units. Unless `shown`, the text is empty.
+    """
+    return f" ({' to '.join(f'{value / CUSTOMARY_SIZES[unit]:.4g}' for value in values)} {unit})" if shown else ""
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
@@ -74,6 +86,8 @@ class PumpMargin:
     """Pressure that the line needs at its start [Pa], with its uncertainty band."""
     flow: float
     """Flow that the pump must deliver into the line [m3/s]."""
+    customary: bool = False
+    """True if the sentence gives customary US units beside metric units."""
 
     @property
     def factor(self) -> float:
@@ -98,10 +112,12 @@ class PumpMargin:
 
     def sentence(self) -> str:
         """Return a sentence that tells the user whether the pump suffices, with its pressure, power and flow."""
+        us = self.customary
         if self.pump.flow is not None and self.flow > self.pump.flow:
-            return (f"the pump is too weak: it delivers {3600 * self.pump.flow:.4g} m3/h at most, and "
-                    f"{3600 * self.flow:.4g} m3/h are wanted")  # fmt: skip
-        text = f"the pump is {self.verdict}: it delivers {self.pump.pressure / 1e5:.4g} bar"
+            most, wanted = (f"{3600 * x:.4g} m3/h{beside(us, 'yd3/h', x)}" for x in (self.pump.flow, self.flow))
+            return f"the pump is too weak: it delivers {most} at most, and {wanted} are wanted"
+        limit = self.pump.pressure
+        text = f"the pump is {self.verdict}: it delivers {limit / 1e5:.4g} bar{beside(us, 'psi', limit)}"
         if self.band.value <= 0:
             return f"{text}, and the line needs no pressure"
         text += f", {self.factor:.2f} times the pressure needed"
@@ -109,10 +125,12 @@ class PumpMargin:
             text += f", and {self.pump.pressure / self.band.high:.2f} times the upper end of the band"
         text += f" (AIJ asks for {MARGIN:g} times)"
         if self.pump.power is not None:
-            text += (f"; the motor has {self.pump.power / 1e3:.3g} kW, and the line needs "
-                     f"{motor_power(self.band.value, self.flow) / 1e3:.3g} kW")  # fmt: skip
+            own, needed = (f"{each / 1e3:.3g} kW{beside(us, 'hp', each)}"
+                           for each in (self.pump.power, motor_power(self.band.value, self.flow)))  # fmt: skip
+            text += f"; the motor has {own}, and the line needs {needed}"
         if self.pump.flow is not None:
-            text += f"; its flow of up to {3600 * self.pump.flow:.4g} m3/h is enough"
+            most = f"{3600 * self.pump.flow:.4g} m3/h{beside(us, 'yd3/h', self.pump.flow)}"
+            text += f"; its flow of up to {most} is enough"
         return text
 
     def record(self) -> dict[str, Any]:

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import SceneError, between, positive, refuse
-from ...core.inputs.amounts import amount
+from ...core.inputs.amounts import PSI, amount
 from ...core.inputs.limits import check_limit, check_velocity
 from ...core.inputs.text_files import read_columns
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
+from .answers import beside
 from .fittings import MODEL_ERRORS, library_factor
 from .losses import GRAVITY, straight_friction, with_layer_factor
 
@@ -33,6 +34,9 @@ before which it sits."""
 SAME_FLOW = 0.02
 """Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
+REVERSED = 1.1
+"""Largest accepted ratio between the friction behind a tap and that behind a tap nearer to the pump, at the same flow.
+The true ratio is below 1; the tolerance is for errors of gauges that are close to each other."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
@@ -281,6 +285,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
                 f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
                 "check the place of the gauge, its unit and zero point, and the density of the concrete",
             )  # fmt: skip
+    _check_course(taps, measured - concrete.density * GRAVITY * np.array(model.rises))
     start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
     bends = any(_is_free(part) for part in line.parts)
     free = [0]
@@ -366,6 +371,17 @@ def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
             )
 
 
+def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
+    """Refuse pressures that grow along the line at one flow; `friction` is that behind each tap [Pa]."""
+    for near, before in zip(taps, friction, strict=True):
+        for far, behind in zip(taps, friction, strict=True):
+            same = abs(far.flow - near.flow) <= SAME_FLOW * near.flow
+            if same and far.place > near.place and behind > REVERSED * before:
+                refuse(f"fit, line {far.row}: pressure", far.pressure,
+                       f"must be below that of line {near.row}, whose tap is nearer to the pump, by the weight and the "
+                       "friction between both", "check the places of the gauges; they count from the pump")  # fmt: skip
+
+
 def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
     """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps."""
     own, places = start.copy(), list(free)
@@ -406,7 +422,9 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         "",
         *(f"- {each.text}" for each in fit.constants),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
-        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar (line {fit.taps[worst].row})",
+        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
+        f"{beside(line.customary, 'psi', measured[worst])} "
+        f"(line {fit.taps[worst].row})",
         "",
         "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
         "30 %, that of other deliveries):",
@@ -415,17 +433,23 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         f"uncertainty: {min(max(100 * fit.uncertainty, 0.1), 90):.2g} %, from: pipe}}",
         "",
     ]
-    if bends and bends[0].fitted:
+    low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
+    if bends and bends[0].fitted and bends[0].low <= low and bends[0].high >= high:
+        found += [f"Leave out the factor of the bends: its band of {bends[0].low:.3g} to {bends[0].high:.3g} is wider "
+                  f"than the {low:g} to {high:g} that published measurements found. Gauges close to both sides of many "
+                  "bends would determine it.", ""]  # fmt: skip
+    elif bends and bends[0].fitted:
         found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
-        low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
         if not low <= bends[0].value <= high:
             share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
             found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
                       f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
                       "factor: check the taps before you use it.", ""]  # fmt: skip
-    found += ["| place [m] | flow [m3/h] | measured [bar] | fitted [bar] | deviation [bar] |", "|---|---|---|---|---|"]
+    size, unit = (PSI, "psi") if line.customary else (1e5, "bar")
+    found += [f"| place [m] | flow [m3/h] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
+              "|---|---|---|---|---|"]  # fmt: skip
     for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
-        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / 1e5:.4g}", f"{fitted / 1e5:.4g}",
-                 f"{each / 1e5:+.2g}")  # fmt: skip
+        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / size:.4g}", f"{fitted / size:.4g}",
+                 f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found

@@ -12,7 +12,7 @@ from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band
-from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text
+from .answers import CUSTOMARY_SIZES, EFFICIENCY, PumpMargin, band_sentences, beside, motor_power, pressure_text
 from .figure import draw
 from .fit import LineFit
 from .fittings import METHODS_ON_BENDS, is_in_library
@@ -110,7 +110,9 @@ class LineResult(LinePressures):
     @property
     def margin(self) -> PumpMargin | None:
         """Comparison of the line's needs with the data sheet of its pump; None if the line names no pump."""
-        return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
+        return (
+            None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow, self.line.customary)
+        )
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
         """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
@@ -206,22 +208,26 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
 
     With `practice`, a further table compares the result with rules of practice.
     """
-    band = result.band()
+    band, us = result.band(), result.line.customary
     fitted = () if result.fit is None else ("slip layer", "bends")
     found = [
-        f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
-        f"{3600 * result.flow:.4g} m3/h",
+        f"**{result.line.name}**: {result.line.length:.4g} m{beside(us, 'ft', result.line.length)}, "
+        f"{result.line.rise:.4g} m{beside(us, 'ft', result.line.rise)} up, {result.concrete.name} at "
+        f"{3600 * result.flow:.4g} m3/h{beside(us, 'yd3/h', result.flow)}",
         "",
-        f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar",
+        f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar"
+        f"{beside(us, 'psi', band.low, band.high)}",
         *(f"- {sentence}" for sentence in band_sentences(band, fitted)),
         *(
             [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
             if result.simulated or result.theory != result.pressure
             else []
         ),
-        f"- power into the concrete {result.power / 1e3:.3g} kW, of the pump's motor {result.motor_power / 1e3:.3g} kW "
+        f"- power into the concrete {result.power / 1e3:.3g} kW{beside(us, 'hp', result.power)}, of the pump's motor "
+        f"{result.motor_power / 1e3:.3g} kW{beside(us, 'hp', result.motor_power)} "
         f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
-        f"- the line holds {result.volume:.3g} m3, and concrete passes it in {_time(result.residence_time)}",
+        f"- the line holds {result.volume:.3g} m3{beside(us, 'yd3', result.volume)}, and concrete passes it in "
+        f"{_time(result.residence_time)}",
     ]
     if result.margin is not None:
         found.append(f"- {result.margin.sentence()}")
@@ -229,29 +235,48 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         begins, full = result.restart(), result.restart(result.flow)
         found += [
             f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
-            f"(theory), it starts to move at {_span(begins)} bar, and at full flow with {_span(full)} bar",
+            f"(theory), it starts to move at {_span(begins, us)}, and at full flow with {_span(full, us)}",
             *(f"- restart: {sentence}" for sentence in band_sentences(full)[:1]),
         ]
     if result.line.recorded is not None:
         found.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")
     found += [f"- {remark}" for remark in result.remarks()]
-    columns = ("part", "", "diameter [mm]", "length [m]", "rise [m]", "friction [kPa]", "times straight pipe",
-               "weight [kPa]")  # fmt: skip
-    found += ["", f"| {' | '.join(columns)} |".replace("|  |", "| |"), "|" + "---|" * len(columns)]
-    for x in result.losses:
-        part, span = x.part, x.range
-        cells = [f"{part.number}", part.label, f"{1e3 * part.diameter:.4g}", f"{part.length:.4g}", f"{part.rise:.4g}"]
-        ratio = f"{x.friction / x.straight:.3g}" + ("" if span is None else f" ({span[0]:.3g} to {span[1]:.3g})")
-        cells += [f"{x.friction / 1e3:.4g}", ratio, f"{x.weight / 1e3:.4g}"]
-        found.append(f"| {' | '.join(cells)} |")
+    found += ["", *_table(result)]
     if practice:
         found += ["", *practice_lines(*result.practice()), "", METHODS_ON_BENDS]
     return found
 
 
-def _span(band: Band) -> str:
-    """Return a pressure and the ends of its uncertainty band as text, in bar."""
-    return f"{band.value / 1e5:.4g} ({band.low / 1e5:.3g} to {band.high / 1e5:.3g})"
+def _table(result: LineResult) -> list[str]:
+    """Return a table of a line's parts; customary US units follow in parentheses if the line is described in them."""
+    us = result.line.customary
+
+    def unit(metric: str, other: str) -> str:
+        return f"[{metric} ({other})]" if us else f"[{metric}]"
+
+    def cell(value: float, metric: float, other: str) -> str:
+        return f"{value / metric:.4g}" + (f" ({value / CUSTOMARY_SIZES[other]:.4g})" if us else "")
+
+    columns = ("part", "", f"diameter {unit('mm', 'in')}", f"length {unit('m', 'ft')}", f"rise {unit('m', 'ft')}",
+               f"friction {unit('kPa', 'psi')}", "times straight pipe", f"weight {unit('kPa', 'psi')}")  # fmt: skip
+    found = [f"| {' | '.join(columns)} |".replace("|  |", "| |"), "|" + "---|" * len(columns)]
+    for x in result.losses:
+        part, span = x.part, x.range
+        ratio = f"{x.friction / x.straight:.3g}" + ("" if span is None else f" ({span[0]:.3g} to {span[1]:.3g})")
+        cells = [f"{part.number}", part.label, cell(part.diameter, 1e-3, "in"), cell(part.length, 1.0, "ft"),
+                 cell(part.rise, 1.0, "ft"), cell(x.friction, 1e3, "psi"), ratio,
+                 cell(x.weight, 1e3, "psi")]  # fmt: skip
+        found.append(f"| {' | '.join(cells)} |")
+    return found
+
+
+def _span(band: Band, us: bool) -> str:
+    """Return a pressure with its band in bar, and in psi as well if `us` is true."""
+    text = f"{band.value / 1e5:.4g} ({band.low / 1e5:.3g} to {band.high / 1e5:.3g}) bar"
+    if not us:
+        return text
+    value, low, high = (f"{x / CUSTOMARY_SIZES['psi']:.4g}" for x in (band.value, band.low, band.high))
+    return f"{text}, or {value} ({low} to {high}) psi"
 
 
 def _time(seconds: float) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.device.device import find_device
 from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
 from ...core.run.files import atomic_file, write_json
@@ -165,11 +166,14 @@ def validate(
 
     `kinds` restricts the comparison to some kinds of cases; an empty sequence means all kinds. Unless `quick` is set,
     one case of each group of slumps, spreads and funnels is also simulated as a flow, which takes a few minutes. A case
-    that the program refuses to predict is listed with the reason. Raises :class:`SceneError` for an unknown kind.
+    that the program refuses to predict is listed with the reason. Raises :class:`SceneError` for an unknown kind, and
+    :class:`DeviceError` for a device that does not exist.
     """
     kinds = tuple(kinds)
     for kind in kinds:
         one_of("kind", kind, UNITS)
+    if not quick:
+        find_device(device)
     everything = list(cases) if cases is not None else shipped_cases()
     held = held_out_groups(everything)
     chosen = [case for case in everything if not kinds or case.kind in kinds]
