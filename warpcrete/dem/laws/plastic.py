@@ -25,10 +25,9 @@ from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
 WALL_BENDING = 4 / math.sqrt(3) / math.pi
-"""Largest moment [N m] that a contact with a rough wall transmits, divided by tau_0 A r (yield stress, contact area,
-radius).
+"""Largest moment that a contact with a rough wall transmits, divided by tau_0 A r (yield stress, contact area, radius).
 
-A bent disc of mortar with the radius r yields at this moment.
+A bent disc of mortar with the radius r yields under this moment.
 """
 
 

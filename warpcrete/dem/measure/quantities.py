@@ -195,7 +195,7 @@ def momentum_balance(known: Known) -> float:
 def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
     """Return the energy stored in bodies, contacts and bonds minus the work of walls and driving forces [J].
 
-    Only dissipation changes this energy.
+    Only dissipation changes this difference.
     """
     return sum(series[name] for name in STORED) - series["wall_work"] - series["drive_work"]
 

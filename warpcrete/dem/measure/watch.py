@@ -95,5 +95,8 @@ class Watch:
 
 
 def _free(row: dict[str, float]) -> float:
-    """Return the stored energy minus the work of walls and driving forces [J]; only dissipation may change it."""
+    """Return the stored energy minus the work of walls and driving forces [J].
+
+    Only dissipation may change this difference.
+    """
     return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])

@@ -9,9 +9,9 @@ from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, Within
 
 MUCH_STIFFER = 200.0
-"""Smallest ratio of the modulus of hydrated bonds to the largest modulus of other bonds and contacts at which
-sub-cycling of the hydrated bonds saves computing time. Without sub-cycling, all time steps must be as short as the
-stiff bonds require. At a ratio of 100, runs with and without sub-cycling take equally long."""
+"""Sub-cycling of hydrated bonds saves computing time if their modulus is at least this number times the largest
+modulus of all other bonds and contacts. Without sub-cycling, all time steps must be as short as the stiff bonds
+require. At a ratio of 100, runs with and without sub-cycling take equally long."""
 
 
 @dataclass(frozen=True, kw_only=True)
