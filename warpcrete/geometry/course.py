@@ -277,7 +277,10 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction stated in a part's entries, divided by that of straight pipe of its length, or None."""
+    """Return the friction stated in a part's entries, divided by that of straight pipe of the same length.
+
+    The result is None if the entries state no friction.
+    """
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     if "factor" in said:

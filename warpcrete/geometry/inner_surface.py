@@ -30,8 +30,8 @@ VISIBILITY_TOLERANCE = 1e-3
 """Largest distance between a facet and a surface in front of it, divided by the pipe's radius, at which the surface
 does not count as hiding the facet."""
 OFFSET = 1e-4
-"""Distance between a facet and the points, one on either side, at which its visibility is tested, divided by the pipe's
-radius."""
+"""The visibility of a facet is tested at points on both sides of the facet. This number is the distance of these points
+from the facet, divided by the pipe's radius."""
 CORNER_WEIGHT = 0.8
 """Weight of a corner in the weighted mean of this corner and the triangle's centre. The visibility of a triangle is
 tested at its centre, and at the weighted means for its three corners."""

@@ -13,8 +13,8 @@ from .mesh_bores import MeshBore
 from .pumps import Pump
 
 BLOCKING_RATIO = 3.0
-"""Ratio of the pipe's diameter to that of the largest stone below which pipes are known to block. ACI 304.2R requires 3
-for crushed stone."""
+"""A pipe is known to block if its diameter is less than this number times the diameter of the largest stone. ACI 304.2R
+requires 3 for crushed stone."""
 
 
 @dataclass(frozen=True)

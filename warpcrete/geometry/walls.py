@@ -55,10 +55,10 @@ class Prescribed:
     """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity after the rise of the speed [m/s]."""
+    """Velocity that the wall has after its speed has risen from zero [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Final angular velocity about the point `pivot` [rad/s]. If the wall also has a velocity, this point moves with
-    the wall."""
+    """Angular velocity that the wall has about the point `pivot` after its speed has risen from zero [rad/s]. If the
+    wall also has a velocity, this point moves with the wall."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ramp_time: float = 0.0
     """Duration of the linear rise of the speed [s]."""

@@ -58,7 +58,7 @@ class RigidBodies:
     prototype: np.ndarray
     """Index of each body's shape in `prototypes`, shape (n,)."""
     sizes: np.ndarray
-    """Size of each body [m], shape (n,): the factor by which its shape at unit size is multiplied."""
+    """Size of each body [m], shape (n,): the length by which its shape at unit size is multiplied."""
 
 
 @dataclass(frozen=True)
