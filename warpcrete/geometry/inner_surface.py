@@ -10,8 +10,8 @@ from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
 MAX_RADIUS_ERROR = 0.1
-"""Largest difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the pipe's
-radius."""
+"""Largest accepted difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the
+pipe's radius."""
 DIRECTIONS_AROUND = 24
 """Number of directions around a pipe's axis in which the distance to the wall is measured at each cross-section."""
 INSET = 1e-3
