@@ -24,7 +24,7 @@ In test runs of this scene the errors reached 0.021.
 """
 MAX_PART = 0.9
 """Largest diameter of an aggregate divided by the width of the simulated outlet. Only a quarter of the V-funnel is
-simulated, so this width is half the smaller side of the whole outlet."""
+simulated, so this width is half the smaller side of the V-funnel's outlet."""
 REMARKS = (
     "a quarter of the funnel is simulated, between its planes of symmetry",
     "concrete is removed at the outlet, so the weight of what has flowed out does not pull on the rest",

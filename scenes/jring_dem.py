@@ -36,7 +36,7 @@ class RingElements(SlumpElements):
 
     @property
     def gap(self) -> float:
-        """Free distance between neighbouring bars [m]."""
+        """Free distance between neighbouring bars of the J-ring [m]."""
         return self.ring_diameter * math.sin(math.pi / self.bars) - self.bar_diameter
 
 

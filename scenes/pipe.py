@@ -137,8 +137,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     bodies = run.bodies  # type: ignore[attr-defined]
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
-    # The last time step may end after the planned duration. The travel may therefore exceed its goal by the travel in
-    # one step.
+    # The last time step may end after the planned duration. The piston's travel may therefore exceed its goal by the
+    # travel in one step.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
     blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)

@@ -90,7 +90,7 @@ class LazyGroup(click.Group):
 
 
 class WordCommand(click.Command):
-    """Command that takes a scene, its parameters and its own options as plain words; shells complete these words."""
+    """Command whose words (scene, parameters and options) are parsed by its own module; shells complete the words."""
 
     def __init__(self, name: str, **settings: Any) -> None:
         words = click.Argument(["arguments"], nargs=-1, type=click.UNPROCESSED, shell_complete=_complete_word)

@@ -173,7 +173,7 @@ def field_schema(field: Field) -> Schema:
 def _bounds(field: Field) -> Schema:
     """Return the smallest and largest allowed value of a parameter, as entries of its JSON schema.
 
-    They follow from the rules of the parameter and, for a floating-point number, from the table of limits.
+    The two values follow from the rules of the parameter and, for a floating-point number, from the table of limits.
     """
     found: Schema = {}
     limit = limit_of(field.name, field.unit.strip())

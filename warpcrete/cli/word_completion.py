@@ -1,4 +1,4 @@
-"""Completion for the commands that take a scene, its parameters and their own options as plain words."""
+"""Completion for the commands whose words (scene, parameters and options) are parsed by their own modules."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "explain": explain.ONE | {"fresh": bool},
     "calibrate": calibrate.ONE | {"quiet": bool},
 }
-"""Options of each command that takes plain words: `SETTINGS[command][option]` is the type of the option's value."""
+"""Options of each command whose words are parsed by its own module: `SETTINGS[command][option]` is the type of the
+option's value."""
 VALUES: Mapping[str, Sequence[str]] = {
     "device": DEVICES, "precision": PRECISIONS, "scheduler": ("local", "slurm"), "method": METHODS,
 }  # fmt: skip
 
 
 def words(command: str, given: Sequence[str], incomplete: str, context: click.Context) -> list[CompletionItem]:
-    """Return completions for a command that takes a scene, its parameters and its own options as plain words.
+    """Return completions for a command whose words (scene, parameters and options) are parsed by its own module.
 
     `given` holds the words before `incomplete`, the word to be completed. The last option among them decides which
     values are suggested, because an option of `study` may have several values.

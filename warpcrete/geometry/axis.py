@@ -15,7 +15,7 @@ class Line:
     """Straight piece of a pipe's axis."""
 
     length: float
-    """Length of the straight piece [m]."""
+    """Length of the straight piece of a pipe's axis [m]."""
 
     def __post_init__(self) -> None:
         positive("length", self.length, "m")
@@ -26,7 +26,7 @@ class Arc:
     """Circular bend of a pipe's axis."""
 
     radius: float
-    """Radius of the bend's centreline [m]."""
+    """Radius of the centreline of the bend [m]."""
     angle: float
     """Angle by which the bend turns the axis [rad]."""
     towards: tuple[float, float, float]

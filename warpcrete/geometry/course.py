@@ -30,7 +30,7 @@ from .line_entries import (
 from .pipe_line import Part
 
 MAX_BEND_ANGLE = 135.0
-"""Largest angle of a single bend [degrees]."""
+"""Largest accepted angle of a single bend [degrees]."""
 BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
 """Additional pressure loss of a bend, divided by the loss in straight pipe of the same length. The first tuple holds
 ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated flows
@@ -277,7 +277,10 @@ def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> N
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction stated in a part's entries, divided by that of straight pipe of its length, or None."""
+    """Return the friction stated in a part's entries, divided by that of straight pipe of the same length.
+
+    The result is None if the entries state no friction.
+    """
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     if "factor" in said:

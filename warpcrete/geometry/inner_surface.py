@@ -10,8 +10,8 @@ from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
 MAX_RADIUS_ERROR = 0.1
-"""Largest difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the pipe's
-radius."""
+"""Largest accepted difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the
+pipe's radius."""
 DIRECTIONS_AROUND = 24
 """Number of directions around a pipe's axis in which the distance to the wall is measured at each cross-section."""
 INSET = 1e-3
@@ -30,8 +30,8 @@ VISIBILITY_TOLERANCE = 1e-3
 """Largest distance between a facet and a surface in front of it, divided by the pipe's radius, at which the surface
 does not count as hiding the facet."""
 OFFSET = 1e-4
-"""Distance between a facet and the points, one on either side, at which its visibility is tested, divided by the pipe's
-radius."""
+"""The visibility of a facet is tested at points on both sides of the facet. This number is the distance of these points
+from the facet, divided by the pipe's radius."""
 CORNER_WEIGHT = 0.8
 """Weight of a corner in the weighted mean of this corner and the triangle's centre. The visibility of a triangle is
 tested at its centre, and at the weighted means for its three corners."""

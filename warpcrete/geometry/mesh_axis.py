@@ -27,12 +27,12 @@ MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
 the number of repetitions. The second is the fraction of the remaining angle by which each repetition turns the
 cross-section."""
 MAX_TURN_PER_STEP = 0.6
-"""Largest angle between the directions of neighbouring cross-sections [rad]."""
+"""Largest accepted angle between the directions of neighbouring cross-sections of a bore [rad]."""
 END_CHECK_DISTANCES = (0.1, 0.3)
 """Two distances beyond an end of a bore, divided by the bore's radius. At both places, at least half of the rays
 perpendicular to the axis must meet no wall, so that the bore really ends."""
 MAX_SECTIONS = 4000
-"""Largest number of cross-sections of a bore."""
+"""Largest accepted number of cross-sections of a bore."""
 TURNING_ROUNDS = 3
 """Number of times that all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
@@ -72,7 +72,7 @@ class Sections:
     points: np.ndarray
     """Centres of the cross-sections [m], shape (n, 3)."""
     radii: np.ndarray
-    """Radii of circles with the areas of the cross-sections [m], shape (n,)."""
+    """Radii of circles that have the same areas as the cross-sections [m], shape (n,)."""
 
 
 def follow(

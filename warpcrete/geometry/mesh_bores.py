@@ -24,7 +24,7 @@ class MeshBore:
     places: tuple[float, ...]
     """Arc lengths of the stored cross-sections from the start of the bore, increasing [m]."""
     radii: tuple[float, ...]
-    """Radii of circles with the areas of the stored cross-sections [m]."""
+    """Radii of circles that have the same areas as the stored cross-sections [m]."""
     least: tuple[float, ...]
     """Radii of the largest circles about the axis that fit into the stored cross-sections without touching the wall
     [m]."""

@@ -35,7 +35,7 @@ FINE = 0.005
 """Distance along the axis between neighbouring places at which a mesh bore is measured, divided by the bore's
 diameter."""
 STEPS = 4000
-"""Largest number of places at which one bore is measured."""
+"""Largest number of places at which one mesh bore is measured."""
 PROFILE = 0.05
 """Distance along the axis between neighbouring places at which the radius of a mesh bore is stored, divided by the
 bore's diameter."""
@@ -196,9 +196,9 @@ class Insert:
 
     mesh: MeshBore
     begin: float
-    """Arc length at which the mesh bore begins [m]."""
+    """Arc length along the pipe's axis at which the mesh bore begins [m]."""
     end: float
-    """Arc length at which the mesh bore ends [m]."""
+    """Arc length along the pipe's axis at which the mesh bore ends [m]."""
 
 
 def wall_of(

@@ -33,7 +33,7 @@ radius, for which the bore counts as cylindrical."""
 MAX_FACES = 500_000
 """Largest accepted number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4
-"""Largest distance of a mesh's corner from the origin [m]."""
+"""Largest accepted distance of a mesh's corner from the origin [m]."""
 
 
 def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
@@ -141,11 +141,11 @@ class Bore:
     """Size of a pipe's bore, calculated from distances between the pipe's axis and its wall."""
 
     smallest: float
-    """Smallest distance between the axis and the wall [m]."""
+    """Smallest distance between a pipe's axis and its wall [m]."""
     largest: float
-    """Largest distance between the axis and the wall [m]."""
+    """Largest distance between a pipe's axis and its wall [m]."""
     area: float
-    """Mean cross-sectional area [m2]."""
+    """Mean cross-sectional area of a pipe's bore [m2]."""
 
     @classmethod
     def of(cls, reach: np.ndarray) -> Bore:

@@ -63,9 +63,9 @@ def ends(line: PipeLine) -> np.ndarray:
 
 
 def check_straight_ends(line: PipeLine, name: Any) -> None:
-    """Refuse a line that a scene cannot simulate as a whole: it must begin and end straight and have no valve.
+    """Refuse a pipeline that a scene cannot simulate as a whole: it must begin and end straight and have no valve.
 
-    `name` is the name of the line in the message.
+    `name` is the name of the pipeline in the message.
     """
     for part in line.parts:
         if part.kind == "valve":

@@ -13,8 +13,8 @@ from .mesh_bores import MeshBore
 from .pumps import Pump
 
 BLOCKING_RATIO = 3.0
-"""Ratio of the pipe's diameter to that of the largest stone below which pipes are known to block. ACI 304.2R requires 3
-for crushed stone."""
+"""A pipe is known to block if its diameter is less than this number times the diameter of the largest stone. ACI 304.2R
+requires 3 for crushed stone."""
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,13 @@ class Part:
     """Number of the part in its pipeline, counted from 1."""
     kind: str
     diameter: float
-    """Inner diameter at the start of the part [m]."""
+    """Inner diameter at the start of the pipeline part [m]."""
     length: float
-    """Length of the part's axis [m]."""
+    """Length of the axis of the pipeline part [m]."""
     rise: float
-    """Height of the part's end above its start [m]."""
+    """Height of the end of the pipeline part above its start [m]."""
     outlet: float
-    """Inner diameter at the end of the part [m]."""
+    """Inner diameter at the end of the pipeline part [m]."""
     radius: float = 0.0
     """Radius of a bend's centreline [m]; 0 for other parts."""
     angle: float = 0.0
@@ -98,13 +98,13 @@ class PipeLine:
     parts: tuple[Part, ...]
     axis: Axis
     flow: float | None = None
-    """Volume flow in the line at which the pressure was measured [m3/s]."""
+    """Volume flow in the pipeline at which the pressure `recorded` was measured [m3/s]."""
     concrete: str | None = None
     largest_stone: float | None = None
     """Diameter of the largest stone in the concrete [m]."""
     source: str = ""
     recorded: float | None = None
-    """Pressure recorded at the pump [Pa]."""
+    """Pressure recorded at the pump of a real pipeline [Pa]."""
     pump: Pump | None = None
     """Data sheet of the pump."""
     customary: bool = False
@@ -113,7 +113,7 @@ class PipeLine:
 
     @property
     def length(self) -> float:
-        """Length of the line along its axis [m]."""
+        """Length of the pipeline along its axis [m]."""
         return sum(part.length for part in self.parts)
 
     @property

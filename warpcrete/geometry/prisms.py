@@ -17,7 +17,7 @@ SIDES = 48
 
 @dataclass(frozen=True)
 class Solid:
-    """Closed mesh between two rings with n corners each; its faces point outward."""
+    """Closed mesh between two rings with n corners each; the normals of its faces point outward."""
 
     vertices: np.ndarray
     """Corners of the mesh [m], shape (v, 3)."""

@@ -28,11 +28,11 @@ class Pump:
     """Limits of a concrete pump; a limit that is not known is None."""
 
     pressure: float
-    """Largest pressure on the concrete [Pa]."""
+    """Largest pressure of the pump on the concrete [Pa]."""
     flow: float | None = None
-    """Largest volume flow [m3/s]."""
+    """Largest volume flow of the pump [m3/s]."""
     power: float | None = None
-    """Power of the motor [W]."""
+    """Power of the pump's motor [W]."""
 
 
 def pump_of(given: Any, field: str = "pump") -> Pump:

@@ -15,7 +15,7 @@ from .axis import Axis
 from .cleaning import clean
 
 SIDES = 48
-"""Number of sides with which recorders draw round walls."""
+"""Number of flat sides with which recorders draw a round wall."""
 MOST_STOPS = 1_000_000
 
 
@@ -27,9 +27,9 @@ class Stops:
     """
 
     count: int
-    """Number of strokes that end in a pause."""
+    """Number of the wall's strokes that end in a pause."""
     stroke_time: float
-    """Duration of one stroke, including the ramps at both of its ends [s]."""
+    """Duration of one stroke of the wall, including the ramps of its speed at both ends [s]."""
     pause: float
     """Duration of the pause after each stroke [s]."""
 
@@ -55,13 +55,13 @@ class Prescribed:
     """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity after the rise of the speed [m/s]."""
+    """Velocity that the wall has after its speed has risen from zero [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Final angular velocity about the point `pivot` [rad/s]. If the wall also has a velocity, this point moves with
-    the wall."""
+    """Angular velocity that the wall has about the point `pivot` after its speed has risen from zero [rad/s]. If the
+    wall also has a velocity, this point moves with the wall."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ramp_time: float = 0.0
-    """Duration of the linear rise of the speed [s]."""
+    """Duration of the linear rise of the wall's speed from zero [s]."""
     start_time: float = 0.0
     """Simulated time at which the motion of the wall starts [s]."""
     stops: Stops | None = None
@@ -93,11 +93,11 @@ class Driven:
 
     direction: tuple[float, float, float]
     force: float
-    """Force along `direction` [N]."""
+    """Driving force on the wall along `direction` [N]."""
     mass: float
     """Mass of the wall [kg]."""
     damping: float = 0.0
-    """Coefficient of viscous damping [N s/m]."""
+    """Coefficient of viscous damping of the wall's motion [N s/m]."""
     start_time: float = 0.0
     """Simulated time at which the motion of the wall starts [s]."""
 

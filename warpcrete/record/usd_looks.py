@@ -108,7 +108,7 @@ def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> 
 
 
 def bind(prim: Any, material: Any) -> None:
-    """Assign a material to a prim and everything below it."""
+    """Assign a material to a USD prim (object of the USD scene) and to all prims below it."""
     from pxr import UsdShade
 
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)

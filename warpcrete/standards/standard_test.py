@@ -44,7 +44,7 @@ class Specimen:
     Its arguments are the positions of the section's start and end along the box [m], and the width of the box [m].
     """
     front: Callable[[], float]
-    """Function that returns the distance [m] that the concrete has reached along a box."""
+    """Function that returns how far the front of the concrete has come along a box [m]."""
     screen: Callable[[float, float], float]
     """Function that returns the fraction of an outlet that concrete covers, seen from above.
 
@@ -86,13 +86,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Closed form that predicts a quantity of a test for a yield stress fluid."""
+    """Closed form of theory that predicts a quantity of a standard test for a yield stress fluid."""
 
     quantity: str
     suffix: str
     """Suffix of the result's name, which is the name of the quantity, an underscore and this suffix."""
     label: str
-    """Name of the closed form in the report."""
+    """Name of the closed form in the report of a run."""
     of: Callable[[Any], float | None]
     """Function that takes an :class:`Outcome` and returns the quantity that the closed form predicts.
 
@@ -123,7 +123,7 @@ class Outflow:
     below: float
     """The test is over as soon as the value in the column `column` falls below this number."""
     time: str
-    """Name of the quantity that is the duration of the test."""
+    """Name of the result that is the duration of the test."""
     finding: str
     """Name of the check that is passed if the concrete has flowed out by the end of the run."""
     height: Callable[[Sizes], float]
@@ -148,7 +148,7 @@ class StandardTest:
     Its arguments are a :class:`Specimen` and the vessel's dimensions.
     """
     quantities: tuple[Quantity, ...]
-    """Results, each computed from an :class:`Outcome`."""
+    """Results of the standard test, each computed from an :class:`Outcome`."""
     forms: tuple[ClosedForm, ...] = ()
     outflow: Outflow | None = None
     """End condition of a test whose vessel empties; all other tests end when the concrete is at rest."""

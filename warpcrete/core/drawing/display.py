@@ -58,7 +58,7 @@ class RigidBodies:
     prototype: np.ndarray
     """Index of each body's shape in `prototypes`, shape (n,)."""
     sizes: np.ndarray
-    """Size of each body [m], shape (n,): the factor by which its shape at unit size is multiplied."""
+    """Size of each body [m], shape (n,): the length by which its shape at unit size is multiplied."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Curve:
     name: str
     """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
     label: str
-    """Text in the plot's legend, with the unit."""
+    """Text for the curve in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
     """Function that takes a row of the time series and returns the value to draw, or None to draw nothing."""
     colour: tuple[int, int, int] | None = None
@@ -97,7 +97,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Points:
-    """Curve of a quantity over a spatial coordinate, at one time."""
+    """Curve of a quantity over a spatial coordinate at one time, as part of a :class:`Profile`."""
 
     name: str
     """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
@@ -141,7 +141,7 @@ class Display(ABC):
     noun: ClassVar[str]
     """Word for the bodies, such as "particles"; recordings store the bodies under this word."""
     has_network: ClassVar[bool] = False
-    """True if there are lines between bodies to draw."""
+    """True if the display can draw lines between bodies, such as force chains."""
     has_surface: ClassVar[bool] = False
     """True if the surface of the concrete is drawn instead of bodies."""
 

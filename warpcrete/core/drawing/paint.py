@@ -15,7 +15,7 @@ logarithmic scale. The first constant is the total number, and the second is the
 SMALLEST_VALUE = 1e-6
 """Smallest value that is shown by a colour on a wall, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
-"""Number of colours in a palette."""
+"""Number of discrete colours to which a colour map is reduced."""
 CONCRETE = ("#c9c6be", "#d9b26a", "#c9632f", "#8a1f2d", "#3d0c1f")
 """Colours of the colour map `concrete`, from grey for concrete at rest to dark red for concrete that is sheared fast.
 The colours become steadily darker, so that the map can also be read in black and white."""
@@ -65,11 +65,11 @@ class Paint:
     """
 
     label: str
-    """Title of the scale, with the unit of the displayed values."""
+    """Title of the colour scale, with the unit of the displayed values."""
     palette: str
     upper: float
-    """Upper end of the scale, in the unit of the displayed values. It is 0 if all values so far are 0. The lower end is
-    always 0."""
+    """Upper end of the colour scale, in the unit of the displayed values. It is 0 if all values so far are 0. The lower
+    end is always 0."""
 
     @property
     def unit(self) -> str:

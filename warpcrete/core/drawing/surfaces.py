@@ -28,11 +28,11 @@ class Level:
     """Level-set function of concrete at the nodes of a rectilinear grid: positive in concrete, negative outside it."""
 
     places: tuple[np.ndarray, ...]
-    """Coordinates of the nodes along each of the d axes [m]."""
+    """Coordinates of the grid's nodes along each of the d axes [m]."""
     values: np.ndarray
-    """Value of the level-set function at each node, in units of the cell width, shape (n_1, ..., n_d)."""
+    """Value of the level-set function at each node of the grid, divided by the cell width, shape (n_1, ..., n_d)."""
     fields: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
-    """Physical quantities at each node, by name, each with the shape of `values`."""
+    """Physical quantities at each node of the grid, by name, each with the shape of `values`."""
 
     def mirrored(self, axis: int) -> Level:
         """Return the level-set function completed by its mirror image about the plane at coordinate 0 of `axis`."""
@@ -88,9 +88,9 @@ class Cut:
     """Plane that cuts concrete open; the concrete is kept on the side to which the normal points."""
 
     normal: np.ndarray
-    """Unit normal of the plane in d dimensions, shape (d,)."""
+    """Unit normal of the cutting plane in d dimensions, shape (d,)."""
     offset: float
-    """Distance of the plane from the origin, along the normal [m]."""
+    """Distance of the cutting plane from the origin, along the plane's normal [m]."""
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """Return the distance of points (..., d) behind the plane [m] in d dimensions, negative in front of it."""

@@ -294,7 +294,7 @@ class Declared:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
-        """Return further parameters that follow from `values`; for example, a concrete implies a yield stress."""
+        """Return further parameters that follow from `values`; for example, a concrete determines its yield stress."""
         return {}
 
     def check_needed(self) -> None:

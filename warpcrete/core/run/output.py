@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from ..errors import WarpcreteError, refuse
 
 CHECKPOINT = "checkpoint.npz"
-"""Name of the checkpoint in a run folder."""
+"""File name of the checkpoint in a run folder."""
 
 
 class RunOutput(Protocol):

@@ -41,7 +41,7 @@ class FinalState:
     """State at the end of a run without a folder, from which :meth:`Run.save` can write the folder."""
 
     simulation: Callable[..., Any]
-    """Class of the simulation."""
+    """Class of the simulation that computed this final state."""
     settings: Mapping[str, Any]
     """Keyword arguments of the simulation, such as its device and precision."""
     contents: dict[str, Any]

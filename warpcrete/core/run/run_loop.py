@@ -325,12 +325,12 @@ class Simulation:
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
         """Return the `state_dict` stored in a checkpoint, and restore the data about the run from this checkpoint.
 
-        These data are the wall times, the number of samples, the time of the next frame and so on.
+        The data about the run include the wall times, the number of samples and the time of the next frame.
         """
         return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
 
     def _restored(self, contents: dict[str, Any]) -> dict[str, Any]:
-        """Restore the data about the run, such as its wall times, from a checkpoint; return its contents."""
+        """Restore the data about the run, such as wall times, from a checkpoint's contents; return the contents."""
         run: RunRecord = contents["run"]
         self._resumed = run
         self._samples_taken, self.frames.next = run["samples"], run["next_frame"]

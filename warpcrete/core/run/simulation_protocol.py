@@ -17,7 +17,7 @@ class RecordedSimulation(SimulationOnDevice, Protocol):
     """Attributes and methods of a simulation that recorders use while they record its run."""
 
     scene: Any
-    """Simulated state on the device, with its simulated time, its number of steps and the functions that step it."""
+    """Scene of the run; its type depends on the simulation method."""
     frames: Frames
     """Schedule that decides at which simulated times recorders record a frame."""
     precision: str
