@@ -17,16 +17,16 @@ def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float
     """
     grown = after_rest(concrete, rest, thixotropy)
     lines = [
-        f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; "
-        f"slip layer {grown.slip_yield:g} Pa",
-        f"{'form':8s}{'moves from [Pa]':>16s}{'per metre [Pa/m]':>18s}{f'at {flow:.5g} m3/s [Pa]':>24s}"
-        f"{'over steady':>13s}",
+        f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress "
+        f"{grown.yield_stress:g} Pa, of the slip layer {grown.slip_yield:g} Pa",
+        f"{'form':8s}{'starts at [Pa]':>16s}{'starts at [Pa/m]':>18s}{f'at {flow:.5g} m3/s [Pa]':>24s}"
+        f"{'ratio to steady flow':>22s}",
     ]
     for form in FORMS:
         least = restart(concrete, line, rest, thixotropy, form=form).pressure
         peak = restart(concrete, line, rest, thixotropy, flow, form).pressure
         over = peak / steady(concrete, line, flow, form).pressure
-        lines.append(f"{form:8s}{least:16.6g}{least / line.length:18.6g}{peak:24.6g}{over:13.4g}")
+        lines.append(f"{form:8s}{least:16.6g}{least / line.length:18.6g}{peak:24.6g}{over:22.4g}")
     return "\n".join(lines)
 
 

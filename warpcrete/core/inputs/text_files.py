@@ -210,7 +210,9 @@ def parsed_json(text: str) -> object:
         return json.loads(text, object_pairs_hook=unique, parse_constant=constant, parse_int=whole)
     except json.JSONDecodeError as error:
         raise Unreadable(
-            f"is not valid JSON: {error.msg}", "write 'key: value' lines in a .yaml file", error.lineno
+            f"is not valid JSON: {error.msg}",
+            "mend this line; 'key: value' lines need a file whose name ends in .yaml",
+            error.lineno,
         ) from error
     except RecursionError as error:
         raise Unreadable("is nested too deeply", "use fewer lists and mappings inside each other") from error
