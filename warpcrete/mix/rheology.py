@@ -106,8 +106,8 @@ def unknown_viscosity(given: MixEntries) -> Figure:
     """Return an estimate of the plastic viscosity of a mix for which no viscosity was measured.
 
     If the composition of the paste is known, the viscosity of the paste is that of a slip layer of paste
-    (:func:`.layer.paste_layer`) times the thickness of the layer. Sand and stones raise it by
-    :func:`.layer.aggregate_factor`. Otherwise, the result is an assumption.
+    (:func:`.layer.paste_layer`) times the thickness of the layer. The factor :func:`.layer.aggregate_factor` accounts
+    for sand and stones. If the composition is unknown, the result is an assumption.
     """
     if given.paste_solids is None or given.paste_solids >= PASTE_DENSEST:
         return Figure("viscosity", *ASSUMED_VISCOSITY, "Pa s", "assumption",

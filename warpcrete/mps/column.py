@@ -322,11 +322,12 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return variants of a one-phase flow, as changes of its parameters, whose accuracy is measured against theory.
+    """Return variants of a one-phase flow, as changes of its parameters.
 
-    The variants have other concretes, flow rates and pipes. With more or less flow, slip carries a larger or smaller
-    part of the flow; the self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends
-    (piston or periodic) as the flow itself, because the settings found for the flow are applied to its variants.
+    The accuracy of the variants is measured against theory. They have other concretes, flow rates and pipes. With more
+    or less flow, slip carries a larger or smaller part of the flow; the self-compacting concrete is sheared almost
+    everywhere. All variants have the same kind of ends (piston or periodic) as the flow itself, because the settings
+    found for the flow are applied to its variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

@@ -177,7 +177,7 @@ def _density_weight(q: np.ndarray) -> np.ndarray:
 def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
     """Return the initial sum of the weights of a particle's neighbours within `reach` particle spacings.
 
-    It is the mean over the fluid particles of a layer at mid-height. The function `weight` takes the distances of
+    The sum is averaged over the fluid particles of a layer at mid-height. The function `weight` takes the distances of
     neighbours, divided by the reach.
     """
     everything = np.concatenate([layout.fluid, layout.wall])

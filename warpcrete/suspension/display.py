@@ -12,7 +12,7 @@ from ..mps.free.display import FreeDisplay
 from .aggregates import is_inside
 
 STONE = (168, 120, 82)
-"""Colour of aggregates."""
+"""Colour of aggregates: red, green and blue from 0 to 255."""
 DIVISIONS = 2
 """Number of times that the triangles of an icosahedron are subdivided, so that it approximates a sphere."""
 

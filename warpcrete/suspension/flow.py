@@ -150,8 +150,8 @@ class SuspensionFlow(GridFlow):
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The top of the box, which is the last of its sides, is open as well. It is left out, because it is above the
-        # concrete, so that no aggregate leaves there.
+        # The top of the box, which is the last of its sides, is open as well. Leave it out of the open sides through
+        # which aggregates may leave, because it is above the concrete.
         self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
@@ -209,9 +209,9 @@ class SuspensionFlow(GridFlow):
             stage()
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Return the numbers of iterations of the viscous and coupled solves in the last step, and the coupled error.
+        """Return the numbers of iterations of the viscous and coupled solves in the last step, and the relative error.
 
-        The coupled error is the relative residual at the end of the coupled solve.
+        The relative error is that of the coupled solve: its residual at the end, divided by the flow's momentum.
         """
         coupled = self.coupled
         return {

@@ -63,8 +63,8 @@ def heap_depth(
     """Return the depth [m] of a heap at rest at the distances `inward` [m] behind the heap's front.
 
     The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h), with the density rho, the gravity g and the yield
-    stress tau. The left side is the outward pressure of the weight over the depth. The plate resists it with tau along
-    the distance `inward`, and the stretched section resists it with HEAPS tau h. The formula for a long heap
+    stress tau. The left side is the outward pressure of the weight over the depth. The plate resists this pressure with
+    tau along the distance `inward`, and the stretched section resists it with HEAPS tau h. The formula for a long heap
     (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or "axial".
     """
     bears = yield_stress / (density * gravity)

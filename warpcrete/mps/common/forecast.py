@@ -23,7 +23,7 @@ from ...theory.pipe import Concrete
 from .run import FlowRun
 
 TIMING_TIME = 1.0  # Minimum wall time over which steps are timed for a forecast [s].
-TIMED_STEPS = 10  # Number of steps that are timed together.
+TIMED_STEPS = 10  # Maximum number of steps that are timed together.
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ class GridLayout:
     fluid: np.ndarray
     """Positions of the particles [m], shape (n, axes)."""
     mass: np.ndarray
-    """Mass of each particle, relative to the mean mass, shape (n,)."""
+    """Mass of each particle, divided by the mean mass, shape (n,)."""
     particle_spacing: float
     """Initial distance between neighbouring particles [m]."""
     slip: tuple[float, float]
@@ -33,7 +33,7 @@ class GridLayout:
     """Typical speed of the flow [m/s]. Linear solves stop when the errors of the velocities are small compared with
     it."""
     length: float
-    """Length over which the velocity typically varies [m]."""
+    """Length over which the velocity typically varies [m], such as the radius of a pipe."""
     frame: float = 0.0
     """Velocity of the grid along its last axis [m/s]. In a periodic pipe it is the mean velocity of the concrete."""
     drive: float = 0.0

@@ -21,7 +21,7 @@ class Loss:
 
     part: Part
     friction: float
-    """Pressure loss by friction [Pa]."""
+    """Pressure loss of the part by friction [Pa]."""
     theory: float
     """Friction of the part by the closed form [Pa]: the friction of straight pipe of the same bore and length,
     multiplied by a factor. The factor is the one that the line's file states. If the file states none, a hose gets the

@@ -37,8 +37,8 @@ class Advice:
     """Descriptions of recommended settings that cannot be used in this scene. Without them, the promised error may be
     exceeded."""
     outside: tuple[str, ...]
-    """Differences between this scene and the measured scene, in words. With each of them, the promised error is less
-    certain, because it was not tested there."""
+    """Differences between this scene and the measured scene, in words. The promised error was not tested for scenes
+    with these differences."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str

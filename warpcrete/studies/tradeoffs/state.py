@@ -82,7 +82,7 @@ class Trade:
 
     @property
     def hardware(self) -> str:
-        """Model name of the GPU or CPU."""
+        """Model name of the GPU or CPU on which the runs take place."""
         found = self.record["provenance"]
         return found["device_name"] if self.device.startswith("cuda") else found.get("processor") or "a CPU"
 

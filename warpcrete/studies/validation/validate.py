@@ -68,9 +68,9 @@ class Validation:
     def summaries(self) -> list[Summary]:
         """Return statistics of the comparisons, in up to four rows for each kind of measurement.
 
-        The first row covers all cases that were not simulated. The second row covers those of them that are held out,
-        that is, never used to fit a constant. The third row covers the others, and the last row the simulated cases. A
-        row without cases, or with the same cases as the first row, is left out.
+        The first row covers all cases that were not simulated. The second row covers the held-out cases among them,
+        which were never used to fit a constant. The third row covers the others, and the last row the simulated cases.
+        A row without cases, or with the same cases as the first row, is left out.
         """
         found = []
         for kind in KINDS:
