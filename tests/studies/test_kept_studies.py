@@ -406,7 +406,12 @@ def test_the_rounds_of_a_calibration_are_kept(tmp_path, monkeypatch):
 def test_a_target_that_parameters_move_less_than_its_uncertainty_or_its_scatter_is_insensitive():
     target = Target("slump", "spread", 0.5, 0.1, {}, False, "m")
     task = SimpleNamespace(free=[None])
-    for change, scatter, insensitive in ((0.015, 0.0, True), (0.03, 0.0, False), (0.03, 0.05, True), (0.01, 0.05, True)):
+    for change, scatter, insensitive in (
+        (0.015, 0.0, True),
+        (0.03, 0.0, False),
+        (0.03, 0.05, True),
+        (0.01, 0.05, True),
+    ):
         found = Posterior(task, {target: Linear(0.5, [change], scatter)}, np.zeros((1, 1)), np.zeros(1))
         assert (target in insensitive_targets(found, [target])) == insensitive
     low, high = insensitive_targets(found, [target])[target]
