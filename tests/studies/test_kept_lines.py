@@ -274,9 +274,13 @@ def test_the_study_of_a_blocking_is_kept(line, tmp_path, monkeypatch):
         return study_of(cases, finished=len(cases) != 2)
 
     monkeypatch.setattr(by_blocking, "run_listed", run_listed)
-    monkeypatch.setattr(by_blocking, "resume_study", lambda folder, module, **settings: resumed.append(
-        [str(folder.relative_to(tmp_path)), module.__name__, settings]) or study_of(
-        [SimpleNamespace(name="a", parameters=_parameters(line.parts[3], line, "zhan", FLOW, Elements(), 0))]))  # fmt: skip
+
+    def resume_study(folder, module, **settings):
+        resumed.append([str(folder.relative_to(tmp_path)), module.__name__, settings])
+        own = _parameters(line.parts[3], line, "zhan", FLOW, Elements(), 0)
+        return study_of([SimpleNamespace(name="a", parameters=own)])
+
+    monkeypatch.setattr(by_blocking, "resume_study", resume_study)
     out = tmp_path / "line"
     out.mkdir()
     found = run_blocking(line, "zhan", FLOW, 3, out=out, elements=Elements(stiffer=3.0), device="cpu", processes=2)
