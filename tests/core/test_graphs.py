@@ -3,6 +3,7 @@
 import gc
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from pumping import TINY
 from test_contacts import two_spheres
 
 from warpcrete import Simulation, scenes
+from warpcrete.core.device import launching
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.device.exchange import Exchange, LaunchAndRead
 from warpcrete.core.device.graphs import GraphLaunch, Zero, captured
@@ -180,3 +182,42 @@ def test_stages_are_launched_at_once_again_and_again(device):
         array.fill_(1.0)
         both()
         assert not array.numpy().any()
+
+
+def test_stages_on_a_side_stream_run_beside_the_others_until_one_joins_them(monkeypatch):
+    """On a made-up GPU: the side stream begins after what came before, and each join waits for it once."""
+    log = []
+
+    class Stream:
+        def __init__(self, name, priority=3):
+            self.name, self.priority, self.events = name, priority, 0
+
+        def record_event(self):
+            self.events += 1
+            return f"{self.name} {self.events}"
+
+        def wait_event(self, event):
+            log.append((self.name, "waits", event))
+
+    def stage(name, side=False, joins=False):
+        run = SimpleNamespace(on_side_stream=side, joins_side_stream=joins)
+
+        class Made:
+            on_side_stream, joins_side_stream = run.on_side_stream, run.joins_side_stream
+
+            def __call__(self, stream=None):
+                log.append((stream.name if stream else "main", name))
+
+        return Made()
+
+    monkeypatch.setattr(launching.wp, "Stream", lambda device, priority: Stream("side", priority))
+    stages = [stage("a"), stage("b", side=True), stage("c", side=True), stage("d"), stage("e", joins=True),
+              stage("f", joins=True), stage("g", side=True)]  # fmt: skip
+    launching._launch_on_side_stream(stages, SimpleNamespace(stream=Stream("main")))
+    assert log == [
+        ("main", "a"), ("side", "waits", "main 1"), ("side", "b"), ("side", "c"), ("main", "d"),
+        ("main", "waits", "side 1"), ("main", "e"), ("main", "f"), ("side", "g"), ("main", "waits", "side 2"),
+    ]  # fmt: skip
+    log.clear()
+    launching._launch_on_side_stream([stage("a", joins=True), stage("b")], SimpleNamespace(stream=Stream("main")))
+    assert log == [("main", "a"), ("main", "b")]

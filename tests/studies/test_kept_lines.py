@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import kept
@@ -16,8 +17,9 @@ from warpcrete.geometry.lines import line_of
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.record.run_folder import TableRecorder
 from warpcrete.scenes import modules
+from warpcrete.studies.lines import blocking as by_blocking
 from warpcrete.studies.lines import elements as by_elements
-from warpcrete.studies.lines.blocking import BlockingProbability, _counted, _parameters
+from warpcrete.studies.lines.blocking import BlockingProbability, _counted, _parameters, run_blocking
 from warpcrete.studies.lines.element_line import ElementLine, SeedResult, WallLaw, element_table_lines
 from warpcrete.studies.lines.elements import Elements, part_parameters
 from warpcrete.studies.lines.fittings import library_factor, range_of
@@ -117,6 +119,7 @@ def test_a_simulated_line_is_kept(kind, line, meshed, monkeypatch):
             "columns": columns,
             "units": units,
             "figure": kept.drawn(found.plot()),
+            "recorded": kept.drawn(replace(found, line=replace(line, recorded=3e5)).plot())["axes0"]["lines"],
             "took": found.took,
             "failed": found.failed,
             "some": [
@@ -252,6 +255,45 @@ def test_a_probability_of_blocking_is_kept(line):
         "line-blocking",
         {"record": found.record(), "lines": found.lines, "enlarged": enlarged.lines, "interval": enlarged.interval},
     )
+
+
+def test_the_study_of_a_blocking_is_kept(line, tmp_path, monkeypatch):
+    """The narrowest part with so many seeds, or the study of before; runs are made up."""
+    asked, resumed = [], []
+
+    def study_of(cases, finished=True):
+        results = {
+            case.name: {"blocked": float(k == 1), "slowest_advance": 0.1, "packing": {"bodies": 800}}
+            for k, case in enumerate(cases)
+        }
+        return SimpleNamespace(results=results, failures={}, cases=cases, finished=finished)
+
+    def run_listed(scene, module, cases, *, out, **settings):
+        asked.append([scene, module.__name__, [[c.name, c.varied, c.parameters] for c in cases], settings])
+        asked.append([str(out.relative_to(tmp_path)), study_of(cases).finished])
+        return study_of(cases, finished=len(cases) != 2)
+
+    monkeypatch.setattr(by_blocking, "run_listed", run_listed)
+
+    def resume_study(folder, module, **settings):
+        resumed.append([str(folder.relative_to(tmp_path)), module.__name__, settings])
+        own = _parameters(line.parts[3], line, "zhan", FLOW, Elements(), 0)
+        return study_of([SimpleNamespace(name="a", parameters=own)])
+
+    monkeypatch.setattr(by_blocking, "resume_study", resume_study)
+    out = tmp_path / "line"
+    out.mkdir()
+    found = run_blocking(line, "zhan", FLOW, 3, out=out, elements=Elements(stiffer=3.0), device="cpu", processes=2)
+    files = [path.name for path in out.iterdir()]
+    record = json.loads(next(out.glob("*.json")).read_text(encoding="utf-8"))
+    kept.compare("line-blocking-study", {"asked": asked, "record": record, "lines": found.lines, "files": files})
+    with pytest.raises(KeyboardInterrupt):
+        run_blocking(line, "zhan", FLOW, 2, out=out, device="cpu")
+    folder = out / asked[1][0].partition("/")[2]
+    folder.mkdir(parents=True)
+    (folder / "study.json").touch()
+    assert run_blocking(line, "zhan", FLOW, 3, out=out, processes=4).runs == 1
+    assert resumed == [[asked[1][0], "warpcrete.scenes.part_dem", {"processes": 4, "progress": None}]]
 
 
 def folder_with(path, result=None, checkpoint=False, failed=""):

@@ -14,10 +14,10 @@ from warpcrete.core.run.method import Quantity
 from warpcrete.core.units import quantity
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibration import Calibration, Trial
-from warpcrete.studies.calibration.posterior import Posterior
+from warpcrete.studies.calibration.posterior import Posterior, confounded_pairs, insensitive_targets
 from warpcrete.studies.calibration.report import answer, concrete_of, report
 from warpcrete.studies.calibration.report import draw as draw_calibration
-from warpcrete.studies.calibration.targets import task_of
+from warpcrete.studies.calibration.targets import Target, task_of
 from warpcrete.studies.cases import cases_of
 from warpcrete.studies.cluster import WorkerLost
 from warpcrete.studies.study_result import Study
@@ -178,7 +178,7 @@ class Linear:
 
 
 def test_a_calibration_is_kept(tmp_path):
-    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0, "viscosity": 30.0}
+    own = {"concrete": "own", "density": 2350.0, "yield_stress": 60.0}
     raw = {
         "vary": {"viscosity": [10.0, 100.0], "slip_viscosity": [300.0, 3000.0], "slip_yield": [0.0, 100.0]},
         "targets": [
@@ -237,6 +237,7 @@ def test_a_calibration_is_kept(tmp_path):
             "groups": [[target.label for target in group] for group in task.groups],
             "places": places,
             "errors": [found.posterior.emulator_error_ratio(target) for target in task.targets],
+            "pairs": confounded_pairs(found.posterior, 0.0),
             "figure": kept.drawn(draw_calibration(found, modules())),
             "repr": repr(found).split(", folder")[0],
         },
@@ -400,6 +401,21 @@ def test_the_rounds_of_a_calibration_are_kept(tmp_path, monkeypatch):
     assert not cut.finished and [each[0] for each in again] == [each[2] for each in log]
     assert len(cut.trials) == len(found.trials) - len(log[-1][4]) and again[0][2]["processes"] == 3
     assert json.loads((out / "calibration.json").read_text(encoding="utf-8"))["settings"]["trials"] == 50
+
+
+def test_a_target_that_parameters_move_less_than_its_uncertainty_or_its_scatter_is_insensitive():
+    target = Target("slump", "spread", 0.5, 0.1, {}, False, "m")
+    task = SimpleNamespace(free=[None])
+    for change, scatter, insensitive in (
+        (0.015, 0.0, True),
+        (0.03, 0.0, False),
+        (0.03, 0.05, True),
+        (0.01, 0.05, True),
+    ):
+        found = Posterior(task, {target: Linear(0.5, [change], scatter)}, np.zeros((1, 1)), np.zeros(1))
+        assert (target in insensitive_targets(found, [target])) == insensitive
+    low, high = insensitive_targets(found, [target])[target]
+    assert low == pytest.approx(0.5, abs=1e-4) and high == pytest.approx(0.51, abs=1e-4)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

@@ -22,6 +22,7 @@ from warpcrete.verification import (
     flow_extremes,
     spreading,
     stability,
+    starting,
     suspensions,
     suspensions_many,
     vessels,
@@ -306,3 +307,10 @@ def test_the_figure_of_the_verification_is_kept():
         rows = [Row("a", 1.001, 1.0, 0.01), Row("b", 1.1, 1.0, 0.01), Row("c", 1.0, 1.0, 0.0), Row("d", 2.0, 2.0, 0.1)]
         results.append((case, rows))
     kept.compare("verified-figure", {"all": kept.drawn(draw(results)), "one": kept.drawn(draw(results[:1]))})
+
+
+def test_starts_from_rest_are_kept(monkeypatch):
+    asked = []
+    monkeypatch.setattr(starting, "worst", lambda *given: asked.append(given) or (1e-3 * len(asked), 2e-3 * len(asked)))
+    rows = [row for case in starting.CASES for row in case.run("cpu", "float32")]
+    kept.compare("verified-starts", {"rows": rows, "asked": asked})

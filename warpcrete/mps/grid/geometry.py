@@ -189,8 +189,8 @@ def _quarter_fractions(ends: np.ndarray) -> np.ndarray:
         # corners of the two halves of each cell.
         a, b = np.split(half, 2, axis)
         half = np.concatenate([a, 0.5 * (a + b), b], axis)
-    # An almost closed quarter of a cell keeps a small open fraction. Otherwise the face of this quarter would not
-    # exist, and the friction of the wall could not act on it.
+    # The friction of a wall acts on the concrete through the quarters of cells. A quarter with an open fraction of zero
+    # would be left out, so that concrete in an almost closed quarter would have no friction; hence the minimum.
     part = _open_fraction(_corner_values(half, range(1, axes + 1)), axes, MIN_QUARTER_FRACTION)
     pairs = AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS
     found = np.empty((len(pairs), 4, *cut.shape))

@@ -1,0 +1,91 @@
+"""Heights, bases and reach of concrete in made-up cells, in a plane, in space and around an axis; durations."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from warpcrete.mps.free import forecast
+from warpcrete.mps.free.forecast import course_of
+from warpcrete.mps.free.probes import bases, reach, surface
+
+
+def flow_of(fill, *, room=1.0, round=False, axial=False, left=0.0):
+    """Flow whose cells are 0.1 m wide and 0.05 m high, with these fractions of concrete, shape (z, (y,) x)."""
+    fill = np.array(fill, float)
+    cells = {"fill": fill, "room": np.broadcast_to(room, fill.shape)}
+    layout = SimpleNamespace(
+        left=left, spacing=0.1, step=0.05, cells=fill.shape[::-1], axes=fill.ndim, axial=axial,
+        room=SimpleNamespace(width=(0.1, 0.1, 0.05)[: fill.ndim - 1] + (0.05,)),
+    )  # fmt: skip
+    return SimpleNamespace(
+        state=SimpleNamespace(layout=layout, cells=lambda name: cells[name]), scene=SimpleNamespace(round=round)
+    )
+
+
+def test_a_surface_in_a_plane():
+    flow = flow_of([[0, 1, 0.5], [0, 0.5, 0]], room=[[1, 0.4, 1], [1, 1, 1]], left=-0.2)
+    across, height = surface(flow)
+    assert across == pytest.approx([-0.15, -0.05, 0.05])
+    assert height == pytest.approx([0, (0.4 + 0.5) * 0.05, 0.5 * 0.05])
+    # A wall fills 0.6 of the second cell from below; the third column begins at the bottom.
+    assert bases(flow) == pytest.approx([0, 0.6 * 0.05, 0])
+    assert reach(flow) == pytest.approx(0.15)
+    lifted = flow_of([[0, 0, 0], [1, 0, 1]], room=[[1, 1, 1], [1, 1, 0.5]])
+    assert bases(lifted) == pytest.approx([0.05, 0, 0.05 + 0.025])
+
+
+def test_an_axisymmetric_reach_has_the_volume_of_a_disc():
+    assert reach(flow_of([[1, 1, 0.5]], axial=True)) == pytest.approx(np.sqrt(2 * (0.05 + 0.15 + 0.125) * 0.1))
+    assert reach(flow_of([[1, 1, 1], [1, 0, 0]], axial=True)) == pytest.approx(0.3)
+
+
+def test_a_surface_in_space_is_a_mean_over_the_depth():
+    flow = flow_of([[[1, 0.5], [0, 0.5]], [[1, 0], [0.5, 0]]], room=np.full((2, 2, 2), 1.0))
+    assert surface(flow)[1] == pytest.approx([0.05 * 2.5 / 2, 0.05 * 0.5])
+    assert bases(flow) == pytest.approx([0, 0]) and reach(flow) == pytest.approx(0.2 * 0.75)
+
+
+def test_a_surface_around_an_axis_is_a_mean_over_rings():
+    """A quarter of 3 by 3 columns: the rings are one cell, the three beside it, and the four beyond these."""
+    fill = np.zeros((2, 3, 3))
+    fill[0] = [[1.0, 0.8, 0.3], [0.6, 0.4, 0.2], [0.3, 0.0, 0.9]]
+    flow = flow_of(fill, round=True)
+    across, height = surface(flow)
+    distance = np.hypot(*np.meshgrid([0.05, 0.15, 0.25], [0.05, 0.15, 0.25]))
+    rings = [fill[0][(distance >= r) & (distance < r + 0.1)].mean() * 0.05 for r in (0.0, 0.1, 0.2)]
+    assert across == pytest.approx([0.05, 0.15, 0.25]) and height == pytest.approx(rings)
+    assert reach(flow) == pytest.approx(np.sqrt(4 / np.pi * fill[0].sum() * 0.01))
+    assert bases(flow_of(np.stack([0 * fill[0], fill[0]]), round=True)) == pytest.approx([0.05] * 3)
+
+
+def test_the_expected_course_of_a_flow(monkeypatch):
+    """A funnel goes by its closed form, a box in space by its longest time, and all others by a coarser copy."""
+    asked = []
+
+    def course(run=None, **given):
+        settings = dict(
+            extent=np.array([[0.0, 0.0], [0.6, 0.3]]), spacing=0.01, gravity=9.81, time_step=8e-3, step_error=1e-3,
+            test=None, depth=0.0, duration=8.0, plate_slips=False,
+        )  # fmt: skip
+        simulation = SimpleNamespace(scene=SimpleNamespace(**settings | given))
+        monkeypatch.setattr(
+            forecast, "coarser_run", lambda *each, **changes: asked.append((each[1], changes)) or (run, 3.0, ["uneven"])
+        )
+        return course_of(simulation)
+
+    mean = 0.01 / np.sqrt(2 * 9.81 * 0.3)
+    out = SimpleNamespace(outflow=SimpleNamespace(time="funnel_time"))
+    for estimate, duration in ((2.0, 1.2 * 2.0), (7.9, 8.0)):
+        monkeypatch.setattr(forecast, "expected", lambda scene, estimate=estimate: {"funnel_time": estimate})
+        found = course(test=out)
+        assert (found.duration, found.time_step) == (pytest.approx(duration), pytest.approx(mean))
+    monkeypatch.setattr(forecast, "expected", lambda scene: {})
+    assert "may hold the concrete" in course(test=out).remarks[0] and course(test=out).duration == 8.0
+    found = course(depth=0.1, step_error=0.0)
+    assert (found.duration, found.time_step) == (8.0, 8e-3) and "longest allowed time" in found.remarks[0]
+    assert course(depth=0.1, time_step=1e-4).time_step == 1e-4 and not asked
+    course()
+    assert asked == [("the concrete is not at rest", {"spacing": pytest.approx(0.3 / 12)})]
+    course(spacing=0.2)
+    assert asked[-1][1]["spacing"] == pytest.approx(0.3 / 4)
