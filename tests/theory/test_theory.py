@@ -219,7 +219,7 @@ def test_theory_prints_a_restart():
     found = CliRunner().invoke(cli, ["theory", "--rise", "0", "--rest", "60", "--thixotropy", "1"])
     assert found.exit_code == 0 and found.output.startswith(plain.output.rstrip())
     row = found.output.split(
-        "after 60 s at rest with a growth rate of 1 Pa/s: yield stress 250 Pa; slip layer 311 Pa\n"
+        "after 60 s at rest with a growth rate of 1 Pa/s: yield stress 250 Pa, of the slip layer 311 Pa\n"
     )[1]
     assert row.splitlines()[1].split()[:3] == ["pipe", "3000", "10000"]
     for given in (["--thixotropy", "1"], ["--rest", "-5"]):
