@@ -120,11 +120,13 @@ def test_a_launch_goes_on_while_a_scene_runs_and_ends_when_none_does(monkeypatch
     def noting(self, step, alone, sizes, ended, appended=None):
         replay(self, step, alone, sizes, lambda: ends.append(ended()) or ends[-1], appended)
 
+    counted = []
     monkeypatch.setattr(Launcher, "replay", noting)
+    monkeypatch.setattr(LaunchPlanner, "count_steps", lambda self, steps: counted.append(steps))
     first.batch.launch()
     first.batch.settle()
     assert [each.steps for each in steppers] == [3, 11]
-    assert ends[-1] and not any(ends[:-1]) and len(ends) > 2
+    assert ends[-1] and not any(ends[:-1]) and len(ends) > 2 and counted == [10]
 
 
 def test_unlike_scenes_fall_into_batches_of_their_own(device):

@@ -10,7 +10,7 @@ from warpcrete import SceneError, load, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Arc, Axis, Line
-from warpcrete.geometry.one_pipe import joined
+from warpcrete.geometry.one_pipe import joined, parameters_from_line
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance, part_room
 from warpcrete.mps.part.probes import losses
@@ -229,3 +229,13 @@ def test_the_room_of_a_long_line_holds_its_turns(tmp_path):
     assert np.all((places - reach).min(0)[[0, 2]] > np.array(room.origin)[[0, 2]] + room.width[0])
     top = np.array(room.origin) + np.array(room.cells) * np.array(room.width)
     assert np.all((places + reach).max(0)[:2] < top[:2] - room.width[0])
+
+
+def test_the_file_of_a_line_gives_whatever_is_not_given_beside_it(tmp_path):
+    path = tmp_path / "line.yaml"
+    path.write_text("{flow: 36 m3/h, concrete: no2, diameter: 0.125, parts: [{straight: 3}]}", encoding="utf-8")
+    both = {"flow": pytest.approx(0.01), "concrete": "no2"}
+    for given, found in (({}, both), ({"flow": 1.0}, both), ({"concrete": "no1"}, both),
+                         ({"flow": 1.0, "concrete": "no1"}, {})):  # fmt: skip
+        assert parameters_from_line({"line": str(path), **given}) == found
+    assert parameters_from_line({"line": None}) == parameters_from_line({}) == {}
