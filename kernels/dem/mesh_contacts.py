@@ -36,7 +36,7 @@ from .wear import wear_functions
 MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # A contact point counts as hidden by a nearer contact if it lies behind the plane through the nearer contact point, or
-# at most this far in front of the plane [sphere radii].
+# in front of this plane by at most this fraction of the sphere's radius.
 BEHIND = 2.0e-2
 ROUNDING = 0.99
 """Fraction of the margin by which sphere and meshes may approach before near candidates are chosen again.

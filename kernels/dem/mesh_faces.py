@@ -19,7 +19,10 @@ from .structs import array_structs
 
 @functools.cache
 def surface_functions(scalar) -> SimpleNamespace:
-    """Return functions for a face: its closest point, the test for a local minimum of the distance, and the normal."""
+    """Return functions for a face of a triangle mesh.
+
+    They compute the face's closest point, test for a local minimum of the distance, and return the normal.
+    """
     t = types(scalar)
     Wall = wall_struct(scalar)
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle

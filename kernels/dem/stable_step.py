@@ -95,8 +95,8 @@ def recording_functions(scalar):
 
     - `record_speed` updates the largest speed in a thread's part.
     - `add_wall_stiffness` adds the stiffness and damping of a contact to the sums of a wall.
-    - `fastest` returns the largest speed in a scene over all parts.
-    - `least` returns the smallest value in a scene over all parts of another array.
+    - `fastest` returns the largest speed in a scene over the parts of all threads.
+    - `least` returns the smallest value of a scene in a given array over the parts of all threads.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)

@@ -18,23 +18,27 @@ from ..common.types import types
 from ..common.walls import wall_struct
 
 # Columns of the double-precision array `clock`, which has one row per scene.
-TIME: int = wp.constant(0)  # simulated time [s]
-DT: int = wp.constant(1)  # the coming time step [s]
-# previous time step [s]; 0 at the start, so that the first velocity kick has half the length
+TIME: int = wp.constant(0)  # column with the simulated time [s]
+DT: int = wp.constant(1)  # column with the coming time step [s]
+# DT_PREVIOUS is the column with the previous time step [s]. It is 0 at the start, so that the first velocity kick has
+# half the length.
 DT_PREVIOUS: int = wp.constant(2)
-SINCE_BUILD: int = wp.constant(3)  # time since the neighbour lists were built [s]
-FORCE_SCALE: int = wp.constant(4)  # integer units per newton in the fixed-point sums of wall forces [1/N]
-STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
+SINCE_BUILD: int = wp.constant(3)  # column with the time since the neighbour lists were built [s]
+# FORCE_SCALE is the column with the number of integer units per newton in the fixed-point sums of wall forces [1/N].
+FORCE_SCALE: int = wp.constant(4)
+STABLE: int = wp.constant(5)  # column with the latest estimate of the stable step, without safety factor [s]
 # Number of columns of the array `clock`, whose rows belong to scenes.
 CLOCK = 8
 
 # The next constants are values of `links.state`. A link is a listed pair of spheres whose contact a GPU evaluates.
-APART: int = wp.constant(0)  # the spheres do not touch
+APART: int = wp.constant(0)  # the link's spheres do not touch
 # TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
 # from the old list.
 TOUCHING: int = wp.constant(1)
-PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
-# The spheres have a stiff bond, whose forces are computed in several rounds per step (sub-cycling).
+# PARTED: The contact of the link's spheres has just ended. The energy left in its springs counts as lost in the next
+# step.
+PARTED: int = wp.constant(2)
+# STIFF: The spheres of the link have a stiff bond, whose forces are computed in several rounds per step (sub-cycling).
 STIFF: int = wp.constant(3)
 
 
@@ -49,7 +53,8 @@ def scene_struct(scalar):
     @wp.struct
     class SceneRow:
         gravity: t.vec3  # acceleration of gravity [m/s2]
-        local_damping: scalar  # coefficient of local damping; 0: off
+        # coefficient of local damping (each force is changed by this fraction, against the motion); 0: off
+        local_damping: scalar
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         mesh_speed: scalar  # largest speed of the mesh walls whose motion is prescribed [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
@@ -111,7 +116,7 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
-        scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
+        scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch
         shape: wp.array(dtype=wp.int32)  # index of each body's shape in the state's table of clump templates
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
@@ -130,8 +135,8 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Spheres:
         id: wp.array(dtype=wp.int32)  # permanent number of each sphere, shape (spheres,)
-        scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
-        body: wp.array(dtype=wp.int32)  # index of the body that the sphere belongs to
+        scene: wp.array(dtype=wp.int32)  # index of each sphere's scene in the batch
+        body: wp.array(dtype=wp.int32)  # index of each sphere's body in the scene
         material: wp.array(dtype=wp.int32)  # index of each sphere's material in the model
         offset: wp.array(dtype=t.vec4)  # centre in the body's frame, and radius, both for a scale factor of 1 [m]
         position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
@@ -191,7 +196,8 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
-        # near candidates of each sphere: triangles that may touch it soon; they begin at the same index as in `face`
+        # near candidates of each sphere: triangles that may touch it soon; a sphere's entries begin at the same index
+        # as in `face`
         near: wp.array(dtype=wp.int32)
         near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
         # First three numbers: centre of each sphere when its near candidates were chosen [m]. Fourth number: the near
@@ -203,14 +209,14 @@ def array_structs(scalar) -> SimpleNamespace:
     class Walls:
         scene: wp.array(dtype=wp.int32)  # index of each wall's scene in the batch, shape (walls,)
         table: wp.array(dtype=Wall)  # constant properties of each wall
-        rest_position: wp.array(dtype=wp.vec3d)  # position at the start [m]
-        position_exact: wp.array(dtype=wp.vec3d)  # position in double precision [m]
-        velocity_exact: wp.array(dtype=wp.vec3d)  # velocity in double precision [m/s]
+        rest_position: wp.array(dtype=wp.vec3d)  # position of the wall's frame at the start [m]
+        position_exact: wp.array(dtype=wp.vec3d)  # position of the wall's frame in double precision [m]
+        velocity_exact: wp.array(dtype=wp.vec3d)  # velocity of the wall in double precision [m/s]
         position: wp.array(dtype=t.vec3)  # position of the wall's frame [m]
         orientation: wp.array(dtype=t.quat)  # orientation of the wall's frame
         normal: wp.array(dtype=t.vec3)  # planes only: unit normal that points into the concrete
-        velocity: wp.array(dtype=t.vec3)  # mean velocity over the step [m/s]
-        spin: wp.array(dtype=t.vec3)  # mean angular velocity over the step [rad/s]
+        velocity: wp.array(dtype=t.vec3)  # mean velocity of the wall over the step [m/s]
+        spin: wp.array(dtype=t.vec3)  # mean angular velocity of the wall over the step [rad/s]
         force: wp.array(dtype=wp.vec3d)  # total contact force on the wall in the last step [N]
         moment: wp.array(dtype=wp.vec3d)  # total contact moment about the wall's position [N m]
         impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force on the wall since the start [N s]
@@ -278,15 +284,15 @@ def links_struct(scalar):
 def subcycled_struct(scalar):
     """Return the struct `Subcycled`: the pairs with stiff bonds, and the bodies that these pairs join.
 
-    They move in several sub-cycling rounds per step. The struct contains its own copy of everything that a round reads,
-    in contiguous rows, because a round on a GPU is bound by memory latency.
+    These bodies move in several sub-cycling rounds per step. The struct contains its own copy of everything that a
+    round reads, in contiguous rows, because a round on a GPU is bound by memory latency.
     """
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
 
     @wp.struct
     class Subcycled:
-        rounds: wp.array(dtype=wp.int32)  # number of rounds in a step; 0: no sub-cycling, shape (scenes,)
+        rounds: wp.array(dtype=wp.int32)  # number of sub-cycling rounds in a step; 0: no sub-cycling, shape (scenes,)
         stable: wp.array(dtype=wp.float64)  # stable step of the stiff pairs alone [s], shape (scenes,)
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
         lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
@@ -302,10 +308,12 @@ def subcycled_struct(scalar):
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
         # index of the pair's second entry in the neighbour list, or -1 if it has only one
         copy: wp.array(dtype=wp.int32)
-        held: Pairs  # contact history and bond of each pair; the last round of a step copies them to the neighbour list
+        # contact history and bond of each pair; the last sub-cycling round of a step copies them to the neighbour list
+        held: Pairs
         # 1 while the bond holds; 0 once it is broken and the pair is an ordinary contact again
         active: wp.array(dtype=wp.int32)
-        lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]
+        # energy that each pair has lost in the sub-cycling rounds of this step so far [J]
+        lost: wp.array(dtype=wp.float64)
         outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
         body_number: wp.array(dtype=wp.int32)  # permanent number of each body

@@ -39,16 +39,16 @@ def body_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Bodies:
         centre: wp.array(dtype=vec3)  # Centre of each aggregate [m], shape (n,).
-        velocity: wp.array(dtype=vec3)  # Velocity of the centre [m/s], shape (n,).
-        spin: wp.array(dtype=vec3)  # Angular velocity [rad/s], shape (n,).
-        turn: wp.array(dtype=quat)  # Orientation, shape (n,).
-        radius: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (n,).
-        # Mass of each aggregate minus that of an equal volume of mortar [kg], and the same difference of the moments of
-        # inertia [kg m2], each of shape (n,).
+        velocity: wp.array(dtype=vec3)  # Velocity of each aggregate's centre [m/s], shape (n,).
+        spin: wp.array(dtype=vec3)  # Angular velocity of each aggregate [rad/s], shape (n,).
+        turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
+        radius: wp.array(dtype=scalar)  # Radius of each aggregate, which is a sphere [m], shape (n,).
+        # Mass of each aggregate minus that of an equal volume of mortar [kg], and moment of inertia of each aggregate
+        # minus that of this mortar [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
-        force: wp.array(dtype=vec3)  # External force, such as weight minus buoyancy [N], shape (n,).
-        torque: wp.array(dtype=vec3)  # External torque about the centre [N m], shape (n,).
+        force: wp.array(dtype=vec3)  # External force on each aggregate, such as weight minus buoyancy [N], shape (n,).
+        torque: wp.array(dtype=vec3)  # External torque on each aggregate about its centre [N m], shape (n,).
         # Inverses of the blocks of the reduced matrix for velocity and for spin, each of shape (n,).
         mobility: wp.array(dtype=mat33)
         spin_mobility: wp.array(dtype=mat33)
@@ -75,7 +75,7 @@ def body_structs(scalar) -> SimpleNamespace:
         # edges for shear in the planes of the three pairs of axes.
         solid: wp.array(dtype=wp.int32)
         first: wp.array(dtype=wp.int32)  # Index in `faces` of each aggregate's first face, shape (n + 1,).
-        count: wp.array(dtype=wp.int32)  # Number of faces that move with each aggregate, shape (n,).
+        count: wp.array(dtype=wp.int32)  # Number of the grid's faces that move with each aggregate, shape (n,).
         # Number of entries of each aggregate in `faces`, shape (n,).
         touched: wp.array(dtype=wp.int32)
         # Faces of all aggregates, sorted by aggregate. For each aggregate, the faces that move with it come first,
@@ -102,7 +102,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return the vector `d` from one point to another or, in a periodic pipe, to the other's nearest copy."""
+        """Return `d`, the vector from a point to another one; in a periodic pipe, to the nearest copy of that one."""
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)
@@ -116,7 +116,10 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carried(velocity: vec, spin: vec, d: vec, axis: wp.int32) -> scalar:
-        """Return the component along `axis` of a rigid body's velocity at the point `d`, relative to its centre."""
+        """Return the component along `axis` of the velocity of a point of a rigid body.
+
+        `d` is the vector from the body's centre to the point.
+        """
         return (velocity + wp.cross(spin, d))[axis]
 
     @wp.func

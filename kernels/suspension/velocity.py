@@ -83,7 +83,10 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def give(g: Grid, cover: Cover, b: wp.int32, x: Vector):
-        """Set the velocities in `x` of the faces that move with an aggregate, from its velocity and spin in `x`."""
+        """Set the face velocities in `x` that an aggregate determines, from the aggregate's velocity and spin in `x`.
+
+        The faces are those that move with the aggregate.
+        """
         first = cover.first[b]
         give_range(x.linear[b], x.angular[b], g.slots, first, first + cover.count[b], cover.faces, cover.lever, x.faces)
 
@@ -289,7 +292,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
-        """Add a multiple of the forces on the faces that move with each aggregate to its force and torque."""
+        """Add a multiple of the forces on the faces that move with an aggregate to the aggregate's force and torque."""
         b = wp.tid()
         force, torque = v.resultant(g, cover, b, forces)
         result.linear[b] = result.linear[b] + factor * force

@@ -117,7 +117,7 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def clearance(g: Grid, geometry: Geometry, x: vec):
         """Return the distance of a position from the nearest wall [m] and the gradient of this distance.
 
-        The distances are stored at points half a cell apart, to resolve walls that are hardly thicker than that.
+        The distances are stored at points half a cell apart, to resolve walls that are hardly thicker than half a cell.
         """
         base = whole()
         s = vec()

@@ -167,8 +167,8 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 if wp.static(of.thixotropic):
                     own = with_gain(g, gained / wp.max(count, scalar(1.0)))
                 total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
-                # The correction for the edge of a plug is used in full pipes only. Beside a free surface the stress
-                # varies along both axes, and it contains noise from the particles.
+                # The correction for the edge of a plug (unyielded concrete) is used in full pipes only. Beside a free
+                # surface the stress varies along both axes, and it contains noise from the particles.
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))

@@ -118,8 +118,9 @@ def edge_function(scalar, dimensions: int, law: str):
             # derivative.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # Here the edge of a plug or the middle of the pipe lies in the two cells. Find the corner's stress s by
-        # Newton's method between two bounds. The mean shear rate over both cells must equal `rate`.
+        # Here the two cells contain the edge of a plug (unyielded concrete) or the middle of the pipe. Find the
+        # corner's stress s by Newton's method between two bounds. The mean shear rate over both cells must equal
+        # `rate`.
         low = scalar(0.0)
         high = plain + change
         s = plain

@@ -39,20 +39,21 @@ step to the completed step where only the error limits it. The Courant number ma
 """
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
-"""Ratio of the shortest to the longest time step."""
+"""Shortest allowed time step, divided by the longest allowed one."""
 
 
 @wp.struct
 class Pace:
     """Parameters that determine the length of the time steps and the accuracy of the solves."""
 
-    longest: wp.float64  # Longest time step [s].
+    longest: wp.float64  # Longest allowed time step [s].
     # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
     error: wp.float64
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
-    viscous: wp.float64  # Residual norm at which the viscous solve stops, for the longest time step.
-    pressure: wp.float64  # Residual norm at which the pressure solve stops, for the longest time step.
-    crowding: wp.float64  # Residual norm at which the solve that disperses particles stops, for the longest time step.
+    viscous: wp.float64  # Residual norm at which the viscous solve stops if the time step is `longest`.
+    pressure: wp.float64  # Residual norm at which the pressure solve stops if the time step is `longest`.
+    # Residual norm at which the solve that disperses particles stops if the time step is `longest`.
+    crowding: wp.float64
 
 
 @functools.cache
@@ -78,7 +79,7 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def speeds(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Compute the rms speed and the largest number of cells crossed per second, in one task."""
+        """Compute the concrete's rms speed and the largest number of cells that it crosses per second, in one task."""
         if flags[HALTED] != 0:
             return
         square = wp.float64(0.0)
