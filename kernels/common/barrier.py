@@ -14,7 +14,7 @@ GATE = 3
 """Length of a barrier's integer array. The three elements are the number of threads that have arrived, the number of
 times that all threads have passed the barrier, and the number of sleeping threads."""
 SPINS = 2000
-"""Number of times a waiting thread checks the barrier before it sleeps; the checks take about 30 microseconds."""
+"""Number of times a waiting thread checks the barrier before it sleeps; all these checks take about 30 microseconds."""
 
 MEET = """
     int* here = &gate.data[0];

@@ -294,7 +294,7 @@ def load_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
-    """Return the kernel that sums over the contacts of each sphere of scene `s`.
+    """Return the kernel that sums energies, overlaps and more over the contacts of each sphere of scene `s`.
 
     The result has one row per sphere, ordered by permanent number. The kernel also writes the normal force of each
     pair.

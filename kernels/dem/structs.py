@@ -32,8 +32,8 @@ CLOCK = 8
 
 # The next constants are values of `links.state`. A link is a listed pair of spheres whose contact a GPU evaluates.
 APART: int = wp.constant(0)  # the link's spheres do not touch
-# TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
-# from the old list.
+# TOUCHING: The spheres of the link touch or are bonded. In a list that was just rebuilt, the link may instead have
+# contact history from the old list.
 TOUCHING: int = wp.constant(1)
 # PARTED: The contact of the link's spheres has just ended. The energy left in its springs counts as lost in the next
 # step.
@@ -57,12 +57,13 @@ def scene_struct(scalar):
         local_damping: scalar
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         mesh_speed: scalar  # largest speed of the mesh walls whose motion is prescribed [m/s]
-        skin: scalar  # margin of the pair lists beyond contact [m]
-        mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        # distance that spheres may move before a rebuild; meshes may move by the rest of the mesh skin [m]
+        skin: scalar  # margin of the neighbour lists: pairs of spheres with a smaller gap are listed [m]
+        mesh_skin: scalar  # margin of the candidate lists: triangles with a smaller gap to a sphere are listed [m]
+        # Distance that spheres may move before the candidate lists of triangles are rebuilt. Meshes may move by the
+        # rest of the mesh skin [m].
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
-        growth_end: scalar  # size scale factor at which the growth stops
+        growth_end: scalar  # size scale factor at which the growth during packing stops
         safety: wp.float64  # safety factor of the automatic time step
         largest_step: wp.float64  # upper limit of the automatic time step [s]
         fixed_step: wp.float64  # fixed time step [s]; 0: automatic
@@ -142,16 +143,16 @@ def array_structs(scalar) -> SimpleNamespace:
         position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
         velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
         spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
-        built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
+        built: wp.array(dtype=t.vec4)  # position and radius of each sphere when the neighbour lists were built [m]
         # Centre of each sphere when its distance from fixed planes and pipes was last measured, and the distance from
-        # the nearest of them, reduced for rounding [m].
+        # the nearest of them, reduced by a margin for rounding errors [m].
         clear: wp.array(dtype=t.vec4)
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
         # Bit mask that marks neighbours of each sphere in contact in the last step. Bit k belongs to entry k of the
         # sphere's neighbour list; the mask covers the first BLOCK entries.
         touching: wp.array(dtype=wp.int32)
-        dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start [J]
+        dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start, recorded at each sphere [J]
         broken: wp.array(dtype=wp.vec2i)  # number of bonds broken since the start, in tension and in shear
 
     @wp.struct
@@ -161,15 +162,16 @@ def array_structs(scalar) -> SimpleNamespace:
         # Contact history of each slot, for spring laws the shear force [N], shape (spheres, slots). Slots for planes
         # and pipes come first, then those for meshes.
         history: wp.array2d(dtype=t.vec3)
-        rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], (spheres, slots)
-        normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
-        overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
-        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, (spheres, slots)
-        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls). Each entry has three values:
-        # the work of sliding [J], the energy loss of impacts [J], and the integral of the load over the sliding
-        # distance [N m].
+        rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (spheres, slots)
+        normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, shape (spheres, slots)
+        overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], shape (spheres, slots)
+        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, shape (spheres, slots)
+        # `worn` holds the wear of each wall by each sphere since the last sample, shape (spheres, walls). Each entry
+        # has three values: the work of sliding [J], the energy loss of impacts [J], and the integral of the load over
+        # the sliding distance [N m].
         worn: wp.array2d(dtype=wp.vec3d)
-        worn_at: wp.array2d(dtype=t.vec3)  # last point of contact with each wall, in its frame [m], (spheres, walls)
+        # last point of contact with each wall, in the wall's frame [m], shape (spheres, walls)
+        worn_at: wp.array2d(dtype=t.vec3)
 
     @wp.struct
     class Pairs:
@@ -300,9 +302,9 @@ def subcycled_struct(scalar):
         # Four indices of each pair: its two bodies in this struct, then the rows of `force` for the forces on these
         # bodies.
         ends: wp.array(dtype=wp.vec4i)
-        # for the sphere with the lower permanent number: centre in the body's frame, and radius [m]
+        # for the sphere of each pair with the lower permanent number: centre in the body's frame, and radius [m]
         lower_offset: wp.array(dtype=t.vec4)
-        # for the sphere with the higher permanent number: centre in the body's frame, and radius [m]
+        # for the sphere of each pair with the higher permanent number: centre in the body's frame, and radius [m]
         higher_offset: wp.array(dtype=t.vec4)
         law: wp.array(dtype=wp.int32)  # index of the pair's contact parameters in `pair_parameters`
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
@@ -325,15 +327,16 @@ def subcycled_struct(scalar):
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
-        # Position of each body's centroid in the middle of a time step [m]. The velocities below belong to the same
-        # time.
+        # Position of each body's centroid in the middle of a time step [m]. The velocities in this struct belong to the
+        # same time.
         position: wp.array(dtype=t.vec3)
         rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
         orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
         velocity: wp.array(dtype=t.vec3)  # velocity of the centroid [m/s]
         spin: wp.array(dtype=t.vec3)  # angular velocity in space axes [rad/s]
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
-        other_force: wp.array(dtype=t.vec3)  # all forces other than those of stiff pairs, gravity included [N]
+        # all forces on each body other than those of stiff pairs, gravity included [N]
+        other_force: wp.array(dtype=t.vec3)
         other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about the centroid [N m]
         # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)
         force: wp.array(dtype=t.vec3)

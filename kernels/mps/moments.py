@@ -92,7 +92,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         whole: t.mat  # Weighted sum of x x^T over all neighbours, walls included, where x is the relative position.
         shear: t.mat  # Weighted sum of (velocity difference) x (relative position)^T over the fluid neighbours.
         first: t.vec  # Weighted sum of the relative positions of the fluid neighbours.
-        above: scalar  # Weighted sum of the relative positions along the pipe over all neighbours, walls included.
+        above: scalar  # Weighted sum over all neighbours, walls included, of the relative position along the pipe.
         slope: t.vec  # Weighted sum of (pressure difference) x (relative position) over the fluid neighbours.
         rise: scalar  # Weighted sum of the pressure differences from the particle to its fluid neighbours.
         wall: scalar  # Viscous force of the wall particles per volume and per wall stress, before calibration [1/m].
@@ -154,8 +154,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
                     # The velocity profile is continued behind the wall with its slope at the wall. The viscous force
-                    # per volume due to a wall particle is then proportional to the wall stress. Add the factor of
-                    # proportionality.
+                    # per volume due to a wall particle is then proportional to the wall stress. `m.wall` is the sum of
+                    # the factors of proportionality.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 

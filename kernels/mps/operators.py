@@ -85,7 +85,7 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
         n = f.outward(x)
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
-        stress = speed / compliance  # Stress if the layer sticks, so that all of the speed is due to shear.
+        stress = speed / compliance  # Stress if the slip layer sticks, so that the whole speed is due to shear.
         eased = compliance
         if stress > flow.slip_yield:
             low = flow.slip_yield

@@ -21,8 +21,8 @@ from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, solver_functions
 from .structs import array_structs
 
 RESIDENT = 3
-"""Number of blocks that fit on a multiprocessor at once. The launch bounds of the kernels therefore limit a thread to
-85 registers."""
+"""Number of blocks that must fit on a multiprocessor of the GPU at once. The launch bounds of the kernels therefore
+limit a thread to 85 registers."""
 WIDE, SMALL = 1024, 40_000
 """A linear system with at most SMALL matrix entries is solved by a single block of WIDE threads."""
 

@@ -101,7 +101,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Fields:
-        pair_weight: wp.array(dtype=scalar)  # Weight over squared distance, for each entry of the list `near` [1/m2].
+        # Weight divided by the squared distance, for each entry of the list `near` [1/m2].
+        pair_weight: wp.array(dtype=scalar)
         # Inverse of each particle's moment matrix of its fluid neighbours [1/m2], shape (n,).
         fluid_inverse: wp.array(dtype=t.mat)
         # Inverse of each particle's moment matrix of all neighbours, walls included [1/m2].
@@ -150,7 +151,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Index of each cube's first particle in `member`, followed by the number of particles, shape (count + 1,).
         first: wp.array(dtype=wp.int32)
         member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
-        # Numbers of the cubes around each cube, -1 where there is none, shape (3^d * count,).
+        # Indices of the cubes around each cube of the coarse grid, -1 where there is none, shape (3^d * count,).
         neighbour: wp.array(dtype=wp.int32)
         # Coefficients of the coarse matrix between each cube of the coarse grid and the 3^d cubes centred on it, shape
         # (3^d * count,). The entry between a cube and itself holds 1 over the diagonal of the coarse matrix instead.

@@ -49,7 +49,8 @@ def body_structs(scalar) -> SimpleNamespace:
         extra_inertia: wp.array(dtype=scalar)
         force: wp.array(dtype=vec3)  # External force on each aggregate, such as weight minus buoyancy [N], shape (n,).
         torque: wp.array(dtype=vec3)  # External torque on each aggregate about its centre [N m], shape (n,).
-        # Inverses of the blocks of the reduced matrix for velocity and for spin, each of shape (n,).
+        # Inverses of each aggregate's diagonal blocks in the reduced viscous matrix, for its velocity and for its spin,
+        # each of shape (n,).
         mobility: wp.array(dtype=mat33)
         spin_mobility: wp.array(dtype=mat33)
 
@@ -102,7 +103,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return `d`, the vector from a point to another one; in a periodic pipe, to the nearest copy of that one."""
+        """Return the vector `d` between two points, in a periodic pipe to the nearest copy of the second point."""
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)
@@ -166,7 +167,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
                 for k in range(3):
                     x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
                     size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                    # Length of the small box, measured along the normal of the aggregate's surface.
+                    # Length of one of the 27 smaller boxes, measured along the normal of the aggregate's surface.
                     extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
                     sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
         return sum / scalar(27.0)

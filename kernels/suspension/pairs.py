@@ -48,14 +48,14 @@ def pair_struct(scalar):
         gap: wp.array(dtype=scalar)  # Gap at the start of the step, negative for an overlap [m].
         rough: wp.array(dtype=scalar)  # Gap below which two neighbours count as touching [m].
         still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is an aggregate.
-        lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
+        # Lubrication force per speed of approach, in addition to the force that the grid resolves [N s/m].
+        lubrication: wp.array(dtype=scalar)
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
         # 1 if aggregate and neighbour touch in this step, NEW if the last coupled solve has found this contact,
         # otherwise 0.
         touching: wp.array(dtype=wp.int32)
         # `smallest_gap` has one entry for each aggregate, shape (n,); `full` and `changed` have a single entry.
-        # Smallest gap between an aggregate and a neighbour, divided by the aggregate's radius.
-        smallest_gap: wp.array(dtype=scalar)
+        smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the aggregate's radius.
         full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
         changed: wp.array(dtype=wp.int32)  # 1 if the last coupled solve has found a new contact.
 

@@ -193,7 +193,7 @@ def advect_kernel(scalar, of: GridKind):
                 here = particles.velocity[p] + dt * g.gravity
         # Estimate the velocity that the grid had in the previous step at the particle's present position. The estimate
         # is the particle's own velocity, plus the velocity gradient times the distance that the particle has moved
-        # since then.
+        # since that step.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here

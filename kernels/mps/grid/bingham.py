@@ -88,7 +88,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the Bingham law on a grid.
 
     - `apparent`: viscosity at a shear rate.
-    - `apparent_at_edge`: viscosity at a corner between cells, also if a plug ends within these cells.
+    - `apparent_at_edge`: viscosity at a corner between cells, also if a plug (unyielded concrete) ends within these
+      cells.
     - `at_wall`: shear stress that a wall exerts on the cell beside it.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
@@ -153,7 +154,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
                 change * change
             )
             return width * part, width / change * (rate_of(g, stress) - scalar(2.0) * part)
-        # If the stress hardly varies, use Simpson's rule, because the closed form loses digits there.
+        # If the stress hardly varies across the cell, use Simpson's rule, because the closed form loses digits there.
         middle = scalar(0.5) * (stress + inner)
         mean = rate_of(g, stress) / scalar(6.0) + rate_of(g, middle) / scalar(3.0)
         return width * mean, width / scalar(6.0) * (rate_slope(g, stress) + rate_slope(g, middle))

@@ -83,7 +83,7 @@ class GridKind(NamedTuple):
     cut: bool = False
     """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
-    """True if the concrete of a periodic pipe has gained structure at rest and flow breaks it down."""
+    """True if the concrete of a periodic pipe has gained thixotropic structure at rest, which the flow breaks down."""
     rebuilding: bool = False
     """True if the thixotropic structure of the concrete also builds up again while the concrete flows."""
     law: str = BINGHAM
@@ -131,7 +131,7 @@ def grid_parameters_struct(scalar, dimensions: int):
         flow_index: scalar  # Flow index n; 1 except for the Herschel-Bulkley law.
         quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
         yield_stress: scalar  # Yield stress of the concrete [Pa].
-        regularisation: scalar  # Regularisation time beta of the law [s].
+        regularisation: scalar  # Regularisation time beta of the flow law [s].
         volume: scalar  # Mean volume of a particle; in plane flow per metre of depth, in axisymmetric flow per radian.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
         # Derivative of the wall's braking force per volume with respect to the mean velocity [kg/m3/s].
@@ -161,14 +161,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
         # Density of particles around each cell's centre, divided by that in full cells, shape (slots,).
         particle_density: wp.array(dtype=scalar)
-        fill: wp.array(dtype=scalar)  # Fraction of a cell's open volume that concrete fills, shape (slots,).
+        fill: wp.array(dtype=scalar)  # Fraction of a cell's volume outside walls that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
         # Number of entries of `sorted_particles` that cells have reserved so far, shape (1,).
         reserved_places: wp.array(dtype=wp.int32)
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
-        sorted_particles: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
+        sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
         # (axes * slots,).
         kind: wp.array(dtype=wp.int32)
@@ -184,7 +184,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # relative to the wall. Both faces are perpendicular to axis a; the second face follows the first one along axis
         # b. Shape (axes^2 * slots,); the index is (a * axes + b) * slots + c, where c is the cell of the first face.
         wall_stiffness: wp.array(dtype=scalar)
-        # Friction force of the wall at the present velocity, with the same indices as `wall_stiffness`.
+        # Friction force of a wall at the present velocity of the concrete, with the same indices as `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
         # The velocity at a wall that passes between two neighbouring faces is interpolated from the velocities of both
         # faces. `wall_weight` is the weight of the second face, with the same indices as `wall_stiffness`.

@@ -20,8 +20,9 @@ from ...common.rows import entry_product, row_product
 from ..coarse import lanes
 from .levels import system_structs
 
-# Operations of a cycle. Each entry of `Matrix.cycle` consists of four numbers: the operation, its level, and the arrays
-# that hold the solutions of this level and of the next coarser level (0 for the array `even`, 1 for `odd`).
+# Operations of the multigrid cycle. Each entry of `Matrix.cycle` consists of four numbers: the operation, its level,
+# and the arrays that hold the solutions of this level and of the next coarser level (0 for the array `even`, 1 for
+# `odd`).
 SMOOTH = wp.constant(0)
 RESTRICT = wp.constant(1)
 PROLONG = wp.constant(2)

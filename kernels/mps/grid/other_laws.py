@@ -168,7 +168,7 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
             rate_inner, one_inner, two_inner = sums(g, stiff, inner)
             part = (change * one - (two - two_inner)) / (change * change)
             return width * part, width / change * (rate - scalar(2.0) * part)
-        # If the stress hardly varies, use Simpson's rule, because the closed form loses digits there.
+        # If the stress hardly varies across the cell, use Simpson's rule, because the closed form loses digits there.
         middle = scalar(0.5) * (stress + inner)
         rate_middle, one_middle, two_middle = sums(g, stiff, middle)
         mean = rate / scalar(6.0) + rate_middle / scalar(3.0)

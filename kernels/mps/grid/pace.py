@@ -35,7 +35,7 @@ LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
 """Limits of the ratio between successive time steps.
 
 LONGER is the maximum ratio of the wanted step to the previous wanted step. SHORTER is the minimum ratio of the wanted
-step to the completed step where only the error limits it. The Courant number may shorten the step further.
+step to the completed step as far as the error limits the step. The Courant number may shorten the step further.
 """
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
@@ -170,7 +170,7 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
         """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
         dt = clock[DT]
-        # Limit the growth relative to the length that was wanted for the previous step. The actual length of the
+        # Limit the growth of the time step relative to the step that was wanted before. The actual length of the
         # previous step may be shorter, because a step is cut short to end at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest

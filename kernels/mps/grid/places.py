@@ -149,7 +149,7 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def open_area(g: Grid, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
-        """Return the area of a face through which concrete can flow."""
+        """Return the part of a face's area through which concrete can flow."""
         if wp.static(of.cut):
             return places.face_area(g, c, axis) * geometry.part[at(g, c) + axis * g.slots]
         return places.face_area(g, c, axis)
