@@ -121,14 +121,15 @@ def array_structs(scalar) -> SimpleNamespace:
         shape: wp.array(dtype=wp.int32)  # index of each body's shape in the state's table of clump templates
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
-        mass: wp.array(dtype=scalar)  # body mass [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
-        position: wp.array(dtype=t.vec3)  # position of the centroid [m]
-        rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
-        velocity: wp.array(dtype=t.vec3)  # velocity of the centroid in the middle of the last step [m/s]
-        spin: wp.array(dtype=t.vec3)  # angular velocity in space axes, in the middle of the last step [rad/s]
-        orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
-        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
+        mass: wp.array(dtype=scalar)  # mass of each body [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
+        position: wp.array(dtype=t.vec3)  # position of each body's centroid [m]
+        rounding: wp.array(dtype=t.vec3)  # rounding error of each body's position, for compensated summation [m]
+        velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid in the middle of the last step [m/s]
+        # angular velocity of each body in space axes, in the middle of the last step [rad/s]
+        spin: wp.array(dtype=t.vec3)
+        orientation: wp.array(dtype=t.quat)  # rotation of each body from its body axes to space axes
+        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
         # Index of each body's first sphere. The indices of each scene end with the scene's total number of spheres.
         # Shape (bodies + scenes,).
         first: wp.array(dtype=wp.int32)
@@ -139,16 +140,18 @@ def array_structs(scalar) -> SimpleNamespace:
         scene: wp.array(dtype=wp.int32)  # index of each sphere's scene in the batch
         body: wp.array(dtype=wp.int32)  # index of each sphere's body in the scene
         material: wp.array(dtype=wp.int32)  # index of each sphere's material in the model
-        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, and radius, both for a scale factor of 1 [m]
-        position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
-        velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
-        spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
+        # centre of each sphere in the body's frame, and its radius, both for a scale factor of 1 [m]
+        offset: wp.array(dtype=t.vec4)
+        position: wp.array(dtype=t.vec4)  # centre of each sphere in space, and its radius [m]
+        velocity: wp.array(dtype=t.vec4)  # velocity of each sphere's centre [m/s], and mass of its body [kg]
+        # angular velocity of each sphere's body [rad/s], padded to four numbers for fast access
+        spin: wp.array(dtype=t.vec4)
         built: wp.array(dtype=t.vec4)  # position and radius of each sphere when the neighbour lists were built [m]
         # Centre of each sphere when its distance from fixed planes and pipes was last measured, and the distance from
         # the nearest of them, reduced by a margin for rounding errors [m].
         clear: wp.array(dtype=t.vec4)
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
-        moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
+        moment: wp.array(dtype=t.vec3)  # contact moment about each sphere's centre [N m]
         # Bit mask that marks neighbours of each sphere in contact in the last step. Bit k belongs to entry k of the
         # sphere's neighbour list; the mask covers the first BLOCK entries.
         touching: wp.array(dtype=wp.int32)
@@ -325,19 +328,19 @@ def subcycled_struct(scalar):
         # For each row of `force`, the pair and the sphere to which it belongs: 2 p for the sphere of pair p with the
         # lower permanent number, 2 p + 1 for the other one. Shape (2 pairs,).
         ref: wp.array(dtype=wp.int32)
-        mass: wp.array(dtype=scalar)  # body mass [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
+        mass: wp.array(dtype=scalar)  # mass of each body [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
         # Position of each body's centroid in the middle of a time step [m]. The velocities in this struct belong to the
         # same time.
         position: wp.array(dtype=t.vec3)
-        rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
-        orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
-        velocity: wp.array(dtype=t.vec3)  # velocity of the centroid [m/s]
-        spin: wp.array(dtype=t.vec3)  # angular velocity in space axes [rad/s]
-        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
+        rounding: wp.array(dtype=t.vec3)  # rounding error of each body's position, for compensated summation [m]
+        orientation: wp.array(dtype=t.quat)  # rotation of each body from its body axes to space axes
+        velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid [m/s]
+        spin: wp.array(dtype=t.vec3)  # angular velocity of each body in space axes [rad/s]
+        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
         # all forces on each body other than those of stiff pairs, gravity included [N]
         other_force: wp.array(dtype=t.vec3)
-        other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about the centroid [N m]
+        other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about each body's centroid [N m]
         # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)
         force: wp.array(dtype=t.vec3)
         # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)

@@ -78,7 +78,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Particles:
         position: wp.array(dtype=t.vec)  # Particle position relative to the piston's centre [m], shape (n,).
-        rounding: wp.array(dtype=t.vec)  # Rounding error of the position, corrected in the next step [m], shape (n,).
+        # Rounding error of each particle's position, corrected in the next step [m], shape (n,).
+        rounding: wp.array(dtype=t.vec)
         velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the pipe [m/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
         density: wp.array(dtype=scalar)  # Density of each particle in two-phase flows [kg/m3], shape (n,); else empty.
@@ -120,8 +121,10 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
         # Potential whose negative gradient moves particles out of crowded regions [m2], shape (n,).
         potential: wp.array(dtype=scalar)
-        extra_displacement: wp.array(dtype=t.vec)  # Displacement in this step not caused by velocity [m], shape (n,).
-        position_at_build: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
+        # Displacement of each particle in this step that its velocity does not cause [m], shape (n,).
+        extra_displacement: wp.array(dtype=t.vec)
+        # Position of each particle when the neighbour lists were built [m], shape (n,).
+        position_at_build: wp.array(dtype=t.vec)
         # Two flags, shape (2,): index 0 is 1 if the neighbour lists are stale, index 1 is 1 if a particle is lost.
         event_flags: wp.array(dtype=wp.int32)
 

@@ -103,7 +103,10 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return the vector `d` between two points, in a periodic pipe to the nearest copy of the second point."""
+        """Return the vector `d` from one point to another.
+
+        In a periodic pipe, return the vector to the nearest copy of the other point.
+        """
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)

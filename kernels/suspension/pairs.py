@@ -44,8 +44,9 @@ def pair_struct(scalar):
         count: wp.array(dtype=wp.int32)  # Number of neighbours of each aggregate, shape (n,).
         # The following arrays have one entry for each neighbour, shape (n * CAPACITY,).
         other: wp.array(dtype=wp.int32)  # Index of the neighbour, or WALL.
-        normal: wp.array(dtype=vec3)  # Unit vector towards the neighbour.
-        gap: wp.array(dtype=scalar)  # Gap at the start of the step, negative for an overlap [m].
+        normal: wp.array(dtype=vec3)  # Unit vector from the aggregate towards the neighbour.
+        # Gap between aggregate and neighbour at the start of the step, negative for an overlap [m].
+        gap: wp.array(dtype=scalar)
         rough: wp.array(dtype=scalar)  # Gap below which two neighbours count as touching [m].
         still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is an aggregate.
         # Lubrication force per speed of approach, in addition to the force that the grid resolves [N s/m].

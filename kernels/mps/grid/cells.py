@@ -98,7 +98,7 @@ class GridKind(NamedTuple):
 
     @property
     def pairs(self) -> int:
-        """Return the number of pairs of axes."""
+        """Return the number of pairs of axes: 1 in two dimensions, 3 in three."""
         return 1 if self.dimensions == 2 else 3
 
     @property
@@ -201,8 +201,10 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
         # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * slots,).
         strain_without_pair: wp.array(dtype=scalar)
-        gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
-        layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
+        # Yield stress gained at rest in each cell [Pa], shape (slots,); empty without thixotropy.
+        gained: wp.array(dtype=scalar)
+        # Yield stress that the slip layer gained at rest [Pa], one per face; empty without thixotropy.
+        layer: wp.array(dtype=scalar)
         # Driving force of a periodic pipe and related values, at the indices FORCE to VELOCITY_CORRECTION, shape
         # (DRIVE,).
         drive: wp.array(dtype=wp.float64)

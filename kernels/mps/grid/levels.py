@@ -40,8 +40,8 @@ def system_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Matrix:
-        near_capacity: wp.int32  # Maximum number of entries in a row without the diagonal.
-        rows: wp.int32  # Number of rows of all levels, n.
+        near_capacity: wp.int32  # Maximum number of off-diagonal entries in a row.
+        rows: wp.int32  # Number n of rows in all levels together.
         levels: wp.int32  # Number of levels, at least 1.
         # Maximum number of matrix rows that are merged into one row of the next coarser level of the multigrid.
         children: wp.int32
@@ -56,7 +56,8 @@ def system_structs(scalar) -> SimpleNamespace:
         # Rows of the finer level that form each row of a coarser level, with n rows in all levels and m in the finest
         # one. Unused entries are -1. The shape is ((n - m) * children,).
         child: wp.array(dtype=wp.int32)
-        first: wp.array(dtype=wp.int32)  # Index of each level's first row, followed by n, shape (levels + 1,).
+        # Index of each level's first row, followed by the number of all rows, shape (levels + 1,).
+        first: wp.array(dtype=wp.int32)
         before: wp.array(dtype=wp.int32)  # Number of rows without an unknown before each row, shape (n,); GPU only.
         used: wp.array(dtype=wp.int32)  # Rows with an unknown, in increasing order, shape (n,).
         # Index in `used` of each level's first entry, followed by the number of entries, shape (levels + 1,).

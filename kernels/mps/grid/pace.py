@@ -123,9 +123,9 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def speeds_of_sums(
         blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Combine the block results of `sums` into the rms speed and the largest number of cells crossed per second.
+        """Combine the block results of `sums` into the concrete's rms speed and its largest crossing rate.
 
-        The kernel runs in one block.
+        The crossing rate is the number of cells that the concrete crosses per second. The kernel runs in one block.
         """
         thread = wp.tid()
         square = total(thread, partial, 0, blocks)

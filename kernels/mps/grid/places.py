@@ -90,14 +90,20 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def side_weight(g: Grid, c: whole) -> scalar:
-        """Return the distance of a cell's inner side from the axis of symmetry [m], or 1 without such an axis."""
+        """Return the distance of a cell's inner side from the axis of symmetry [m], or 1 without such an axis.
+
+        Multiplied by this weight, the length of the side becomes its area per radian.
+        """
         if wp.static(of.axial):
             return scalar(c[0]) * g.width[0]
         return scalar(1.0)
 
     @wp.func
     def cell_weight(g: Grid, c: whole) -> scalar:
-        """Return the distance of a cell's centre from the axis of symmetry [m], or 1 without such an axis."""
+        """Return the distance of a cell's centre from the axis of symmetry [m], or 1 without such an axis.
+
+        Multiplied by this weight, the cell's area becomes its volume per radian.
+        """
         if wp.static(of.axial):
             return (scalar(c[0]) + scalar(0.5)) * g.width[0]
         return scalar(1.0)
