@@ -14,7 +14,7 @@ GATE = 3
 """Length of a barrier's integer array. The three elements are the number of threads that have arrived, the number of
 times that all threads have passed the barrier, and the number of sleeping threads."""
 SPINS = 2000
-"""Number of times a waiting thread checks the barrier before it sleeps; the checks take about 30 microseconds."""
+"""Number of times a waiting thread checks the barrier before it sleeps; all these checks take about 30 microseconds."""
 
 MEET = """
     int* here = &gate.data[0];
@@ -22,7 +22,7 @@ MEET = """
     int* asleep = &gate.data[2];
 #if defined(__linux__) && (defined(__x86_64__) || defined(__aarch64__))
 #define WARPCRETE_FUTEX
-    // By its symbol: functions declared here would count as members of Warp's namespace.
+    // Name the symbol explicitly, because a function declared here would become a member of Warp's namespace.
     extern long warpcrete_syscall(long, ...) __asm__("syscall");
 #if defined(__x86_64__)
     const long number = 202;
@@ -39,7 +39,7 @@ MEET = """
         __atomic_store_n(rounds, round + 1, __ATOMIC_SEQ_CST);
 #if defined(WARPCRETE_FUTEX)
         if (__atomic_load_n(asleep, __ATOMIC_SEQ_CST) > 0)
-            futex(rounds, 129, 0x7fffffff);  // FUTEX_WAKE_PRIVATE, all of them
+            futex(rounds, 129, 0x7fffffff);  // FUTEX_WAKE_PRIVATE: wake all sleeping threads.
 #endif
     } else {
         int spins = 0;
@@ -49,10 +49,10 @@ MEET = """
 #endif
 #if defined(WARPCRETE_FUTEX)
             if (++spins >= SPINS) {
-                // Who opens the gate either sees this thread asleep, or this thread sees the round gone on.
+                // The last thread to arrive sees that this thread is about to sleep, or this thread sees the new round.
                 __atomic_add_fetch(asleep, 1, __ATOMIC_SEQ_CST);
                 while (__atomic_load_n(rounds, __ATOMIC_SEQ_CST) == round)
-                    futex(rounds, 128, round);  // FUTEX_WAIT_PRIVATE
+                    futex(rounds, 128, round);  // FUTEX_WAIT_PRIVATE: sleep unless the round has changed.
                 __atomic_sub_fetch(asleep, 1, __ATOMIC_SEQ_CST);
             }
 #endif

@@ -2,18 +2,23 @@
 
 import warp as wp
 
-HALTED: int = wp.constant(0)  # Nonzero if the scene is halted, so that all kernels of a step skip it.
-STALE: int = wp.constant(1)  # Nonzero if the neighbour lists no longer cover every pair of bodies that may interact.
-# Nonzero if the scene's state is no longer valid; each method defines its own error codes.
+# HALTED is the index of the flag that is nonzero if the scene is halted, so that all kernels of a step skip the scene.
+HALTED: int = wp.constant(0)
+# STALE is the index of the flag that is nonzero if the neighbour lists may lack a pair of bodies that may interact.
+STALE: int = wp.constant(1)
+# FAILED is the index of the flag that is nonzero if the scene's state is no longer valid. Each method defines its own
+# error codes.
 FAILED: int = wp.constant(2)
-STEPS: int = wp.constant(3)  # Number of completed steps.
-GOAL: int = wp.constant(4)  # Step count at which the scene halts.
-OVERFLOW: int = wp.constant(5)  # Nonzero if a list of fixed size was too short.
-# Nonzero if the neighbour lists became stale during the present step; the end of the step then sets STALE.
+STEPS: int = wp.constant(3)  # Index of the number of completed steps.
+GOAL: int = wp.constant(4)  # Index of the step count at which the scene halts.
+OVERFLOW: int = wp.constant(5)  # Index of the flag that is nonzero if a list of fixed size was too short.
+# LATE is the index of the flag that is nonzero if the neighbour lists became stale during the present step. The end of
+# the step then sets STALE.
 LATE: int = wp.constant(6)
-ESTIMATED: int = wp.constant(7)  # Step count at which the stable time step was last estimated.
+ESTIMATED: int = wp.constant(7)  # Index of the step count at which the stable time step was last estimated.
 FLAGS = 8
 
 # The next constants are the values of the flag HALTED in discrete-element scenes. They state why the scene is halted.
-WAITS: int = wp.constant(1)  # The scene waits for new neighbour lists, or it has failed and cannot continue.
-ARRIVED: int = wp.constant(2)  # The scene has reached its goal, or its stable time step must be estimated again.
+# Value of HALTED if the scene waits for neighbour lists, or has failed and cannot continue.
+WAITS: int = wp.constant(1)
+ARRIVED: int = wp.constant(2)  # Value of HALTED at the goal, or if the stable time step must be estimated again.

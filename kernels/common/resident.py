@@ -10,7 +10,7 @@ GATHER = """
 #if defined(__CUDA_ARCH__)
     if (parties > 1) {
         if (threadIdx.x == 0) {
-            // The highest bit turns when all are here, and those below are 0 again.
+            // When all blocks have arrived, the highest bit flips and all lower bits are 0 again.
             unsigned* here = reinterpret_cast<unsigned*>(gate.data);
             __threadfence();
             const unsigned before = atomicAdd(here, blockIdx.x == 0 ? 0x80000000u - (parties - 1) : 1u);

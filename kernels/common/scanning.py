@@ -8,7 +8,7 @@ import warp as wp
 from .reductions import BLOCK, block_sums
 
 VALUES_PER_THREAD = 8
-"""Number of consecutive values that one GPU thread adds up."""
+"""Number of consecutive values that one GPU thread adds up to form prefix sums."""
 
 
 @functools.cache

@@ -73,17 +73,17 @@ def lowest_bit(bits: wp.int32) -> wp.int32:
 
 LENGTHENED = """
     using T = decltype(square);
-    // 1 / sqrt(1 - shrink), to the last digit of double precision.
+    // Taylor series of 1 / sqrt(1 - shrink); where it is used, it is exact to the last digit of double precision.
     const T nearly = T(1) + shrink * (T(0.5) + shrink * (T(0.375) + shrink * T(0.3125)));
     const bool near = wp::abs(shrink) < T(1.0e-5);
 #if defined(__CUDA_ARCH__)
-    // With branches that return bonded contacts take a sixth fewer registers.
+    // On a GPU, branches that return save a sixth of the registers of bonded contacts.
     if (near) return u * nearly;
     const T after = wp::dot(u, u);
     if (after > T(0)) return u * wp::sqrt(square / after);
     return u;
 #else
-    // Without, loops over contacts become vector instructions.
+    // On a CPU, the compiler turns loops over contacts into vector instructions only if there are no branches.
     const T after = wp::dot(u, u);
     const T exactly = after > T(0) ? wp::sqrt(square / after) : T(1);
     return u * (near ? nearly : exactly);

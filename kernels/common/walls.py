@@ -43,7 +43,7 @@ def wall_struct(scalar):
         normal: t.vec3  # Unit normal of a plane, which points into the concrete, in the wall's frame.
         radius: scalar  # Inner radius of a pipe [m].
         first: wp.int32  # Index of the first axis segment of a pipe.
-        last: wp.int32  # Index after the last axis segment of a pipe.
+        last: wp.int32  # Index of the last axis segment of a pipe, plus 1.
         mesh: wp.uint64  # Identifier of a mesh wall's wp.Mesh, whose corners are in the wall's frame.
         first_face: wp.int32  # Index of a mesh wall's first face in the arrays of all faces.
         motion: wp.int32

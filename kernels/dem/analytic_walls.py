@@ -43,7 +43,8 @@ WARP_TOTAL = """
         for (int away = 16; away >= lanes; away /= 2) value += __shfl_xor_sync(0xffffffffu, value, away);
         return value;
     }
-    // In three parts, of which 32 add up to less than 32 bits: one instruction adds up each.
+    // Split the value into three parts, such that the sum of 32 parts fits into 32 bits. One instruction then adds up
+    // each part over the warp.
     const unsigned low = value & 0x3fffff, middle = (value >> 22) & 0x3fffff;
     const int high = (int)(value >> 44);
     return ((long long)(__reduce_add_sync(0xffffffffu, high)) * (1LL << 44)

@@ -14,7 +14,8 @@ from .contact_law import contact_functions
 UNBONDED: int = wp.constant(0)
 BROKEN_IN_TENSION: int = wp.constant(-1)
 BROKEN_IN_SHEAR: int = wp.constant(-2)
-HYDRATED: int = wp.constant(2)  # Kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond.
+# HYDRATED is the number of the bond kind of hydrated contacts, whose bonds are stiff. Ordinary bonds have kind 1.
+HYDRATED: int = wp.constant(2)
 
 # The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above hold an index in `pairs.load`, where the
 # bond's force and moment are stored. Few pairs of a neighbour list are bonded, so `pairs.load` has room for bonded
@@ -56,7 +57,7 @@ def bond_functions(scalar):
     @wp.struct
     class Bond:
         effective_modulus: scalar  # bond modulus E, with normal stiffness E area / length [Pa]
-        shear_to_normal: scalar  # ratio of shear stiffness to normal stiffness
+        shear_to_normal: scalar  # shear stiffness of the bond divided by its normal stiffness
         tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
         cohesion: scalar  # shear strength at zero normal stress [Pa]
         # tangent of the friction angle: increase of the shear strength divided by the increase of the compressive

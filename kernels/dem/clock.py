@@ -8,7 +8,7 @@ from ..common.control import ARRIVED, ESTIMATED, FAILED, GOAL, HALTED, LATE, OVE
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
 
 CLOSE = 1.0e-6
-"""Largest time left before the end time, as a fraction of a step, at which a scene counts as arrived. This absorbs
+"""A scene counts as arrived at its end time if the time left is less than this fraction of a time step. This absorbs
 rounding errors."""
 
 

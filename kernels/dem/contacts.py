@@ -75,7 +75,7 @@ def contact_kernel(
     ):
         columns = wp.zeros(shape=(numbers,), dtype=scalar)
         ints = wp.zeros(shape=(integers,), dtype=wp.int32)
-        count = wp.int32(0)  # Number of lanes that hold a contact.
+        count = wp.int32(0)  # Number of vector lanes that hold a contact.
         used_row = wp.int32(0)
         used_dt = scalar(0.0)
         i = first + wp.tid() * SPAN - 1

@@ -18,14 +18,14 @@ FARTHEST = 1.0e9
 
 @functools.cache
 def grid_struct(scalar):
-    """Return the struct `Grid`."""
+    """Return the struct `Grid`, a uniform grid of cells in which the neighbours of points are searched."""
 
     @wp.struct
     class Grid:
         dims: wp.vec3i  # number of cells of the grid along each axis
         per_width: wp.array(dtype=scalar)  # inverse width of a cell [1/m], shape (1,)
         held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
-        # index in `point` of each cell's first point, followed by the number of points, shape (cells + 1,)
+        # index in `point` of each cell's first point, followed by the total number of points, shape (cells + 1,)
         start: wp.array(dtype=wp.int32)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
         # number of each point among the points of its cell, from 0, in the arbitrary order of counting, shape (points,)
@@ -49,15 +49,15 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Region:
-        lowest: wp.vec3i  # index of the lowest cell of the region along each axis
-        count: wp.vec3i  # number of cells of the region along each axis
+        lowest: wp.vec3i  # index along each axis of the lowest cell in the searched region
+        count: wp.vec3i  # number of cells in the searched region along each axis
         runs: wp.int32
 
     @wp.func
     def along(v: scalar) -> wp.int32:
         """Return the index along one axis of the cell that contains the coordinate `v`, in units of cell widths."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # NaN fails this comparison, so it is mapped to the farthest cell
+        place = wp.where(v > -far, v, -far)  # NaN fails this comparison and becomes -far
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func

@@ -109,7 +109,8 @@ def transfer_kernel(
                         if old >= 0:
                             bond = old_pairs.bond[old]
                         if wp.static(healing):
-                            load = t.vec8()  # An unbonded pair must start with zero force and moment if it bonds again.
+                            # The bond of an unbonded pair must start with zero force and moment if it forms later.
+                            load = t.vec8()
                             if bond > 0:
                                 load = old_pairs.load[old]
                                 bond = bond_with(kind_of(bond), k - row)

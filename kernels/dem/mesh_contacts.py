@@ -36,7 +36,7 @@ from .wear import wear_functions
 MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # A contact point counts as hidden by a nearer contact if it lies behind the plane through the nearer contact point, or
-# at most this far in front of the plane [sphere radii].
+# in front of this plane by at most this fraction of the sphere's radius.
 BEHIND = 2.0e-2
 ROUNDING = 0.99
 """Fraction of the margin by which sphere and meshes may approach before near candidates are chosen again.
@@ -183,8 +183,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
 def contact_function(scalar, law):
     """Return the function `mesh_contact`, which evaluates the contact of a sphere with a mesh.
 
-    The result is force and moment on the sphere, moment about the wall's position, the new histories of shear and
-    rolling, and the energy lost.
+    The result is the force and moment on the sphere, the moment on the wall about the wall's position, the new
+    histories of shear and rolling, and the energy lost.
     """
     t = types(scalar)
     functions, rolls = law.functions(scalar), law.rolls
@@ -356,8 +356,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
-                # A contact inherits the history of the old contact with the same wall whose normal is most nearly
-                # parallel.
+                # A contact inherits the history of an old contact with the same wall: the one with the most nearly
+                # parallel normal.
                 history, rolling = t.vec3(), t.vec3()
                 best = scalar(wp.static(MERGE_COSINE))
                 for o in range(MESH_SLOTS):

@@ -19,7 +19,10 @@ from .structs import array_structs
 
 @functools.cache
 def surface_functions(scalar) -> SimpleNamespace:
-    """Return functions for a face: its closest point, the test for a local minimum of the distance, and the normal."""
+    """Return functions for a face of a triangle mesh.
+
+    They compute the face's closest point, test for a local minimum of the distance, and return the normal.
+    """
     t = types(scalar)
     Wall = wall_struct(scalar)
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
@@ -75,22 +78,24 @@ def surface_functions(scalar) -> SimpleNamespace:
             if beyond <= SHARED:
                 row = SHARED - beyond
                 if ring[ring_start[row]] != face - wall.first_face:
-                    # Avoid a duplicate: of several faces at this edge, only the face with the lowest index reports the
-                    # edge.
+                    # Do not report the minimum twice: of several faces at this edge, only the face with the lowest
+                    # index reports it.
                     return False
                 for k in range(ring_start[row] + 1, ring_start[row + 1]):
                     if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
                         return False
                 return True
             if across[face, edge + 3] < face:
-                # Avoid a duplicate: the neighbouring face has a lower index than this face, so it reports this edge.
+                # Do not report the minimum twice: the neighbouring face has a lower index than this face, so it reports
+                # this edge.
                 return False
             return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
         if lowest != face - wall.first_face:
-            # Avoid a duplicate: only the face with the lowest index of all faces at a corner reports the corner.
+            # Do not report the minimum twice: of all faces at this corner, only the face with the lowest index reports
+            # it.
             return False
         for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
             if falls_towards(corners[ring[k]] - a, offset):

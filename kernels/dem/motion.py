@@ -148,7 +148,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def exceeds_skin(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
-        """Return True if a sphere has moved so far that a list with this skin may miss one of its contacts.
+        """Return True if a sphere has moved so far that a list with the given skin may miss one of its contacts.
 
         A sphere may move by half the skin, minus the growth of its radius. Its motion is measured relative to the
         common drift of the spheres since the list was built.

@@ -95,8 +95,8 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # Also put a pair into the list if it touched in the last step or is bonded, even if its spheres are far
-            # apart now. The next step must evaluate such a pair to notice that its contact has ended.
+            # Also put a pair into the list of near links if it touched in the last step or is bonded, even if its
+            # spheres are far apart now. The next step must evaluate such a pair to notice that its contact has ended.
             near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:

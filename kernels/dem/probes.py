@@ -19,21 +19,24 @@ from .structs import DT_PREVIOUS, array_structs
 
 # The next constants are the indices of columns in a table with a row for each sphere. Each column holds a value that is
 # summed over the sphere's contacts.
-CONTACTS: int = wp.constant(0)  # number of pairs in contact
-OVERLAP_SUM: int = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
-# OVERLAP_MAX is the largest overlap divided by the smaller radius.
+CONTACTS: int = wp.constant(0)  # column with the number of pairs in contact
+OVERLAP_SUM: int = wp.constant(1)  # column with the sum over pairs of the overlap divided by the smaller radius
+# OVERLAP_MAX is the column with the largest overlap divided by the smaller radius.
 OVERLAP_MAX: int = wp.constant(2)
-ELASTIC_ENERGY: int = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
-BOND_ENERGY: int = wp.constant(4)  # elastic energy of bonds [J]
-BONDED: int = wp.constant(5)  # number of bonded pairs
-VIRIAL: int = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
-BONDED_HYDRATED: int = wp.constant(7)  # number of pairs bonded by stiff bonds (hydrated contacts)
-# DEPTH_MAX is the largest ratio of an overlap to its permitted overlap. Between two spheres, the permitted overlap is
-# reached when the larger sphere contains the smaller one, or when the distance of the centres is half that at first
-# touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
+# ELASTIC_ENERGY is the column with the energy of contact springs, also at walls, at the middle of the last step [J].
+ELASTIC_ENERGY: int = wp.constant(3)
+BOND_ENERGY: int = wp.constant(4)  # column with the elastic energy of bonds [J]
+BONDED: int = wp.constant(5)  # column with the number of bonded pairs
+# VIRIAL is the column with the sum over pairs of the normal spring force times the distance of the centroids along the
+# normal [N m].
+VIRIAL: int = wp.constant(6)
+BONDED_HYDRATED: int = wp.constant(7)  # column with the number of pairs joined by stiff bonds (hydrated contacts)
+# DEPTH_MAX is the column with the largest ratio of an overlap to its permitted overlap. Between two spheres, the
+# permitted overlap is reached when the larger sphere contains the smaller one, or when the distance of the centres is
+# half that at first touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
 DEPTH_MAX: int = wp.constant(8)
-BROKEN_TENSION: int = wp.constant(9)  # number of bonds broken in tension since the start
-BROKEN_SHEAR: int = wp.constant(10)  # number of bonds broken in shear since the start
+BROKEN_TENSION: int = wp.constant(9)  # column with the number of bonds broken in tension since the start
+BROKEN_SHEAR: int = wp.constant(10)  # column with the number of bonds broken in shear since the start
 CONTACT_COLUMNS: int = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
 # Columns that are reduced to their largest value instead of their sum.
@@ -41,14 +44,15 @@ CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))
 
 # The next constants are the indices of columns in a table with a row for each body. The columns are summed over the
 # bodies.
-KINETIC: int = wp.constant(0)  # kinetic energy at the middle of the last step [J]
-# potential energy of gravity, relative to the origin, at the middle of the last step [J]
+KINETIC: int = wp.constant(0)  # column with the kinetic energy at the middle of the last step [J]
+# POTENTIAL is the column with the potential energy of gravity, relative to the origin, at the middle of the last step
+# [J].
 POTENTIAL: int = wp.constant(1)
 MOMENTUM: int = wp.constant(2)  # columns 2 to 4: momentum at the middle of the last step [kg m/s]
-LIFT: int = wp.constant(5)  # columns 5 to 7: sum of mass times position [kg m]
+LIFT: int = wp.constant(5)  # columns 5 to 7: mass times position, from which the centroid of all bodies follows [kg m]
 DRIVEN: int = wp.constant(8)  # columns 8 to 10: sum of the forces that drive bodies along the axis [N]
-DRIVE_POWER: int = wp.constant(11)  # power of the forces that drive bodies along the axis [W]
-REACH: int = wp.constant(12)  # largest absolute coordinate of any body [m]
+DRIVE_POWER: int = wp.constant(11)  # column with the power of the forces that drive bodies along the axis [W]
+REACH: int = wp.constant(12)  # column with the largest absolute coordinate of any body [m]
 BODY_COLUMNS: int = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
 
@@ -56,8 +60,8 @@ BODY_MAXIMA = (int(REACH),)
 IMPULSE: int = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
 FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m] of the contacts on the wall
 TURN: int = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
-TRAVEL: int = wp.constant(16)  # displacement of the wall along its path [m]
-WORK: int = wp.constant(17)  # work done by the wall on the concrete [J]
+TRAVEL: int = wp.constant(16)  # column with the displacement of the wall along its path [m]
+WORK: int = wp.constant(17)  # column with the work done by the wall on the concrete [J]
 WALL_COLUMNS = 18
 
 # Number of partial sums of each column. It is fixed, so that the order of summation depends only on the number of rows.
@@ -290,7 +294,7 @@ def load_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
-    """Return the kernel that sums over the contacts of each sphere of scene `s`.
+    """Return the kernel that sums energies, overlaps and more over the contacts of each sphere of scene `s`.
 
     The result has one row per sphere, ordered by permanent number. The kernel also writes the normal force of each
     pair.

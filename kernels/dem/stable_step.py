@@ -36,7 +36,7 @@ from .subcycling import RELAXATION, SUBCYCLED_STEP_FRACTION
 DEFAULT_SAFETY = 0.8
 """Default safety factor: the time step as a fraction of the stable step."""
 LEAP = 0.4
-"""Largest motion of a sphere in an automatic step, as a fraction of its radius.
+"""Largest motion of a sphere in an automatic time step, as a fraction of the sphere's radius.
 
 The gap between two spheres that approach each other may shrink by twice that distance in a step.
 """
@@ -95,8 +95,8 @@ def recording_functions(scalar):
 
     - `record_speed` updates the largest speed in a thread's part.
     - `add_wall_stiffness` adds the stiffness and damping of a contact to the sums of a wall.
-    - `fastest` returns the largest speed in a scene over all parts.
-    - `least` returns the smallest value in a scene over all parts of another array.
+    - `fastest` returns the largest speed in a scene over the parts of all threads.
+    - `least` returns the smallest value of a scene in a given array over the parts of all threads.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
@@ -381,7 +381,7 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
                 load = wp.float64(1.0e-3) * wp.float64(spring)
                 stiffness = wp.max(load, scenes.row[s].wall_stiffness)
                 mass = walls.table[w].mass
-                # Dashpots are sized for the masses of the aggregate, so they may be far above critical damping for the
+                # Dashpots are sized for the masses of aggregates, so they may be far above critical damping for the
                 # mass of the wall. The stable step of the wall therefore accounts for damping.
                 ratio = wp.float64(0.5e-3) * wp.float64(dashpot) / wp.sqrt(mass * stiffness)
                 own = wp.sqrt(mass / stiffness) * (wp.sqrt(one + ratio * ratio) - ratio)

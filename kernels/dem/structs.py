@@ -18,23 +18,27 @@ from ..common.types import types
 from ..common.walls import wall_struct
 
 # Columns of the double-precision array `clock`, which has one row per scene.
-TIME: int = wp.constant(0)  # simulated time [s]
-DT: int = wp.constant(1)  # the coming time step [s]
-# previous time step [s]; 0 at the start, so that the first velocity kick has half the length
+TIME: int = wp.constant(0)  # column with the simulated time [s]
+DT: int = wp.constant(1)  # column with the coming time step [s]
+# DT_PREVIOUS is the column with the previous time step [s]. It is 0 at the start, so that the first velocity kick has
+# half the length.
 DT_PREVIOUS: int = wp.constant(2)
-SINCE_BUILD: int = wp.constant(3)  # time since the neighbour lists were built [s]
-FORCE_SCALE: int = wp.constant(4)  # integer units per newton in the fixed-point sums of wall forces [1/N]
-STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
+SINCE_BUILD: int = wp.constant(3)  # column with the time since the neighbour lists were built [s]
+# FORCE_SCALE is the column with the number of integer units per newton in the fixed-point sums of wall forces [1/N].
+FORCE_SCALE: int = wp.constant(4)
+STABLE: int = wp.constant(5)  # column with the latest estimate of the stable step, without safety factor [s]
 # Number of columns of the array `clock`, whose rows belong to scenes.
 CLOCK = 8
 
 # The next constants are values of `links.state`. A link is a listed pair of spheres whose contact a GPU evaluates.
-APART: int = wp.constant(0)  # the spheres do not touch
-# TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
-# from the old list.
+APART: int = wp.constant(0)  # the link's spheres do not touch
+# TOUCHING: The spheres of the link touch or are bonded. In a list that was just rebuilt, the link may instead have
+# contact history from the old list.
 TOUCHING: int = wp.constant(1)
-PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
-# The spheres have a stiff bond, whose forces are computed in several rounds per step (sub-cycling).
+# PARTED: The contact of the link's spheres has just ended. The energy left in its springs counts as lost in the next
+# step.
+PARTED: int = wp.constant(2)
+# STIFF: The spheres of the link have a stiff bond, whose forces are computed in several rounds per step (sub-cycling).
 STIFF: int = wp.constant(3)
 
 
@@ -49,15 +53,17 @@ def scene_struct(scalar):
     @wp.struct
     class SceneRow:
         gravity: t.vec3  # acceleration of gravity [m/s2]
-        local_damping: scalar  # coefficient of local damping; 0: off
+        # coefficient of local damping (each force is changed by this fraction, against the motion); 0: off
+        local_damping: scalar
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         mesh_speed: scalar  # largest speed of the mesh walls whose motion is prescribed [m/s]
-        skin: scalar  # margin of the pair lists beyond contact [m]
-        mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        # distance that spheres may move before a rebuild; meshes may move by the rest of the mesh skin [m]
+        skin: scalar  # margin of the neighbour lists: pairs of spheres with a smaller gap are listed [m]
+        mesh_skin: scalar  # margin of the candidate lists: triangles with a smaller gap to a sphere are listed [m]
+        # Distance that spheres may move before the candidate lists of triangles are rebuilt. Meshes may move by the
+        # rest of the mesh skin [m].
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
-        growth_end: scalar  # size scale factor at which the growth stops
+        growth_end: scalar  # size scale factor at which the growth during packing stops
         safety: wp.float64  # safety factor of the automatic time step
         largest_step: wp.float64  # upper limit of the automatic time step [s]
         fixed_step: wp.float64  # fixed time step [s]; 0: automatic
@@ -111,18 +117,19 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
-        scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
+        scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch
         shape: wp.array(dtype=wp.int32)  # index of each body's shape in the state's table of clump templates
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
-        mass: wp.array(dtype=scalar)  # body mass [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
-        position: wp.array(dtype=t.vec3)  # position of the centroid [m]
-        rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
-        velocity: wp.array(dtype=t.vec3)  # velocity of the centroid in the middle of the last step [m/s]
-        spin: wp.array(dtype=t.vec3)  # angular velocity in space axes, in the middle of the last step [rad/s]
-        orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
-        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
+        mass: wp.array(dtype=scalar)  # mass of each body [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
+        position: wp.array(dtype=t.vec3)  # position of each body's centroid [m]
+        rounding: wp.array(dtype=t.vec3)  # rounding error of each body's position, for compensated summation [m]
+        velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid in the middle of the last step [m/s]
+        # angular velocity of each body in space axes, in the middle of the last step [rad/s]
+        spin: wp.array(dtype=t.vec3)
+        orientation: wp.array(dtype=t.quat)  # rotation of each body from its body axes to space axes
+        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
         # Index of each body's first sphere. The indices of each scene end with the scene's total number of spheres.
         # Shape (bodies + scenes,).
         first: wp.array(dtype=wp.int32)
@@ -130,23 +137,25 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Spheres:
         id: wp.array(dtype=wp.int32)  # permanent number of each sphere, shape (spheres,)
-        scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
-        body: wp.array(dtype=wp.int32)  # index of the body that the sphere belongs to
+        scene: wp.array(dtype=wp.int32)  # index of each sphere's scene in the batch
+        body: wp.array(dtype=wp.int32)  # index of each sphere's body in the scene
         material: wp.array(dtype=wp.int32)  # index of each sphere's material in the model
-        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, and radius, both for a scale factor of 1 [m]
-        position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
-        velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
-        spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
-        built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
+        # centre of each sphere in the body's frame, and its radius, both for a scale factor of 1 [m]
+        offset: wp.array(dtype=t.vec4)
+        position: wp.array(dtype=t.vec4)  # centre of each sphere in space, and its radius [m]
+        velocity: wp.array(dtype=t.vec4)  # velocity of each sphere's centre [m/s], and mass of its body [kg]
+        # angular velocity of each sphere's body [rad/s], padded to four numbers for fast access
+        spin: wp.array(dtype=t.vec4)
+        built: wp.array(dtype=t.vec4)  # position and radius of each sphere when the neighbour lists were built [m]
         # Centre of each sphere when its distance from fixed planes and pipes was last measured, and the distance from
-        # the nearest of them, reduced for rounding [m].
+        # the nearest of them, reduced by a margin for rounding errors [m].
         clear: wp.array(dtype=t.vec4)
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
-        moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
+        moment: wp.array(dtype=t.vec3)  # contact moment about each sphere's centre [N m]
         # Bit mask that marks neighbours of each sphere in contact in the last step. Bit k belongs to entry k of the
         # sphere's neighbour list; the mask covers the first BLOCK entries.
         touching: wp.array(dtype=wp.int32)
-        dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start [J]
+        dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start, recorded at each sphere [J]
         broken: wp.array(dtype=wp.vec2i)  # number of bonds broken since the start, in tension and in shear
 
     @wp.struct
@@ -156,15 +165,16 @@ def array_structs(scalar) -> SimpleNamespace:
         # Contact history of each slot, for spring laws the shear force [N], shape (spheres, slots). Slots for planes
         # and pipes come first, then those for meshes.
         history: wp.array2d(dtype=t.vec3)
-        rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], (spheres, slots)
-        normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
-        overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
-        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, (spheres, slots)
-        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls). Each entry has three values:
-        # the work of sliding [J], the energy loss of impacts [J], and the integral of the load over the sliding
-        # distance [N m].
+        rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (spheres, slots)
+        normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, shape (spheres, slots)
+        overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], shape (spheres, slots)
+        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, shape (spheres, slots)
+        # `worn` holds the wear of each wall by each sphere since the last sample, shape (spheres, walls). Each entry
+        # has three values: the work of sliding [J], the energy loss of impacts [J], and the integral of the load over
+        # the sliding distance [N m].
         worn: wp.array2d(dtype=wp.vec3d)
-        worn_at: wp.array2d(dtype=t.vec3)  # last point of contact with each wall, in its frame [m], (spheres, walls)
+        # last point of contact with each wall, in the wall's frame [m], shape (spheres, walls)
+        worn_at: wp.array2d(dtype=t.vec3)
 
     @wp.struct
     class Pairs:
@@ -191,7 +201,8 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
-        # near candidates of each sphere: triangles that may touch it soon; they begin at the same index as in `face`
+        # near candidates of each sphere: triangles that may touch it soon; a sphere's entries begin at the same index
+        # as in `face`
         near: wp.array(dtype=wp.int32)
         near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
         # First three numbers: centre of each sphere when its near candidates were chosen [m]. Fourth number: the near
@@ -203,14 +214,14 @@ def array_structs(scalar) -> SimpleNamespace:
     class Walls:
         scene: wp.array(dtype=wp.int32)  # index of each wall's scene in the batch, shape (walls,)
         table: wp.array(dtype=Wall)  # constant properties of each wall
-        rest_position: wp.array(dtype=wp.vec3d)  # position at the start [m]
-        position_exact: wp.array(dtype=wp.vec3d)  # position in double precision [m]
-        velocity_exact: wp.array(dtype=wp.vec3d)  # velocity in double precision [m/s]
+        rest_position: wp.array(dtype=wp.vec3d)  # position of the wall's frame at the start [m]
+        position_exact: wp.array(dtype=wp.vec3d)  # position of the wall's frame in double precision [m]
+        velocity_exact: wp.array(dtype=wp.vec3d)  # velocity of the wall in double precision [m/s]
         position: wp.array(dtype=t.vec3)  # position of the wall's frame [m]
         orientation: wp.array(dtype=t.quat)  # orientation of the wall's frame
         normal: wp.array(dtype=t.vec3)  # planes only: unit normal that points into the concrete
-        velocity: wp.array(dtype=t.vec3)  # mean velocity over the step [m/s]
-        spin: wp.array(dtype=t.vec3)  # mean angular velocity over the step [rad/s]
+        velocity: wp.array(dtype=t.vec3)  # mean velocity of the wall over the step [m/s]
+        spin: wp.array(dtype=t.vec3)  # mean angular velocity of the wall over the step [rad/s]
         force: wp.array(dtype=wp.vec3d)  # total contact force on the wall in the last step [N]
         moment: wp.array(dtype=wp.vec3d)  # total contact moment about the wall's position [N m]
         impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force on the wall since the start [N s]
@@ -278,15 +289,15 @@ def links_struct(scalar):
 def subcycled_struct(scalar):
     """Return the struct `Subcycled`: the pairs with stiff bonds, and the bodies that these pairs join.
 
-    They move in several sub-cycling rounds per step. The struct contains its own copy of everything that a round reads,
-    in contiguous rows, because a round on a GPU is bound by memory latency.
+    These bodies move in several sub-cycling rounds per step. The struct contains its own copy of everything that a
+    round reads, in contiguous rows, because a round on a GPU is bound by memory latency.
     """
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
 
     @wp.struct
     class Subcycled:
-        rounds: wp.array(dtype=wp.int32)  # number of rounds in a step; 0: no sub-cycling, shape (scenes,)
+        rounds: wp.array(dtype=wp.int32)  # number of sub-cycling rounds in a step; 0: no sub-cycling, shape (scenes,)
         stable: wp.array(dtype=wp.float64)  # stable step of the stiff pairs alone [s], shape (scenes,)
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
         lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
@@ -294,18 +305,20 @@ def subcycled_struct(scalar):
         # Four indices of each pair: its two bodies in this struct, then the rows of `force` for the forces on these
         # bodies.
         ends: wp.array(dtype=wp.vec4i)
-        # for the sphere with the lower permanent number: centre in the body's frame, and radius [m]
+        # for the sphere of each pair with the lower permanent number: centre in the body's frame, and radius [m]
         lower_offset: wp.array(dtype=t.vec4)
-        # for the sphere with the higher permanent number: centre in the body's frame, and radius [m]
+        # for the sphere of each pair with the higher permanent number: centre in the body's frame, and radius [m]
         higher_offset: wp.array(dtype=t.vec4)
         law: wp.array(dtype=wp.int32)  # index of the pair's contact parameters in `pair_parameters`
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
         # index of the pair's second entry in the neighbour list, or -1 if it has only one
         copy: wp.array(dtype=wp.int32)
-        held: Pairs  # contact history and bond of each pair; the last round of a step copies them to the neighbour list
+        # contact history and bond of each pair; the last sub-cycling round of a step copies them to the neighbour list
+        held: Pairs
         # 1 while the bond holds; 0 once it is broken and the pair is an ordinary contact again
         active: wp.array(dtype=wp.int32)
-        lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]
+        # energy that each pair has lost in the sub-cycling rounds of this step so far [J]
+        lost: wp.array(dtype=wp.float64)
         outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
         body_number: wp.array(dtype=wp.int32)  # permanent number of each body
@@ -315,18 +328,19 @@ def subcycled_struct(scalar):
         # For each row of `force`, the pair and the sphere to which it belongs: 2 p for the sphere of pair p with the
         # lower permanent number, 2 p + 1 for the other one. Shape (2 pairs,).
         ref: wp.array(dtype=wp.int32)
-        mass: wp.array(dtype=scalar)  # body mass [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
-        # Position of each body's centroid in the middle of a time step [m]. The velocities below belong to the same
-        # time.
+        mass: wp.array(dtype=scalar)  # mass of each body [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
+        # Position of each body's centroid in the middle of a time step [m]. The velocities in this struct belong to the
+        # same time.
         position: wp.array(dtype=t.vec3)
-        rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
-        orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
-        velocity: wp.array(dtype=t.vec3)  # velocity of the centroid [m/s]
-        spin: wp.array(dtype=t.vec3)  # angular velocity in space axes [rad/s]
-        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
-        other_force: wp.array(dtype=t.vec3)  # all forces other than those of stiff pairs, gravity included [N]
-        other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about the centroid [N m]
+        rounding: wp.array(dtype=t.vec3)  # rounding error of each body's position, for compensated summation [m]
+        orientation: wp.array(dtype=t.quat)  # rotation of each body from its body axes to space axes
+        velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid [m/s]
+        spin: wp.array(dtype=t.vec3)  # angular velocity of each body in space axes [rad/s]
+        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
+        # all forces on each body other than those of stiff pairs, gravity included [N]
+        other_force: wp.array(dtype=t.vec3)
+        other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about each body's centroid [N m]
         # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)
         force: wp.array(dtype=t.vec3)
         # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)

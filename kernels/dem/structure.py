@@ -21,9 +21,10 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def break_down_structure(
-        own_yield: wp.array(dtype=scalar),  # yield stress without the gain at rest [Pa], one value per contact law
+        # yield stress of the layer without its gain at rest [Pa], one value per contact law
+        own_yield: wp.array(dtype=scalar),
         gained: wp.array(dtype=wp.float64),  # yield stress gained at rest [Pa], one value per scene; 0 before a rest
-        # slip after which the gained yield stress has fallen to 1/e [m], one value per scene
+        # slip distance after which the gained yield stress has fallen to 1/e [m], one value per scene
         breakdown: wp.array(dtype=wp.float64),
         begun: wp.array(dtype=wp.float64),  # travel of the wall when slip began [m], one value per scene
         # index in the batch of the wall whose travel counts as slip, one per scene

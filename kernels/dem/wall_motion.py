@@ -101,8 +101,8 @@ def motion_functions(scalar, strokes: bool):
         direction = wp.normalize(wall.velocity)
         speed = wp.dot(walls.velocity_exact[w], direction)
         push_along = wall.drive_force + wp.dot(f, direction)
-        # Apply the damper to the mean of old and new speed (trapezoidal rule), which is stable however strong the
-        # damping is.
+        # Apply the damper to the mean of the wall's old and new speed (trapezoidal rule), which is stable however
+        # strong the damping is.
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):

@@ -31,7 +31,7 @@ ANY_ACTIVE = """
 
 @wp.func_native(ANY_ACTIVE)
 def any_active(holds: wp.bool) -> wp.bool:
-    """Return True if a condition holds for any thread of the warp that runs this call at the same time.
+    """Return True if a condition holds for any of the threads that run this call together in a warp.
 
     The compiler decides which threads run together, so the answer may only affect speed, never results.
     """

@@ -24,8 +24,8 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types
 
 # Indices of the array `outcome`, in which a solve stores its number of iterations and its residual norms.
 ITERATIONS = wp.constant(0)
-BEFORE = wp.constant(1)  # Norm of the residual at the start of the solve.
-AFTER = wp.constant(2)  # Norm of the residual at the end of the solve.
+BEFORE = wp.constant(1)  # Index of the residual's norm at the start of the solve.
+AFTER = wp.constant(2)  # Index of the residual's norm at the end of the solve.
 OUTCOME = 4
 
 

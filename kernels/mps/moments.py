@@ -14,7 +14,8 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 FREE = wp.constant(0.9)
-"""Sum of weights, relative to the sum in a regular lattice, below which a particle may be at the free surface."""
+"""Sum of the weights of a particle's neighbours, divided by this sum in a regular lattice, below which the particle may
+be at the free surface."""
 BENEATH = {2: 0.2, 3: 0.15}
 """Minimum mean depth of the neighbours below a particle at the free surface, by number of dimensions.
 
@@ -87,11 +88,11 @@ def moments_function(scalar, dimensions: int, serial: bool):
         number: scalar  # Sum of the weights of the fluid neighbours.
         whole_number: scalar  # Sum of the weights of all neighbours, walls included.
         dense: scalar  # Sum of the density weights, the particle's own weight included.
-        fluid: t.mat  # Second moments of the fluid neighbours' relative positions.
-        whole: t.mat  # Second moments of all neighbours' relative positions, walls included.
+        fluid: t.mat  # Weighted sum of x x^T over the fluid neighbours, where x is the relative position.
+        whole: t.mat  # Weighted sum of x x^T over all neighbours, walls included, where x is the relative position.
         shear: t.mat  # Weighted sum of (velocity difference) x (relative position)^T over the fluid neighbours.
-        first: t.vec  # First moments of the fluid neighbours' relative positions.
-        above: scalar  # First moment of all neighbours' relative positions along the pipe.
+        first: t.vec  # Weighted sum of the relative positions of the fluid neighbours.
+        above: scalar  # Weighted sum over all neighbours, walls included, of the relative position along the pipe.
         slope: t.vec  # Weighted sum of (pressure difference) x (relative position) over the fluid neighbours.
         rise: scalar  # Weighted sum of the pressure differences from the particle to its fluid neighbours.
         wall: scalar  # Viscous force of the wall particles per volume and per wall stress, before calibration [1/m].
@@ -153,8 +154,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
                     # The velocity profile is continued behind the wall with its slope at the wall. The viscous force
-                    # per volume due to a wall particle is then proportional to the wall stress. Add the factor of
-                    # proportionality.
+                    # per volume due to a wall particle is then proportional to the wall stress. `m.wall` is the sum of
+                    # the factors of proportionality.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 

@@ -8,7 +8,7 @@ from ..common.control import FAILED, HALTED, STALE, STEPS
 from .structs import LOST, array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 CROWDED = wp.constant(0.95)
-"""Distance between two particles, divided by the initial spacing, below which they are pushed apart."""
+"""Distance between two particles, divided by the initial particle spacing, below which the two are pushed apart."""
 
 
 @functools.cache

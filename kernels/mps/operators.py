@@ -17,7 +17,7 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
-"""Damping of the pressure at walls: the distance in spacings below which it acts, and its factor.
+"""Damping of the pressure at walls: a distance from the wall divided by the particle spacing, and a factor.
 
 For particles closer to a wall than NEARER spacings, the diagonal of the pressure equation is multiplied by DAMPED.
 Without this damping, the pressure would oscillate from step to step. A pressure increment changes the particle's
@@ -53,7 +53,7 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
         if speed <= flow.slip_yield * compliance:
-            resist = area / compliance  # The layer sticks, because its stress is below its yield stress.
+            resist = area / compliance  # The slip layer sticks, because its stress is below its yield stress.
             stress = speed / compliance
         else:
             damp = scalar(1.0) / (scalar(1.0) + flow.slip_viscosity * compliance)
@@ -85,7 +85,7 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
         n = f.outward(x)
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
-        stress = speed / compliance  # Stress if the layer sticks, so that all of the speed is due to shear.
+        stress = speed / compliance  # Stress if the slip layer sticks, so that the whole speed is due to shear.
         eased = compliance
         if stress > flow.slip_yield:
             low = flow.slip_yield

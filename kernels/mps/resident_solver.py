@@ -21,14 +21,14 @@ from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, solver_functions
 from .structs import array_structs
 
 RESIDENT = 3
-"""Number of blocks that fit on a multiprocessor at once. The launch bounds of the kernels therefore limit a thread to
-85 registers."""
+"""Number of blocks that must fit on a multiprocessor of the GPU at once. The launch bounds of the kernels therefore
+limit a thread to 85 registers."""
 WIDE, SMALL = 1024, 40_000
 """A linear system with at most SMALL matrix entries is solved by a single block of WIDE threads."""
 
 
 def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
-    """Return the number of threads per block, and the number of blocks, if `abreast` solves share the device."""
+    """Return the number of threads per block, and of blocks, for one solve if `abreast` solves share the device."""
     if rows * near_capacity <= SMALL:
         return WIDE, 1
     room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1

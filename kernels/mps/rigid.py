@@ -208,8 +208,8 @@ def share_function(scalar, dimensions: int):
 def velocities_kernel(scalar, dimensions: int):
     """Build the kernel that replaces the velocities of each grain's particles by a rigid motion.
 
-    The rigid motion has the same mean velocity and angular momentum. The kernel runs before the particles advance, with
-    one thread per grain.
+    The rigid motion has the mean velocity and the angular momentum of these particles. The kernel runs before the
+    particles advance, with one thread per grain.
     """
     body = body_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)

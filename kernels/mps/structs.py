@@ -42,7 +42,7 @@ def flow_struct(scalar):
         spacing: scalar  # Initial particle spacing l0 [m].
         cutoff: scalar  # Reach of the weights of gradient, divergence and Laplacian [m].
         wide: scalar  # Reach of the density weights [m].
-        lattice_number: scalar  # Sum of the weights around a particle inside a regular lattice.
+        lattice_number: scalar  # Sum of the weights of a particle's neighbours inside a regular lattice.
         lattice_density: scalar  # Sum of the density weights around a particle inside a regular lattice.
         radius: scalar  # Radius of the pipe, or half the width of the channel [m].
         loss_limit: scalar  # Position along the pipe beyond which a particle counts as lost [m].
@@ -53,11 +53,11 @@ def flow_struct(scalar):
         viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s], or consistency k of another law [Pa s^n].
         flow_index: scalar  # Flow index n; 1 except for the Herschel-Bulkley law.
         quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2]; 0 for other laws.
-        yield_stress: scalar  # Yield stress [Pa].
+        yield_stress: scalar  # Yield stress of the concrete [Pa].
         regularisation: scalar  # Regularisation time beta of the flow law [s].
         slip_viscosity: scalar  # Viscous constant eta_L of the slip layer [Pa s/m].
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
-        slip_index: scalar  # Flow index of the slip layer.
+        slip_index: scalar  # Flow index n of the slip layer's law.
         slip_quadratic: scalar  # Coefficient of the squared velocity of the slip layer [Pa s2/m2].
         correction: scalar  # Fraction of the density error that one step corrects.
         skin: scalar  # Skin of the neighbour lists [m].
@@ -78,7 +78,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Particles:
         position: wp.array(dtype=t.vec)  # Particle position relative to the piston's centre [m], shape (n,).
-        rounding: wp.array(dtype=t.vec)  # Rounding error of the position, corrected in the next step [m], shape (n,).
+        # Rounding error of each particle's position, corrected in the next step [m], shape (n,).
+        rounding: wp.array(dtype=t.vec)
         velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the pipe [m/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
         density: wp.array(dtype=scalar)  # Density of each particle in two-phase flows [kg/m3], shape (n,); else empty.
@@ -92,20 +93,26 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         near_count: wp.array(dtype=wp.int32)  # Number of each particle's entries in `near`, shape (n,).
         near: wp.array(dtype=wp.int32)  # Fluid neighbours within the operators' reach, shape (n * near_capacity,).
         far_count: wp.array(dtype=wp.int32)
-        far: wp.array(dtype=wp.int32)  # Fluid neighbours within reach of the density only, shape (n * far_capacity,).
+        # Fluid neighbours beyond the reach of the operators but within that of the density weights, shape (n *
+        # far_capacity,).
+        far: wp.array(dtype=wp.int32)
         wall_count: wp.array(dtype=wp.int32)
         wall: wp.array(dtype=wp.int32)  # Neighbouring wall particles, shape (n * wall_capacity,).
         wall_position: wp.array(dtype=t.vec)  # Positions of all wall particles [m], shape (wall particles,).
 
     @wp.struct
     class Fields:
-        pair_weight: wp.array(dtype=scalar)  # Weight over squared distance, for each entry of the list `near` [1/m2].
+        # Weight divided by the squared distance, for each entry of the list `near` [1/m2].
+        pair_weight: wp.array(dtype=scalar)
         # Inverse of each particle's moment matrix of its fluid neighbours [1/m2], shape (n,).
         fluid_inverse: wp.array(dtype=t.mat)
         # Inverse of each particle's moment matrix of all neighbours, walls included [1/m2].
         all_inverse: wp.array(dtype=t.mat)
-        inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
-        wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
+        # Number of dimensions divided by the sum of each particle's weights, which calibrates the Laplacian, shape
+        # (n,).
+        inverse_number: wp.array(dtype=scalar)
+        # Wall area of each particle divided by its volume, before multiplication by `wall_scale` [1/m], shape (n,).
+        wall_weight: wp.array(dtype=scalar)
         wall_scale: wp.array(dtype=wp.float64)  # Factor on `wall_weight` that gives the true wall area, shape (1,).
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
         compliance: wp.array(dtype=scalar)  # Particle velocity relative to the wall, per wall stress [m/s/Pa].
@@ -114,8 +121,10 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
         # Potential whose negative gradient moves particles out of crowded regions [m2], shape (n,).
         potential: wp.array(dtype=scalar)
-        extra_displacement: wp.array(dtype=t.vec)  # Displacement in this step not caused by velocity [m], shape (n,).
-        position_at_build: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
+        # Displacement of each particle in this step that its velocity does not cause [m], shape (n,).
+        extra_displacement: wp.array(dtype=t.vec)
+        # Position of each particle when the neighbour lists were built [m], shape (n,).
+        position_at_build: wp.array(dtype=t.vec)
         # Two flags, shape (2,): index 0 is 1 if the neighbour lists are stale, index 1 is 1 if a particle is lost.
         event_flags: wp.array(dtype=wp.int32)
 
@@ -128,9 +137,10 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, corrected in the next step [m].
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
         inverse_inertia: wp.array(dtype=mat33)  # Inverse inertia of a grain about `centre` for unit masses [1/m2].
-        # Velocity of each grain per unit force, computed from the diagonal of the matrix (preconditioner).
+        # Velocity of each grain per unit force, computed from the diagonal of the matrix. It serves as a
+        # preconditioner.
         mobility: wp.array(dtype=scalar)
-        # Spin of each grain per unit moment, computed from the diagonal of the matrix (preconditioner).
+        # Spin of each grain per unit moment, computed from the diagonal of the matrix. It serves as a preconditioner.
         spin_mobility: wp.array(dtype=mat33)
         step: wp.array(dtype=t.vec)  # Displacement of each grain in this step [m], shape (grains,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each grain [rad/s], shape (grains,).
@@ -139,12 +149,12 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Coarse:
         count: wp.int32  # Number of cubes of the coarse grid.
-        wide: wp.int32  # Number of cubes across the pipe, at least 3.
+        wide: wp.int32  # Number of cubes of the coarse grid across the pipe, along each axis; at least 3.
         of: wp.array(dtype=wp.int32)  # Index of the cube that contains each particle, shape (n,).
         # Index of each cube's first particle in `member`, followed by the number of particles, shape (count + 1,).
         first: wp.array(dtype=wp.int32)
         member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
-        # Numbers of the cubes around each cube, -1 where there is none, shape (3^d * count,).
+        # Indices of the cubes around each cube of the coarse grid, -1 where there is none, shape (3^d * count,).
         neighbour: wp.array(dtype=wp.int32)
         # Coefficients of the coarse matrix between each cube of the coarse grid and the 3^d cubes centred on it, shape
         # (3^d * count,). The entry between a cube and itself holds 1 over the diagonal of the coarse matrix instead.
@@ -162,7 +172,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of the matrix, shape (n * near_capacity,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix without the resistance of walls, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
-        free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
+        # 1 for a row whose unknown is held at 0, such as the pressure of a particle at the free surface.
+        free: wp.array(dtype=wp.int32)
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
         grain_rows: wp.int32  # Number of matrix rows of particles in rigid grains; they precede the mortar's rows.
         grains: Grains
@@ -184,7 +195,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             inner: wp.array(dtype=wp.float64)
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
-            outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).
+            # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).
+            outcome: wp.array(dtype=wp.float64)
             history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
 
         return Solve
@@ -232,14 +244,15 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def weight(r: scalar, reach: scalar) -> scalar:
-        """Return the weight of Koshizuka & Oka, ``reach / r - 1`` (Xu, Li & Jiang 2021, Eq. 2)."""
+        """Return the weight of Koshizuka & Oka at the distance `r`, ``reach / r - 1`` (Xu, Li & Jiang 2021, Eq. 2)."""
         return reach / r - scalar(1.0)
 
     @wp.func
     def density_weight(r: scalar, reach: scalar) -> scalar:
         """Return Wendland's quintic weight.
 
-        At equal density its sum hardly depends on how the particles are arranged.
+        At equal density, the sum of these weights over the particles around a point hardly depends on how the particles
+        are arranged.
         """
         if r >= reach:
             return scalar(0.0)

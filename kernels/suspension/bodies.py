@@ -39,17 +39,18 @@ def body_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Bodies:
         centre: wp.array(dtype=vec3)  # Centre of each aggregate [m], shape (n,).
-        velocity: wp.array(dtype=vec3)  # Velocity of the centre [m/s], shape (n,).
-        spin: wp.array(dtype=vec3)  # Angular velocity [rad/s], shape (n,).
-        turn: wp.array(dtype=quat)  # Orientation, shape (n,).
-        radius: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (n,).
-        # Mass of each aggregate minus that of an equal volume of mortar [kg], and the same difference of the moments of
-        # inertia [kg m2], each of shape (n,).
+        velocity: wp.array(dtype=vec3)  # Velocity of each aggregate's centre [m/s], shape (n,).
+        spin: wp.array(dtype=vec3)  # Angular velocity of each aggregate [rad/s], shape (n,).
+        turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
+        radius: wp.array(dtype=scalar)  # Radius of each aggregate, which is a sphere [m], shape (n,).
+        # Mass of each aggregate minus that of an equal volume of mortar [kg], and moment of inertia of each aggregate
+        # minus that of this mortar [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
-        force: wp.array(dtype=vec3)  # External force, such as weight minus buoyancy [N], shape (n,).
-        torque: wp.array(dtype=vec3)  # External torque about the centre [N m], shape (n,).
-        # Inverses of the blocks of the reduced matrix for velocity and for spin, each of shape (n,).
+        force: wp.array(dtype=vec3)  # External force on each aggregate, such as weight minus buoyancy [N], shape (n,).
+        torque: wp.array(dtype=vec3)  # External torque on each aggregate about its centre [N m], shape (n,).
+        # Inverses of each aggregate's diagonal blocks in the reduced viscous matrix, for its velocity and for its spin,
+        # each of shape (n,).
         mobility: wp.array(dtype=mat33)
         spin_mobility: wp.array(dtype=mat33)
 
@@ -75,7 +76,7 @@ def body_structs(scalar) -> SimpleNamespace:
         # edges for shear in the planes of the three pairs of axes.
         solid: wp.array(dtype=wp.int32)
         first: wp.array(dtype=wp.int32)  # Index in `faces` of each aggregate's first face, shape (n + 1,).
-        count: wp.array(dtype=wp.int32)  # Number of faces that move with each aggregate, shape (n,).
+        count: wp.array(dtype=wp.int32)  # Number of the grid's faces that move with each aggregate, shape (n,).
         # Number of entries of each aggregate in `faces`, shape (n,).
         touched: wp.array(dtype=wp.int32)
         # Faces of all aggregates, sorted by aggregate. For each aggregate, the faces that move with it come first,
@@ -102,7 +103,10 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def nearest_image(g: Grid, d: vec) -> vec:
-        """Return the vector `d` from one point to another or, in a periodic pipe, to the other's nearest copy."""
+        """Return the vector `d` from one point to another.
+
+        In a periodic pipe, return the vector to the nearest copy of the other point.
+        """
         if wp.static(of.periodic):
             length = scalar(g.n[2]) * g.width[2]
             d[2] = d[2] - length * wp.round(d[2] / length)
@@ -116,7 +120,10 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carried(velocity: vec, spin: vec, d: vec, axis: wp.int32) -> scalar:
-        """Return the component along `axis` of a rigid body's velocity at the point `d`, relative to its centre."""
+        """Return the component along `axis` of the velocity of a point of a rigid body.
+
+        `d` is the vector from the body's centre to the point.
+        """
         return (velocity + wp.cross(spin, d))[axis]
 
     @wp.func
@@ -163,7 +170,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
                 for k in range(3):
                     x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
                     size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                    # Length of the small box, measured along the normal of the aggregate's surface.
+                    # Length of one of the 27 smaller boxes, measured along the normal of the aggregate's surface.
                     extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
                     sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
         return sum / scalar(27.0)

@@ -30,9 +30,9 @@ COMPRESSION = wp.constant(1.0)
 """Factor of the viscosity in the weight of a cell's net inflow, which makes this inflow comparable with forces in the
 norm of residuals. The weight is (density width^2 / dt + COMPRESSION viscosity) / volume."""
 YIELDING = wp.constant(0.4)
-"""Factor of the part of the preconditioner's pressure that depends on the cell's own net inflow alone. This part is the
-inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal of the viscous
-matrix. The factor was chosen by the number of iterations in eight flows."""
+"""Factor of the part of a cell's pressure, in the preconditioner, that depends on the net inflow of this cell alone.
+This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal
+of the viscous matrix. The factor was chosen by the number of iterations in eight flows."""
 
 
 @functools.cache
@@ -204,7 +204,7 @@ def cell_weight_function(scalar, of: GridKind):
     def cell_weight(g: Grid, mesh: Fields, cut: Fields, c: wp.int32) -> scalar:
         """Return the weight of a cell's net inflow in inner products.
 
-        The weight is about the pressure that removes a unit of inflow [Pa s/m3].
+        The weight is approximately the pressure that removes a unit of inflow [Pa s/m3].
         """
         inertia = g.density * g.width[0] * g.width[0] / scalar(cut.clock[DT])
         return wp.where(mesh.liquid[c] != 0, (inertia + scalar(COMPRESSION) * cut.in_cell[c]) / f.block(g), scalar(0.0))

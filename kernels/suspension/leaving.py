@@ -47,7 +47,7 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
     ):  # fmt: skip
         """Compute the mass and weight that each aggregate adds to those of the mortar in its place.
 
-        The neighbours of aggregates that have left the box entirely are deleted.
+        Also delete the list of neighbours of each aggregate that has left the box entirely.
         """
         if flags[HALTED] != 0:
             return

@@ -148,8 +148,8 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 cutoff, roughness, dt, longest,
             )  # fmt: skip
         # Neighbours also include the sides of the box that are walls or planes of symmetry. Beyond a plane of symmetry
-        # lies the mirror image of the aggregate. Its reduced radius is half that of a wall, and the gap and the speed
-        # of approach to it are twice those to the plane.
+        # lies the mirror image of the aggregate. The reduced radius for this image is half that for a wall, and the gap
+        # and the speed of approach to the image are twice those to the plane.
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2

@@ -30,7 +30,8 @@ A time step of the largest allowed duration reduces an overlap to about 1 / (1 +
 SAME = wp.constant(0.8)
 """Cosine of the angle between the normals of two walls above which they may be the same wall."""
 LOOKED_AT = wp.constant(2.0)
-"""Largest gap between neighbours, in cells. Two aggregates can approach by two cells, as each moves by one at most."""
+"""Largest gap at which two aggregates count as neighbours, divided by the width of a cell. In one time step each
+aggregate moves by at most one cell, so two aggregates approach by at most two."""
 
 
 @functools.cache
@@ -43,18 +44,21 @@ def pair_struct(scalar):
         count: wp.array(dtype=wp.int32)  # Number of neighbours of each aggregate, shape (n,).
         # The following arrays have one entry for each neighbour, shape (n * CAPACITY,).
         other: wp.array(dtype=wp.int32)  # Index of the neighbour, or WALL.
-        normal: wp.array(dtype=vec3)  # Unit vector towards the neighbour.
-        gap: wp.array(dtype=scalar)  # Gap at the start of the step, negative for an overlap [m].
-        rough: wp.array(dtype=scalar)  # Gap below which the neighbours touch [m].
+        normal: wp.array(dtype=vec3)  # Unit vector from the aggregate towards the neighbour.
+        # Gap between aggregate and neighbour at the start of the step, negative for an overlap [m].
+        gap: wp.array(dtype=scalar)
+        rough: wp.array(dtype=scalar)  # Gap below which two neighbours count as touching [m].
         still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is an aggregate.
-        lubrication: wp.array(dtype=scalar)  # Added lubrication force per speed of approach [N s/m].
+        # Lubrication force per speed of approach, in addition to the force that the grid resolves [N s/m].
+        lubrication: wp.array(dtype=scalar)
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
-        # 1 if aggregate and neighbour touch in this step, NEW if the last solve has found this contact, otherwise 0.
+        # 1 if aggregate and neighbour touch in this step, NEW if the last coupled solve has found this contact,
+        # otherwise 0.
         touching: wp.array(dtype=wp.int32)
         # `smallest_gap` has one entry for each aggregate, shape (n,); `full` and `changed` have a single entry.
-        smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the radius.
+        smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the aggregate's radius.
         full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
-        changed: wp.array(dtype=wp.int32)  # 1 if the last solve has found a new contact.
+        changed: wp.array(dtype=wp.int32)  # 1 if the last coupled solve has found a new contact.
 
     return Pairs
 
@@ -105,7 +109,7 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         drag = scalar(6.0 * wp.pi) * g.viscosity * reduced
         pairs.hold[place] = scalar(HOLD) * (drag + g.density * reduced * reduced * reduced / dt)
         # A contact force removes an overlap within the time `longest`. It would slow down two aggregates that separate
-        # faster than this, so they do not count as touching.
+        # faster than this force would separate them, so they do not count as touching.
         parting = gap < rough and -approach * longest > rough - gap
         pairs.touching[place] = wp.where(gap - approach * dt < rough and not parting, 1, 0)
         pairs.smallest_gap[b] = wp.min(pairs.smallest_gap[b], gap / radius)
@@ -113,7 +117,7 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def is_known(pairs: Pairs, b: wp.int32, count: wp.int32, normal: vec, gap: scalar, radius: scalar) -> wp.bool:
-        """Return whether a wall with about this normal and gap is among the neighbours of an aggregate."""
+        """Return whether a wall with about the given normal and gap is already among the neighbours of an aggregate."""
         for k in range(count):
             place = b * CAPACITY + k
             if pairs.other[place] == WALL and wp.dot(pairs.normal[place], normal) > scalar(SAME):
@@ -203,7 +207,7 @@ def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
             if o != WALL:
                 relative = relative - (bodies.velocity[o] + change[o])
             approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
-            # A pair counts only if it would overlap even at the fraction `certain` of its speed of approach.
+            # Count a pair as touching only if it would overlap even at the fraction `certain` of its speed of approach.
             approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
             if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
                 pairs.touching[place] = NEW

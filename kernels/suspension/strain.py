@@ -28,9 +28,9 @@ LEAST = wp.constant(0.1)
 def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `rates` and `viscosity`, which compute the apparent viscosities of cells and of edges.
 
-    They replace the kernels of `kernels/mps/grid/forces.py` on grids with aggregates. For the viscous matrix, each of
-    them also stores the viscosity divided by the mortar fraction of the sample in `cut`. `rates` runs first. Both run
-    with one task per cell.
+    They replace the kernels of `kernels/mps/grid/forces.py` on grids with aggregates. The cells and edges are called
+    samples. Both kernels also store in `cut`, for the viscous matrix, the viscosity of each sample divided by the
+    mortar fraction of the sample. `rates` runs first. Both run with one task per cell.
     """
     dims, pairs = 3, 3
     Grid = grid_parameters_struct(scalar, dims)

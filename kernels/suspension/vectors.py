@@ -12,10 +12,11 @@ from ..common.reductions import BLOCK, total
 from ..common.types import types
 
 # Indices into the array of inner products in a solve by conjugate gradients.
-RZ = wp.constant(0)  # Inner product of residual and preconditioned residual.
-PQ = wp.constant(1)  # Inner product of the search direction p and the product A p, with the matrix A.
-RZ_AFTER = wp.constant(2)  # Value of RZ at the end of the iteration.
-RZ_FIRST = wp.constant(3)  # Value of RZ at the start of the solve.
+RZ = wp.constant(0)  # Index of the inner product of residual and preconditioned residual.
+PQ = wp.constant(1)  # Index of the inner product of the search direction p and the product A p, with the matrix A.
+RZ_AFTER = wp.constant(2)  # Index of the inner product of residual and preconditioned residual after the iteration.
+# Index of the inner product of residual and preconditioned residual at the start of the solve.
+RZ_FIRST = wp.constant(3)
 SUMS = 4
 
 

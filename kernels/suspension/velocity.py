@@ -51,7 +51,7 @@ RESULTANT = """
 """
 """C++ sources of two functions for the faces that move with one aggregate. GIVE sets the velocities of the faces, and
 RESULTANT adds up the forces on them and their torques. The faces are the entries `first` to `end` - 1 of the list
-`faces`; those of an axis have numbers from axis * slots on."""
+`faces`; the numbers of faces that are perpendicular to an axis begin at axis * slots."""
 
 
 @functools.cache
@@ -83,13 +83,19 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def give(g: Grid, cover: Cover, b: wp.int32, x: Vector):
-        """Set the velocities in `x` of the faces that move with an aggregate, from its velocity and spin in `x`."""
+        """Set the face velocities in `x` that an aggregate determines, from the aggregate's velocity and spin in `x`.
+
+        The faces are those that move with the aggregate.
+        """
         first = cover.first[b]
         give_range(x.linear[b], x.angular[b], g.slots, first, first + cover.count[b], cover.faces, cover.lever, x.faces)
 
     @wp.func
     def resultant(g: Grid, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
-        """Return the total force on the faces that move with an aggregate, and its torque about the centre."""
+        """Return force and torque on an aggregate from the forces on the faces that move with it.
+
+        The torque is about the centre of the aggregate.
+        """
         first = cover.first[b]
         both = resultant_range(g.slots, first, first + cover.count[b], cover.faces, cover.lever, forces)
         return vec3(both[0], both[1], both[2]), vec3(both[3], both[4], both[5])
@@ -215,7 +221,10 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `update`, which updates solution and residual, and `shift`, which ends an iteration."""
+    """Build the kernels `update` and `shift` of an iteration of conjugate gradients.
+
+    `update` changes the solution and the residual, and `shift` ends the iteration.
+    """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies = structs.Bodies
@@ -289,7 +298,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
-        """Add a multiple of the forces on the faces that move with each aggregate to its force and torque."""
+        """Add a multiple of the forces on the faces that move with an aggregate to the aggregate's force and torque."""
         b = wp.tid()
         force, torque = v.resultant(g, cover, b, forces)
         result.linear[b] = result.linear[b] + factor * force

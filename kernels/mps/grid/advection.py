@@ -117,7 +117,7 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def clearance(g: Grid, geometry: Geometry, x: vec):
         """Return the distance of a position from the nearest wall [m] and the gradient of this distance.
 
-        The distances are stored at points half a cell apart, to resolve walls that are hardly thicker than that.
+        The distances are stored at points half a cell apart, to resolve walls that are hardly thicker than half a cell.
         """
         base = whole()
         s = vec()
@@ -193,7 +193,7 @@ def advect_kernel(scalar, of: GridKind):
                 here = particles.velocity[p] + dt * g.gravity
         # Estimate the velocity that the grid had in the previous step at the particle's present position. The estimate
         # is the particle's own velocity, plus the velocity gradient times the distance that the particle has moved
-        # since then.
+        # since that step.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here

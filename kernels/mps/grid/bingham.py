@@ -88,7 +88,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the Bingham law on a grid.
 
     - `apparent`: viscosity at a shear rate.
-    - `apparent_at_edge`: viscosity at a corner between cells, also if a plug ends within these cells.
+    - `apparent_at_edge`: viscosity at a corner between cells, also if a plug (unyielded concrete) ends within these
+      cells.
     - `at_wall`: shear stress that a wall exerts on the cell beside it.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
@@ -109,7 +110,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         if rate <= scalar(0.0):
             return viscosity
         # Estimate the shear stress at the corner where the two cells meet. Approximate the relation of shear rate and
-        # stress by two straight lines, and assume that no edge of a plug lies inside the cells.
+        # stress by two straight lines, and assume that no edge of a plug (unyielded concrete) lies inside the cells.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),
@@ -139,9 +140,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
         """Return the mean velocity of a cell at a wall minus the velocity at the wall, and its derivative.
 
-        Both velocities are those of the concrete along the wall, so slip is not included. The derivative is with
-        respect to `stress`, the shear stress at the wall. From there, the stress falls linearly to `inner` at the
-        cell's opposite side.
+        Both velocities are those of the concrete along the wall, so slip is not included. The derivative of the
+        difference is with respect to `stress`, the shear stress at the wall. Across the cell, the stress changes
+        linearly from this value to `inner` at the side opposite the wall.
         """
         # The stress varies linearly across the cell, from `stress` at the wall to `inner`. The difference is `change`.
         # Where the stress is tau, the velocity relative to the wall is u = width / change * (F(stress) - F(tau)). Here
@@ -153,7 +154,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
                 change * change
             )
             return width * part, width / change * (rate_of(g, stress) - scalar(2.0) * part)
-        # If the stress hardly varies, use Simpson's rule, because the closed form loses digits there.
+        # If the stress hardly varies across the cell, use Simpson's rule, because the closed form loses digits there.
         middle = scalar(0.5) * (stress + inner)
         mean = rate_of(g, stress) / scalar(6.0) + rate_of(g, middle) / scalar(3.0)
         return width * mean, width / scalar(6.0) * (rate_slope(g, stress) + rate_slope(g, middle))
@@ -169,9 +170,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         are rings about an axis. Newton's method solves for the stress. It starts above the solution, where the function
         is convex.
         """
-        # Start from an upper bound of the wall stress. Either slip alone or shear alone would need a larger stress to
-        # give the whole speed than both together. Use the smaller of these two stresses, with a margin for the one of
-        # shear.
+        # Start from an upper bound of the wall stress. Slip alone, or shear alone, would need a larger stress to give
+        # the whole speed than both together. Use the smaller of these two stresses, after the one for shear has been
+        # increased by a margin.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

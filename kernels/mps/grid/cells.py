@@ -31,27 +31,31 @@ OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Value of `solid` for the frictionless wall, which is an axis or a plane of symmetry.
 GATE = wp.constant(3)  # Value of `solid` for the gate, a wall that opens at given times.
 # The constants AIR, LIQUID, FIXED, INSIDE and GHOST are the kinds of cell faces. ROUGH is another value of `solid`.
-AIR = wp.constant(0)  # Face without concrete on either side.
-LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
-FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity normal to it.
-INSIDE = wp.constant(3)  # Face inside a wall.
-ROUGH = wp.constant(4)  # Number that identifies walls to which concrete sticks; walls with higher numbers move.
-GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.
+AIR = wp.constant(0)  # Kind of a face without concrete on either side.
+# LIQUID is the kind of a face with concrete on at least one side, which can flow through it. Its velocity is unknown.
+LIQUID = wp.constant(1)
+FIXED = wp.constant(2)  # Kind of a face that is the side of a wall; its velocity is the wall's velocity normal to it.
+INSIDE = wp.constant(3)  # Kind of a face inside a wall.
+ROUGH = wp.constant(4)  # Value of `solid` for a rough wall, to which concrete sticks; higher values mean moving walls.
+# GHOST is the kind of a face inside a wall if the shear or stretch of the concrete beside it depends on its velocity.
+GHOST = wp.constant(4)
 # Indices of the array `drive`, which contains the force that drives the flow of a periodic pipe.
-FORCE = wp.constant(0)  # Driving force per volume at the start of the next step [N/m3].
-LAST_FORCE = wp.constant(1)  # Driving force per volume that acted in this step [N/m3].
-VELOCITY_CORRECTION = wp.constant(2)  # Velocity added to all faces along the pipe at the end of this step [m/s].
+FORCE = wp.constant(0)  # Index of the driving force per volume at the start of the next step [N/m3].
+LAST_FORCE = wp.constant(1)  # Index of the driving force per volume that acted in the completed step [N/m3].
+# VELOCITY_CORRECTION is the index of the velocity that is added to all faces along the pipe at the end of a step [m/s].
+VELOCITY_CORRECTION = wp.constant(2)
 DRIVE = 3
 # Indices of the array `clock`, which contains the time and the variables of the step control.
-DT = wp.constant(0)  # Time step [s].
-NOW = wp.constant(1)  # Present time [s].
-UNTIL = wp.constant(2)  # Simulated time at which the present series of steps must end [s].
-WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
-SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
-CELLS_PER_SECOND = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
-BEFORE = wp.constant(6)  # Root mean square speed of the concrete in the previous step [m/s].
-RATE = wp.constant(7)  # Rate of change of the root mean square speed in the previous step [m/s2].
-LAST = wp.constant(8)  # Previous time step [s].
+DT = wp.constant(0)  # Index of the time step [s].
+NOW = wp.constant(1)  # Index of the present time [s].
+UNTIL = wp.constant(2)  # Index of the simulated time at which the present series of steps must end [s].
+# WANTED is the index of the time step that accuracy allows [s]. A step that ends at a given time may be shorter.
+WANTED = wp.constant(3)
+SPEED = wp.constant(4)  # Index of the root mean square speed of the concrete [m/s].
+CELLS_PER_SECOND = wp.constant(5)  # Index of the number of cells that the fastest concrete crosses per second [1/s].
+BEFORE = wp.constant(6)  # Index of the root mean square speed of the concrete in the previous step [m/s].
+RATE = wp.constant(7)  # Index of the rate of change of the root mean square speed in the previous step [m/s2].
+LAST = wp.constant(8)  # Index of the previous time step [s].
 CLOCK = 9
 STRIP = wp.constant(64)
 """Number of successive cells, faces or particles that one thread of a CPU processes at once."""
@@ -79,9 +83,9 @@ class GridKind(NamedTuple):
     cut: bool = False
     """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
-    """True if the concrete of a periodic pipe has gained structure at rest and flow breaks it down."""
+    """True if the concrete of a periodic pipe has gained thixotropic structure at rest, which the flow breaks down."""
     rebuilding: bool = False
-    """True if structure also rebuilds while the concrete flows."""
+    """True if the thixotropic structure of the concrete also builds up again while the concrete flows."""
     law: str = BINGHAM
     """Flow law of the concrete, a name in `flow_laws`."""
     slip_law: str = BINGHAM
@@ -94,7 +98,7 @@ class GridKind(NamedTuple):
 
     @property
     def pairs(self) -> int:
-        """Return the number of pairs of axes."""
+        """Return the number of pairs of axes: 1 in two dimensions, 3 in three."""
         return 1 if self.dimensions == 2 else 3
 
     @property
@@ -126,9 +130,9 @@ def grid_parameters_struct(scalar, dimensions: int):
         viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s], or consistency k of another law [Pa s^n].
         flow_index: scalar  # Flow index n; 1 except for the Herschel-Bulkley law.
         quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
-        yield_stress: scalar  # Yield stress [Pa].
-        regularisation: scalar  # Regularisation time beta of the law [s].
-        volume: scalar  # Mean volume of a particle, per metre of depth or per radian in two dimensions.
+        yield_stress: scalar  # Yield stress of the concrete [Pa].
+        regularisation: scalar  # Regularisation time beta of the flow law [s].
+        volume: scalar  # Mean volume of a particle; in plane flow per metre of depth, in axisymmetric flow per radian.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
         # Derivative of the wall's braking force per volume with respect to the mean velocity [kg/m3/s].
         resistance: wp.float64
@@ -157,14 +161,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
         # Density of particles around each cell's centre, divided by that in full cells, shape (slots,).
         particle_density: wp.array(dtype=scalar)
-        fill: wp.array(dtype=scalar)  # Fraction of a cell's open volume that concrete fills, shape (slots,).
+        fill: wp.array(dtype=scalar)  # Fraction of a cell's volume outside walls that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
         # Number of entries of `sorted_particles` that cells have reserved so far, shape (1,).
         reserved_places: wp.array(dtype=wp.int32)
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
-        sorted_particles: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
+        sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
         # (axes * slots,).
         kind: wp.array(dtype=wp.int32)
@@ -180,7 +184,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # relative to the wall. Both faces are perpendicular to axis a; the second face follows the first one along axis
         # b. Shape (axes^2 * slots,); the index is (a * axes + b) * slots + c, where c is the cell of the first face.
         wall_stiffness: wp.array(dtype=scalar)
-        # Friction force of the wall at the present velocity, with the same indices as `wall_stiffness`.
+        # Friction force of a wall at the present velocity of the concrete, with the same indices as `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
         # The velocity at a wall that passes between two neighbouring faces is interpolated from the velocities of both
         # faces. `wall_weight` is the weight of the second face, with the same indices as `wall_stiffness`.
@@ -197,11 +201,15 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
         # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * slots,).
         strain_without_pair: wp.array(dtype=scalar)
-        gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
-        layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
-        # Driving force of a periodic pipe, with the indices FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
+        # Yield stress gained at rest in each cell [Pa], shape (slots,); empty without thixotropy.
+        gained: wp.array(dtype=scalar)
+        # Yield stress that the slip layer gained at rest [Pa], one per face; empty without thixotropy.
+        layer: wp.array(dtype=scalar)
+        # Driving force of a periodic pipe and related values, at the indices FORCE to VELOCITY_CORRECTION, shape
+        # (DRIVE,).
         drive: wp.array(dtype=wp.float64)
-        clock: wp.array(dtype=wp.float64)  # Time and step control, with the indices DT to LAST, shape (CLOCK,).
+        # Time and variables of the step control, at the indices DT to LAST, shape (CLOCK,).
+        clock: wp.array(dtype=wp.float64)
 
     @wp.struct
     class Geometry:
@@ -221,7 +229,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * slots,).
         gap: wp.array(dtype=scalar)
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
-        # Kind of each cell face that walls close, FIXED or INSIDE. There is one face for each axis and cell, shape
+        # Kind of each cell face that a wall closes: FIXED or INSIDE. There is one face for each axis and cell, shape
         # (axes * slots,).
         shut: wp.array(dtype=wp.int32)
         # Number of the wall nearest to each cell face. There is one face for each axis and cell, shape (axes * slots,).
@@ -236,7 +244,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Viscous constant of each wall's slip layer [Pa s/m]; negative if the wall is frictionless.
         slip_viscosity: wp.array(dtype=scalar)
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
-        slip_index: wp.array(dtype=scalar)  # Flow index of a wall's slip layer.
+        slip_index: wp.array(dtype=scalar)  # Flow index n of the law of a wall's slip layer.
         slip_quadratic: wp.array(dtype=scalar)  # Coefficient of the squared velocity of a wall's slip layer [Pa s2/m2].
 
     return SimpleNamespace(Particles=Particles, Fields=Fields, Geometry=Geometry, Walls=Walls)

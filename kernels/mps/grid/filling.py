@@ -35,7 +35,7 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     def level(particle_density: scalar) -> scalar:
         """Return the height of a flat free surface in a cell, from 0 at the bottom to 1 at the top.
 
-        The height follows from `particle_density`, the weighted density of particles at the cell's centre, relative to
+        The height follows from `particle_density`, the weighted density of particles at the cell's centre, divided by
         that in full cells. The weight of a particle falls linearly with its distance from the centre, and is zero at a
         distance of one cell.
         """
@@ -48,10 +48,11 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def lies(particle_density: scalar) -> scalar:
-        """Return the height of a free surface of concrete that lies on a wall, from 0 at the wall to 1 at the top.
+        """Return the height of a free surface in a cell if the concrete lies on a wall.
 
-        `particle_density` is the density of particles at the cell's centre, relative to that in full cells. If it is
-        below 1/2, the height equals this density; otherwise the function `level` returns the height.
+        The height runs from 0 at the wall to 1 at the opposite side of the cell. `particle_density` is the density of
+        particles at the cell's centre, divided by that in full cells. If it is below 1/2, the height equals this
+        density; otherwise the function `level` returns the height.
         """
         return wp.where(particle_density < scalar(0.5), particle_density, level(particle_density))
 

@@ -36,13 +36,13 @@ def relaxed_viscosity_function(scalar, of: GridKind):
     def relaxed_viscosity(g: Grid, before: scalar, now: scalar, rate: scalar) -> scalar:
         """Return the viscosity for a step, from the previous value `before` and the value `now` at the present rate.
 
-        Normally it is the geometric mean of both values. With `now` itself, a plug that ends less than a cell from the
-        wall of a pipe would oscillate.
+        Normally it is the geometric mean of both values. With `now` itself, a plug (unyielded concrete) that ends less
+        than a cell from the wall of a pipe would oscillate.
 
         Flows that may have a free surface also stop and start. In such flows, concrete that yields gets the value
         `now`. In concrete below the yield stress, a step can reduce the shear rate only by the ratio of stress to yield
-        stress, so that longer time steps would delay the moment at which concrete comes to rest. Its viscosity is
-        therefore extrapolated to ``before * (now / before) ** STIFFENING``.
+        stress, so that longer time steps would delay the moment at which concrete comes to rest. The viscosity below
+        the yield stress is therefore extrapolated to ``before * (now / before) ** STIFFENING``.
         """
         if before > scalar(0.0):
             if wp.static(not of.periodic):
@@ -167,8 +167,8 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 if wp.static(of.thixotropic):
                     own = with_gain(g, gained / wp.max(count, scalar(1.0)))
                 total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
-                # The correction for the edge of a plug is used in full pipes only. Beside a free surface the stress
-                # varies along both axes, and it contains noise from the particles.
+                # The correction for the edge of a plug (unyielded concrete) is used in full pipes only. Beside a free
+                # surface the stress varies along both axes, and it contains noise from the particles.
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))

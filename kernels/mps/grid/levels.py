@@ -40,8 +40,8 @@ def system_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Matrix:
-        near_capacity: wp.int32  # Maximum number of entries in a row without the diagonal.
-        rows: wp.int32  # Number of rows of all levels, n.
+        near_capacity: wp.int32  # Maximum number of off-diagonal entries in a row.
+        rows: wp.int32  # Number n of rows in all levels together.
         levels: wp.int32  # Number of levels, at least 1.
         # Maximum number of matrix rows that are merged into one row of the next coarser level of the multigrid.
         children: wp.int32
@@ -53,9 +53,11 @@ def system_structs(scalar) -> SimpleNamespace:
         # Change of an unknown divided by its residual, in a smoothing step, shape (n,).
         smoothing: wp.array(dtype=scalar)
         parent: wp.array(dtype=wp.int32)  # Row of the next coarser level that contains a row, or -1, shape (n,).
-        # Rows of the finer level that form each coarser row; unused entries are -1, shape ((n - m) * children,).
+        # Rows of the finer level that form each row of a coarser level, with n rows in all levels and m in the finest
+        # one. Unused entries are -1. The shape is ((n - m) * children,).
         child: wp.array(dtype=wp.int32)
-        first: wp.array(dtype=wp.int32)  # Index of each level's first row, followed by n, shape (levels + 1,).
+        # Index of each level's first row, followed by the number of all rows, shape (levels + 1,).
+        first: wp.array(dtype=wp.int32)
         before: wp.array(dtype=wp.int32)  # Number of rows without an unknown before each row, shape (n,); GPU only.
         used: wp.array(dtype=wp.int32)  # Rows with an unknown, in increasing order, shape (n,).
         # Index in `used` of each level's first entry, followed by the number of entries, shape (levels + 1,).
@@ -66,14 +68,17 @@ def system_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Solve:
         residual: wp.array(dtype=scalar)  # Residuals of the equations of all levels, shape (n,).
-        even: wp.array(dtype=scalar)  # Solutions of all levels for these residuals, shape (n,).
-        odd: wp.array(dtype=scalar)  # Second array of solutions; smoothing steps write both in turn, shape (n,).
+        # First array of solutions of all levels; smoothing steps write to `even` and `odd` in turn, shape (n,).
+        even: wp.array(dtype=scalar)
+        # Second array of solutions of all levels; smoothing steps write to `even` and `odd` in turn, shape (n,).
+        odd: wp.array(dtype=scalar)
         # Search direction, shape (m,); on a GPU the old and the new direction, shape (2 m,).
         direction: wp.array(dtype=scalar)
         product: wp.array(dtype=scalar)  # Product of the matrix and the search direction, shape (m,).
         partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk for three inner products.
         stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
-        outcome: wp.array(dtype=wp.float64)  # Number of iterations, first and last residual norm, shape (OUTCOME,).
+        # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).
+        outcome: wp.array(dtype=wp.float64)
         history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
 
     return SimpleNamespace(Matrix=Matrix, Solve=Solve)

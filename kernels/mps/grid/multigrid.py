@@ -20,19 +20,21 @@ from ...common.rows import entry_product, row_product
 from ..coarse import lanes
 from .levels import system_structs
 
-# Operations of a cycle. Each entry of `Matrix.cycle` consists of four numbers: the operation, its level, and the arrays
-# that hold the solutions of this level and of the next coarser level (0 for the array `even`, 1 for `odd`).
+# Operations of the multigrid cycle. Each entry of `Matrix.cycle` consists of four numbers: the operation, its level,
+# and the arrays that hold the solutions of this level and of the next coarser level (0 for the array `even`, 1 for
+# `odd`).
 SMOOTH = wp.constant(0)
 RESTRICT = wp.constant(1)
 PROLONG = wp.constant(2)
 OVERCORRECTION = 1.4
 """Factor by which coarse corrections are multiplied.
 
-A coarse correction is constant over groups of cells and jumps between them. The jumps add energy, so the energy norm of
-the error is minimal for a correction that is too small (Braess 1995).
+A coarse correction is constant over groups of cells and jumps between them. The jumps add energy, so the solve that
+minimises the energy norm of the error yields a correction that is too small (Braess 1995). The factor enlarges it.
 """
 FEW = {"cpu": 256, "gpu": 256}
-"""Maximum number of rows of a coarser level that the first thread or block processes alone."""
+"""Largest number of rows of a coarser level for which the first thread (CPU) or block (GPU) processes the level alone,
+so that the level needs no barriers."""
 
 
 FAMILY_SUM = """
@@ -169,12 +171,12 @@ def cycle_functions(scalar, serial: bool) -> SimpleNamespace:
 
     @wp.func
     def target(matrix: Matrix, turn: wp.int32) -> wp.int32:
-        """Return the level of the rows that operation number `turn` of the cycle changes."""
+        """Return the level of the rows that operation number `turn` of the multigrid cycle changes."""
         return matrix.cycle[4 * turn + 1] + wp.where(matrix.cycle[4 * turn] == RESTRICT, 1, 0)
 
     @wp.func
     def is_few(matrix: Matrix, turn: wp.int32) -> wp.bool:
-        """Return whether the first thread or block alone performs operation number `turn` of the cycle."""
+        """Return whether the first thread or block alone performs operation number `turn` of the multigrid cycle."""
         level = target(matrix, turn)
         few = wp.static(FEW["cpu"] if serial else FEW["gpu"])
         return level > 0 and matrix.begin[level + 1] - matrix.begin[level] <= few

@@ -118,8 +118,9 @@ def edge_function(scalar, dimensions: int, law: str):
             # derivative.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # Here the edge of a plug or the middle of the pipe lies in the two cells. Find the corner's stress s by
-        # Newton's method between two bounds. The mean shear rate over both cells must equal `rate`.
+        # Here the two cells contain the edge of a plug (unyielded concrete) or the middle of the pipe. Find the
+        # corner's stress s by Newton's method between two bounds. The mean shear rate over both cells must equal
+        # `rate`.
         low = scalar(0.0)
         high = plain + change
         s = plain
@@ -167,7 +168,7 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
             rate_inner, one_inner, two_inner = sums(g, stiff, inner)
             part = (change * one - (two - two_inner)) / (change * change)
             return width * part, width / change * (rate - scalar(2.0) * part)
-        # If the stress hardly varies, use Simpson's rule, because the closed form loses digits there.
+        # If the stress hardly varies across the cell, use Simpson's rule, because the closed form loses digits there.
         middle = scalar(0.5) * (stress + inner)
         rate_middle, one_middle, two_middle = sums(g, stiff, middle)
         mean = rate / scalar(6.0) + rate_middle / scalar(3.0)

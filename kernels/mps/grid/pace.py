@@ -35,24 +35,25 @@ LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
 """Limits of the ratio between successive time steps.
 
 LONGER is the maximum ratio of the wanted step to the previous wanted step. SHORTER is the minimum ratio of the wanted
-step to the completed step where only the error limits it. The Courant number may shorten the step further.
+step to the completed step as far as the error limits the step. The Courant number may shorten the step further.
 """
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
-"""Ratio of the shortest to the longest time step."""
+"""Shortest allowed time step, divided by the longest allowed one."""
 
 
 @wp.struct
 class Pace:
     """Parameters that determine the length of the time steps and the accuracy of the solves."""
 
-    longest: wp.float64  # Longest time step [s].
+    longest: wp.float64  # Longest allowed time step [s].
     # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
     error: wp.float64
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
-    viscous: wp.float64  # Residual norm at which the viscous solve stops, for the longest time step.
-    pressure: wp.float64  # Residual norm at which the pressure solve stops, for the longest time step.
-    crowding: wp.float64  # Residual norm at which the solve that disperses particles stops, for the longest time step.
+    viscous: wp.float64  # Residual norm at which the viscous solve stops if the time step is `longest`.
+    pressure: wp.float64  # Residual norm at which the pressure solve stops if the time step is `longest`.
+    # Residual norm at which the solve that disperses particles stops if the time step is `longest`.
+    crowding: wp.float64
 
 
 @functools.cache
@@ -78,7 +79,7 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def speeds(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Compute the rms speed and the largest number of cells crossed per second, in one task."""
+        """Compute the concrete's rms speed and the largest number of cells that it crosses per second, in one task."""
         if flags[HALTED] != 0:
             return
         square = wp.float64(0.0)
@@ -122,9 +123,9 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def speeds_of_sums(
         blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Combine the block results of `sums` into the rms speed and the largest number of cells crossed per second.
+        """Combine the block results of `sums` into the concrete's rms speed and its largest crossing rate.
 
-        The kernel runs in one block.
+        The crossing rate is the number of cells that the concrete crosses per second. The kernel runs in one block.
         """
         thread = wp.tid()
         square = total(thread, partial, 0, blocks)
@@ -169,7 +170,7 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
         """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
         dt = clock[DT]
-        # Limit the growth relative to the length that was wanted for the previous step. The actual length of the
+        # Limit the growth of the time step relative to the step that was wanted before. The actual length of the
         # previous step may be shorter, because a step is cut short to end at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest

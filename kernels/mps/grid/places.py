@@ -20,7 +20,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def at(g: Grid, c: whole) -> wp.int32:
-        """Return the number of the cell with the indices `c`, by which its faces and edges are numbered as well."""
+        """Return the number of the cell with the indices `c`; faces and edges of the cell have the same number."""
         k = c[last]
         if wp.static(of.periodic):
             k = (k + g.n[last]) % g.n[last]
@@ -90,14 +90,20 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def side_weight(g: Grid, c: whole) -> scalar:
-        """Return the radius of a cell's inner side about the axis of symmetry [m], or 1 without such an axis."""
+        """Return the distance of a cell's inner side from the axis of symmetry [m], or 1 without such an axis.
+
+        Multiplied by this weight, the length of the side becomes its area per radian.
+        """
         if wp.static(of.axial):
             return scalar(c[0]) * g.width[0]
         return scalar(1.0)
 
     @wp.func
     def cell_weight(g: Grid, c: whole) -> scalar:
-        """Return the radius of a cell's centre about the axis of symmetry [m], or 1 without such an axis."""
+        """Return the distance of a cell's centre from the axis of symmetry [m], or 1 without such an axis.
+
+        Multiplied by this weight, the cell's area becomes its volume per radian.
+        """
         if wp.static(of.axial):
             return (scalar(c[0]) + scalar(0.5)) * g.width[0]
         return scalar(1.0)
@@ -149,7 +155,7 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def open_area(g: Grid, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
-        """Return the area of a face through which concrete can flow."""
+        """Return the part of a face's area through which concrete can flow."""
         if wp.static(of.cut):
             return places.face_area(g, c, axis) * geometry.part[at(g, c) + axis * g.slots]
         return places.face_area(g, c, axis)

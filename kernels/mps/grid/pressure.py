@@ -137,7 +137,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
         """Return how far below 1 a cell's particle density is because the cell and those around it are not full.
 
-        A density of 1 is that in full cells. Concrete is assumed to be spread evenly within each cell.
+        Particle densities are divided by the density in full cells. Concrete is assumed to be spread evenly within each
+        cell.
         """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):
@@ -236,7 +237,10 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(g: Grid, blocks: wp.int32, mesh: Fields, partial: wp.array(dtype=wp.float64)):
-        """Compute partial sums of volume and volume flow along the pipe, in whole blocks with one thread per face."""
+        """Compute partial sums of the concrete's volume and of its flow along the pipe, with one thread per face.
+
+        The kernel runs in whole blocks.
+        """
         c = wp.tid()
         own = wp.float64(0.0)
         volume = wp.float64(0.0)

@@ -26,7 +26,7 @@ from .cells import (
 from .places import grid_functions
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a ghost face (an unknown velocity inside a wall), relative to that of a face wholly in concrete."""
+"""Inertia of a ghost face (an unknown velocity inside a wall), divided by that of a face wholly in concrete."""
 
 
 @functools.cache

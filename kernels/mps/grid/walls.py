@@ -15,7 +15,7 @@ from .structure import with_gain_function
 SLOW = wp.constant(1.0e-6)
 """Slip velocity below which the viscous stress of a nonlinear slip layer is smoothed to be nearly linear [m/s]."""
 STICKY = wp.constant(20.0)
-"""Stiffness of a slip layer to which concrete sticks, relative to the shear stiffness of a cell of concrete. It limits
+"""Stiffness of a slip layer to which concrete sticks, divided by the shear stiffness of a cell of concrete. It limits
 the stiffness of all slip layers, because sticking without any slip would need an infinite one."""
 
 
@@ -134,9 +134,9 @@ def wall_kernel(scalar, of: GridKind):
 
     @wp.func
     def weight(g: Grid, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
-        """Return the radius of the point halfway between a face and the next face along axis `b` [m].
+        """Return the distance of a point from the axis of symmetry [m], or 1 without such an axis.
 
-        The radius is the distance from the axis of symmetry. Without such an axis, the result is 1.
+        The point lies halfway between a face and the next face along axis `b`.
         """
         if axis == b:
             return f.cell_weight(g, c)
