@@ -129,9 +129,9 @@ def vector_functions(scalar):
         out = wp.dot(v, n)
         u = v - out * n
         u = u + twist * wp.cross(n, u)
-        # These operations have changed the squared length |v|^2 to |u|^2 = |v|^2 (1 - tilt) (1 + twist^2), where `tilt`
-        # is the fraction of |v|^2 that belonged to the removed normal component. The function `lengthened` restores the
-        # length. Its last argument is the number `shrink` in |u|^2 = |v|^2 (1 - shrink).
+        # The projection and the rotation have changed the squared length |v|^2 to |u|^2 = |v|^2 (1 - tilt) (1 +
+        # twist^2), where `tilt` is the fraction of |v|^2 that belonged to the removed normal component. The function
+        # `lengthened` restores the length. Its last argument is the number `shrink` in |u|^2 = |v|^2 (1 - shrink).
         tilt = scalar(0.0)
         if square > scalar(0.0):
             tilt = out * out / square

@@ -53,8 +53,8 @@ def wall_struct(scalar):
         stops: wp.float64
         stroke_time: wp.float64  # Duration of a stroke from rest to rest, including a speed ramp at both ends [s].
         pause: wp.float64  # Pause after each stroke [s].
-        # If the motion is prescribed: velocity of the steady motion, after the ramp and all strokes [m/s]. If the wall
-        # is driven by a force: a vector in the direction of motion.
+        # If the motion of the wall is prescribed: velocity of the steady motion, after the ramp and all strokes [m/s].
+        # If the wall is driven by a force: a vector in the direction of motion.
         velocity: wp.vec3d
         spin: wp.vec3d  # Angular velocity of the wall about `pivot` [rad/s].
         pivot: wp.vec3d

@@ -394,7 +394,8 @@ def link_kernel(
                 first, row = scenes.row[links.scene[p]].spheres, scenes.row[links.scene[p]].pairs
                 ends = wp.vec4i(first + link[0], first + link[1], row + link[2], p)
             s = spheres.scene[ends[0]]
-            # Issue all loads before the branch that decides whether they are needed, so that their latencies overlap.
+            # Issue all reads from memory before the branch that decides whether they are needed, so that their
+            # latencies overlap.
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
             state, kind = read_int(links.state, ends[3]), wp.int32(0)
             if wp.static(bonds):

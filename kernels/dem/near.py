@@ -50,7 +50,7 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
     """Return a free index in the list of near links if `wants` is true, else -1.
 
     All threads of a block must call this function together, with one atomic addition per block. Blocks run in any
-    order, so the order of the list varies.
+    order, so the order of the list differs from run to run.
     """
 
 

@@ -41,7 +41,7 @@ def pair_functions(scalar):
     class PairTouch:
         touch: Touch
         apart: t.vec3  # velocity of the higher-numbered sphere's centre relative to the other centre [m/s]
-        distance: scalar  # distance between the centres [m]
+        distance: scalar  # distance between the centres of the two spheres [m]
         arm_i: scalar  # distance from the centre of sphere i to the contact point [m]
         arm_j: scalar
 
@@ -219,7 +219,7 @@ def bond_pull_functions(scalar, dissipation: bool):
         total: t.vec3  # force of the bond on the sphere with the lower permanent number [N]
         bending: t.vec3  # moment of the bond on the sphere with the lower permanent number [N m]
         contact: scalar  # factor on the contact force: 0 if the bond broke and the spheres do not touch, else 1
-        lost: scalar  # energy lost by contact and bond [J]
+        lost: scalar  # energy that contact and bond lose in this step [J]
         outcome: wp.int32  # 1 if the bond holds; otherwise the negative code of how it broke
 
     @wp.func

@@ -21,7 +21,7 @@ from .structs import DT_PREVIOUS, array_structs
 # summed over the sphere's contacts.
 CONTACTS: int = wp.constant(0)  # column with the number of pairs in contact
 OVERLAP_SUM: int = wp.constant(1)  # column with the sum over pairs of the overlap divided by the smaller radius
-# OVERLAP_MAX is the column with the largest overlap divided by the smaller radius.
+# OVERLAP_MAX is the column with the largest overlap divided by the smaller radius of the two spheres.
 OVERLAP_MAX: int = wp.constant(2)
 # ELASTIC_ENERGY is the column with the energy of contact springs, also at walls, at the middle of the last step [J].
 ELASTIC_ENERGY: int = wp.constant(3)

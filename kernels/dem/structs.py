@@ -31,7 +31,7 @@ STABLE: int = wp.constant(5)  # column with the latest estimate of the stable st
 CLOCK = 8
 
 # The next constants are values of `links.state`. A link is a listed pair of spheres whose contact a GPU evaluates.
-APART: int = wp.constant(0)  # the link's spheres do not touch
+APART: int = wp.constant(0)  # value for a link whose spheres do not touch
 # TOUCHING: The spheres of the link touch or are bonded. In a list that was just rebuilt, the link may instead have
 # contact history from the old list.
 TOUCHING: int = wp.constant(1)
@@ -64,13 +64,14 @@ def scene_struct(scalar):
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth during packing stops
-        safety: wp.float64  # safety factor of the automatic time step
+        safety: wp.float64  # safety factor: automatic time step divided by the stable step
         largest_step: wp.float64  # upper limit of the automatic time step [s]
         fixed_step: wp.float64  # fixed time step [s]; 0: automatic
         until: wp.float64  # time at which the scene halts [s]
         interval: wp.int32  # steps between two estimates of the stable step
         sort_every: wp.int32  # steps between two re-sortings of the bodies; 0: never
-        expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
+        # largest speed in the scene that is expected before the next stable step estimate [m/s]
+        expected_speed: wp.float64
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
         # The following integers are the first indices of the scene in the arrays of bodies, spheres, pairs and so on,
@@ -112,7 +113,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # columns TIME to STABLE: simulated time, time step and others, shape (scenes, CLOCK)
         clock: wp.array2d(dtype=wp.float64)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
-        reference_velocity: wp.array(dtype=t.vec3)  # mean velocity of each scene when its lists were built [m/s]
+        # mean velocity of each scene's spheres when its neighbour lists were built [m/s]
+        reference_velocity: wp.array(dtype=t.vec3)
 
     @wp.struct
     class Bodies:
@@ -156,7 +158,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # sphere's neighbour list; the mask covers the first BLOCK entries.
         touching: wp.array(dtype=wp.int32)
         dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start, recorded at each sphere [J]
-        broken: wp.array(dtype=wp.vec2i)  # number of bonds broken since the start, in tension and in shear
+        # number of bonds broken since the start in tension and in shear, recorded at each sphere
+        broken: wp.array(dtype=wp.vec2i)
 
     @wp.struct
     class Slots:
@@ -223,9 +226,10 @@ def array_structs(scalar) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec3)  # mean velocity of the wall over the step [m/s]
         spin: wp.array(dtype=t.vec3)  # mean angular velocity of the wall over the step [rad/s]
         force: wp.array(dtype=wp.vec3d)  # total contact force on the wall in the last step [N]
-        moment: wp.array(dtype=wp.vec3d)  # total contact moment about the wall's position [N m]
+        moment: wp.array(dtype=wp.vec3d)  # total contact moment on the wall about the wall's position [N m]
         impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force on the wall since the start [N s]
-        angular_impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact moment since the start [N m s]
+        # time integral of the contact moment on the wall since the start [N m s]
+        angular_impulse: wp.array(dtype=wp.vec3d)
         travel: wp.array(dtype=wp.float64)  # displacement along the wall's path since the start [m]
         work: wp.array(dtype=wp.float64)  # work done by the wall on the concrete since the start [J]
         # meshes only: largest possible displacement of a corner since the neighbour lists were built [m]

@@ -191,7 +191,7 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) ->
         # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # The next arguments are the range of pairs that this launch processes, and the number of the round.
+        # The next arguments are the range of pairs that this launch processes, and the number of the sub-cycling round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,

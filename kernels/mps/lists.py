@@ -59,7 +59,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
     ):
         i = wp.tid()
         here = points[i]
-        # Enlarge both reaches slightly, because the points of the hash grid are rounded to single precision.
+        # Enlarge the reaches of the operators and of the density weights slightly, because the points of the hash grid
+        # are rounded to single precision.
         inner = wp.float32(near_reach) * wp.float32(1.0001)
         outer = wp.float32(whole_reach) * wp.float32(1.0001)
         nears, fars, walls = wp.int32(0), wp.int32(0), wp.int32(0)

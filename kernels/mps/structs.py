@@ -97,7 +97,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # far_capacity,).
         far: wp.array(dtype=wp.int32)
         wall_count: wp.array(dtype=wp.int32)
-        wall: wp.array(dtype=wp.int32)  # Neighbouring wall particles, shape (n * wall_capacity,).
+        wall: wp.array(dtype=wp.int32)  # Wall particles near each fluid particle, shape (n * wall_capacity,).
         wall_position: wp.array(dtype=t.vec)  # Positions of all wall particles [m], shape (wall particles,).
 
     @wp.struct
@@ -136,7 +136,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
         middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, corrected in the next step [m].
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
-        inverse_inertia: wp.array(dtype=mat33)  # Inverse inertia of a grain about `centre` for unit masses [1/m2].
+        # Inverse inertia of a grain about `centre` if each of its particles has unit mass [1/m2].
+        inverse_inertia: wp.array(dtype=mat33)
         # Velocity of each grain per unit force, computed from the diagonal of the matrix. It serves as a
         # preconditioner.
         mobility: wp.array(dtype=scalar)
@@ -166,10 +167,11 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Matrix:
-        near_capacity: wp.int32  # Maximum number of entries in a row of the matrix.
-        near_count: wp.array(dtype=wp.int32)  # Number of entries in each row of the matrix, shape (n,).
-        near: wp.array(dtype=wp.int32)  # Column of each entry of the matrix, shape (n * near_capacity,).
-        coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of the matrix, shape (n * near_capacity,).
+        near_capacity: wp.int32  # Maximum number of off-diagonal entries in a row of the matrix.
+        near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row of the matrix, shape (n,).
+        near: wp.array(dtype=wp.int32)  # Column of each off-diagonal entry of the matrix, shape (n * near_capacity,).
+        # Value of each off-diagonal entry of the matrix times -1, shape (n * near_capacity,).
+        coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix without the resistance of walls, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
         # 1 for a row whose unknown is held at 0, such as the pressure of a particle at the free surface.
@@ -186,7 +188,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             # Search direction, shape (n,); on a GPU the old and the new direction, shape (2n,).
             direction: wp.array(dtype=value)
             product: wp.array(dtype=value)  # Product of the matrix and the search direction, shape (n,).
-            preconditioned: wp.array(dtype=value)  # Residual divided by the diagonal, shape (n,); GPU only.
+            preconditioned: wp.array(dtype=value)  # Residual divided by the matrix's diagonal, shape (n,); GPU only.
             load: wp.array(dtype=value)  # Sum of the residual in each cube of the coarse grid, shape (cubes,).
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
             # Difference between the last two iterates of the coarse solution, shape (cubes,).

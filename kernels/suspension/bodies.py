@@ -170,7 +170,8 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
                 for k in range(3):
                     x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
                     size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                    # Length of one of the 27 smaller boxes, measured along the normal of the aggregate's surface.
+                    # Length of a smaller box, a third of the cell-sized box along each axis, measured along the normal
+                    # of the aggregate's surface.
                     extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
                     sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
         return sum / scalar(27.0)

@@ -165,8 +165,9 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
                         part * roughness, dt, longest,
                     )  # fmt: skip
-        # Look for other walls at the centre of the aggregate and at six points of its surface. The distances stored on
-        # the grid are those from the nearest wall, which at the centre may be a side of the box.
+        # Look for walls other than the sides of the box, at the centre of the aggregate and at six points of its
+        # surface. The distances stored on the grid are those from the nearest wall, which at the centre may be a side
+        # of the box.
         for probe in range(7):
             e = vec()
             if probe > 0:

@@ -43,7 +43,7 @@ def pair_struct(scalar):
     class Pairs:
         count: wp.array(dtype=wp.int32)  # Number of neighbours of each aggregate, shape (n,).
         # The following arrays have one entry for each neighbour, shape (n * CAPACITY,).
-        other: wp.array(dtype=wp.int32)  # Index of the neighbour, or WALL.
+        other: wp.array(dtype=wp.int32)  # Index of the neighbour, or WALL for a wall.
         normal: wp.array(dtype=vec3)  # Unit vector from the aggregate towards the neighbour.
         # Gap between aggregate and neighbour at the start of the step, negative for an overlap [m].
         gap: wp.array(dtype=scalar)

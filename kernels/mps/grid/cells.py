@@ -191,7 +191,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
-        increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (slots,).
+        increment: wp.array(dtype=scalar)  # Change of the pressure in each cell in this step [Pa], shape (slots,).
         # Potential whose gradient, like that of a pressure, moves particles out of crowded regions [Pa], shape
         # (slots,).
         potential: wp.array(dtype=scalar)

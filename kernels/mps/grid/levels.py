@@ -52,7 +52,8 @@ def system_structs(scalar) -> SimpleNamespace:
         coefficient: wp.array(dtype=scalar)  # Value of each off-diagonal entry times -1, shape (n * near_capacity,).
         # Change of an unknown divided by its residual, in a smoothing step, shape (n,).
         smoothing: wp.array(dtype=scalar)
-        parent: wp.array(dtype=wp.int32)  # Row of the next coarser level that contains a row, or -1, shape (n,).
+        # For each row, the row of the next coarser level that it becomes a part of, or -1, shape (n,).
+        parent: wp.array(dtype=wp.int32)
         # Rows of the finer level that form each row of a coarser level, with n rows in all levels and m in the finest
         # one. Unused entries are -1. The shape is ((n - m) * children,).
         child: wp.array(dtype=wp.int32)
