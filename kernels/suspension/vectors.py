@@ -132,12 +132,13 @@ TURN = """
 
 @functools.cache
 def range_functions(scalar, serial: bool) -> SimpleNamespace:
-    """Build functions for a range of the entries of arrays.
+    """Build the vector operations of a conjugate-direction solver; each call works on a range of the vectors' entries.
 
     - `dot` returns the inner product of `one` and of the vector that begins at the index `offset` of `many`.
     - `add` adds a multiple of the vector that begins at the index `offset` of `many` to `result`.
-    - `move` moves a solution by `alpha` along a search direction, updates the residual, and multiplies it by `inverse`.
-      It stores this result in `product`, which held the product of matrix and direction.
+    - `move` adds `alpha` times a search direction to the solution, and subtracts `alpha` times `product` from the
+      residual, where `product` holds the matrix times the direction. Then it overwrites `product` with the new residual
+      times `inverse`, the inverse of the matrix's diagonal.
     - `turn` computes the next search direction for entries that are unknowns, that is, whose `inverse` is not 0.
     """
     name, stride = "double" if scalar is wp.float64 else "float", "1" if serial else "stride"

@@ -72,14 +72,18 @@ class Directions:
             yield first, min(CHUNK, number - first), change, effect
 
     def factors(self, first: int, products: np.ndarray) -> np.ndarray:
-        """Return the factors by which earlier directions are subtracted from a new one, to make its effect orthogonal.
+        """Return the factors of earlier search directions that must be subtracted from a new search direction.
 
-        `products` are the inner products of the new direction's effect with the earlier effects, of which the first has
-        the number `first`.
+        The effect of a direction is the matrix times the direction. After the subtraction, the new direction's effect is
+        orthogonal to the effects of the earlier directions with the indices `first` and above. `products` are the inner
+        products of the new direction's effect with each of their effects.
         """
         return products / self._norms[first : first + len(products)]
 
     def add_norm(self, square: float) -> None:
-        """Store the squared norm of the newest direction's effect, which is orthogonal to all earlier effects."""
+        """Store the squared norm of the newest direction's effect (matrix times direction).
+
+        This effect must be orthogonal to the effects of all earlier directions.
+        """
         self._norms = np.append(self._norms[: self.orthogonal], square)
         self.orthogonal += 1
