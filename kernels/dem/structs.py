@@ -268,7 +268,8 @@ def links_struct(scalar):
         # sphere of a pair is the one with the lower permanent number. Without bonds, rolling resistance and energy
         # sums, a link has two elements:
         # - force on the lower sphere [N], and lever arm of the force at the lower sphere [m];
-        # - contact moment divided by the lever arm [N], and lever arm at the higher sphere [m].
+        # - moment of the contact about a sphere's centre divided by the lever arm at this sphere [N], which is the same
+        #   for both spheres, and lever arm at the higher sphere [m].
         # Otherwise a link has two elements for the lower sphere, followed by two for the higher sphere:
         # - force on the sphere [N], and the energy that the contact lost [J], which is 0 for the higher sphere;
         # - moment about the sphere's centre [N m], and 0.

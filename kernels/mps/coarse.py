@@ -195,9 +195,10 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     """Build `load` and `sweep`, which solve the coarse equations approximately by Chebyshev iteration.
 
     `load` sums the residual over each cube and computes the first guess. Each call of `sweep` improves the solution by
-    one step (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm 12.1). All threads of a warp call
-    these functions together. They process every `by`-th cube from `first` up to `end`; on a CPU, a warp is a single
-    thread. The loops over cubes are inside the functions, because on a CPU each call copies the structs passed to it.
+    one step (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm 12.1). A cube is
+    a cell of the coarse grid. All threads of a warp call a function together and share the work for each cube; on a
+    CPU, a warp is a single thread. A warp handles the cubes `first`, `first + by`, and so on below `end`. The loops
+    over cubes are inside the functions, because on a CPU each call copies the structs passed to it.
     """
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix

@@ -67,9 +67,9 @@ def body_structs(scalar) -> SimpleNamespace:
         # 1 for cells in narrow gaps between two aggregates, or between an aggregate and a wall, whose faces must not
         # move with an aggregate; 0 for all other cells. The shape is (slots,).
         shared: wp.array(dtype=wp.int32)
-        # Three arrays of shape (3 slots,), with one entry for each face of the grid: the number of aggregates that cover
-        # a part of the face; the largest index of these aggregates, plus 1; and the covered fraction of the face's area
-        # as an integer, in units of 1 / FULL.
+        # Three arrays of shape (3 slots,), with one entry for each face of the grid: the number of aggregates that
+        # cover a part of the face; the largest index of these aggregates, plus 1; and the covered fraction of the
+        # face's area as an integer, in units of 1 / FULL.
         touches: wp.array(dtype=wp.int32)
         toucher: wp.array(dtype=wp.int32)
         covered: wp.array(dtype=wp.int32)
@@ -80,8 +80,8 @@ def body_structs(scalar) -> SimpleNamespace:
         count: wp.array(dtype=wp.int32)  # Number of the grid's faces that move with each aggregate, shape (n,).
         # Number of entries of each aggregate in `faces`, shape (n,).
         touched: wp.array(dtype=wp.int32)
-        # Indices of the grid's faces that aggregates cover, sorted by aggregate. For each aggregate, the faces that move
-        # with it come first, followed by the faces that it covers partly.
+        # Indices of the grid's faces that aggregates cover, sorted by aggregate. For each aggregate, the faces that
+        # move with it come first, followed by the faces that it covers partly.
         faces: wp.array(dtype=wp.int32)
         # Fraction of the area of each face in `faces` that the aggregate covers. It is 1 for faces that move with the
         # aggregate.

@@ -68,8 +68,8 @@ concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
 BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
-"""Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. The first is the
-smaller of the two radii, 0.5 and 1 m, for which the pumping rule of JSCE gives an equivalent length of straight pipe."""
+"""Default radius of a bend: the larger of BEND_RADIUS [m] and BEND_DIAMETERS times the pipe's diameter. BEND_RADIUS is
+the smaller of the two radii, 0.5 and 1 m, for which JSCE's rule gives an equivalent length of straight pipe."""
 HOSE_FACTOR = 2.0
 """Ratio of a hose's friction to that of straight pipe of the same length, for a hose of which only the length is known.
 The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""

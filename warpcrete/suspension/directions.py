@@ -74,9 +74,9 @@ class Directions:
     def factors(self, first: int, products: np.ndarray) -> np.ndarray:
         """Return the factors of earlier search directions that must be subtracted from a new search direction.
 
-        The effect of a direction is the matrix times the direction. After the subtraction, the new direction's effect is
-        orthogonal to the effects of the earlier directions with the indices `first` and above. `products` are the inner
-        products of the new direction's effect with each of their effects.
+        The effect of a direction is the matrix times the direction. After the subtraction, the new direction's effect
+        is orthogonal to the effects of the earlier directions with the indices `first` and above. `products` are the
+        inner products of the new direction's effect with each of their effects.
         """
         return products / self._norms[first : first + len(products)]
 

@@ -45,7 +45,7 @@ def system_structs(scalar) -> SimpleNamespace:
         levels: wp.int32  # Number of levels, at least 1.
         # Maximum number of matrix rows that are merged into one row of the next coarser level of the multigrid.
         children: wp.int32
-        free: wp.array(dtype=wp.int32)  # 1 for rows without an unknown, else 0, shape (n,).
+        free: wp.array(dtype=wp.int32)  # 1 for unused rows, which hold no unknown; else 0. Shape (n,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
         near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row, shape (n,).
         near: wp.array(dtype=wp.int32)  # Column of each off-diagonal entry, shape (n * near_capacity,).

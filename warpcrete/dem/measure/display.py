@@ -214,8 +214,8 @@ class ElementDisplay(Display):
     def _present_stresses(self, stations: Stations) -> np.ndarray:
         """Return the stresses in all slices of the pipe [Pa], shape (slices, columns).
 
-        If the time series contains stresses, they are taken from its last row. This row is at most one sampling interval
-        old, by default 0.01 s of simulated time. Otherwise the stresses are computed from the present state.
+        If the time series contains stresses, they are taken from its last row. This row is at most one sampling
+        interval old, by default 0.01 s of simulated time. Otherwise the stresses are computed from the present state.
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)

@@ -160,11 +160,11 @@ class Trade:
         return self.points[-1]
 
     def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
-        """Return the setting of a variant of the scene in which every knob has the level that it has in `point`.
+        """Transfer a setting to a variant of the scene: return the setting with levels of the same names there.
 
-        A knob is a parameter that trades accuracy for run time, and a level is one of its values. `changes` are the
-        parameters in which the variant differs from the scene. A level is found by its name, because the value behind
-        the name may differ in the variant.
+        A knob is a parameter that trades accuracy for run time, a level is one of its values, and the setting `point`
+        is a choice of one level for each knob. `changes` are the parameters in which the variant differs from the
+        scene. The value behind the name of a level may be another one in the variant.
         """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
