@@ -160,7 +160,7 @@ def test_a_trade_is_kept(tmp_path, kind):
             "measured": [trade.label(p) for p in trade.measured],
             "ratios": [[trade.ratio(knob, level) for level in range(len(knob.levels))] for knob in trade.knobs],
             "expected": [trade.expected(point) for point in trade.points],
-            "repr": repr(trade)[:60],
+            "repr": repr(trade).partition(", folder")[0],
             "figure": kept.drawn(draw_trade(trade)),
         },
     )
