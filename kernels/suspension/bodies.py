@@ -60,8 +60,9 @@ def body_structs(scalar) -> SimpleNamespace:
         # of shape (3 slots,).
         claims: wp.array(dtype=wp.int32)
         owner: wp.array(dtype=wp.int32)
-        # For each face that moves with no aggregate: the number of adjacent cells whose other faces all move with one
-        # aggregate, and 1 + the index of that aggregate (0 if there is none). Both have the shape (3 slots,).
+        # The next two arrays, of shape (3 slots,), describe each face that moves with no aggregate. `closing` is the
+        # number of its adjacent cells in which all other faces move with aggregates, all of a cell with the same one.
+        # `closer` is the largest index of these aggregates plus 1, or 0 if there are none.
         closing: wp.array(dtype=wp.int32)
         closer: wp.array(dtype=wp.int32)
         # 1 for cells in narrow gaps between two aggregates, or between an aggregate and a wall, whose faces must not

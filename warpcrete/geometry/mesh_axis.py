@@ -150,9 +150,10 @@ def _extended_to_end(
 def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float, widest: float) -> tuple[Line | Arc, ...]:
     """Return a smooth curve of few lines and arcs that passes close to points (n, 3) [m].
 
-    The distance to each point is at most a small fraction of the `radius` [m], see `AXIS_TOLERANCES`. The curve begins
-    at the first point in the direction `ahead` and has no kinks. The radii of its arcs exceed `widest`, the largest
-    radius of the bore [m], if one of the tolerances permits it.
+    The curve begins at the first point in the direction `ahead` and has no kinks. Its distance from each point is at
+    most a small fraction of `radius`, the typical radius of the bore [m]. The fractions in `AXIS_TOLERANCES` are tried
+    from small to large, until the radii of all arcs exceed `widest`, the largest radius of the bore [m]. If no
+    fraction achieves this, the curve for the smallest fraction is returned.
     """
     fits = [_pieces(points, ahead, AXIS_TOLERANCES[0] * radius)]
     for tolerance in AXIS_TOLERANCES[1:]:

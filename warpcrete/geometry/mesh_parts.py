@@ -192,7 +192,7 @@ def rotated_pieces(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tupl
 
 @dataclass(frozen=True)
 class Insert:
-    """Mesh bore that replaces the round pipe along a piece of an axis."""
+    """Bore given as a triangle mesh, which replaces the round pipe along a piece of the pipe's axis."""
 
     mesh: MeshBore
     begin: float

@@ -15,7 +15,8 @@ from .graphs import GraphLaunch, Recordable, captured
 from .interpreter_priority import run_is_waiting
 
 MAXIMUM_BUFFERS = 2048
-"""Maximum number of array sets for which page-locked memory is kept; a batch of 128 runs reads about 600 sets."""
+"""Maximum number of :class:`PinnedBuffers` that are kept, one for each set of arrays that are copied together. A batch
+of 128 runs reads about 600 such sets."""
 
 
 class PinnedBuffers:

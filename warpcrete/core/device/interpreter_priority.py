@@ -12,9 +12,9 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time [s] for which a recorder's thread waits in one call of :func:`yield_to_run`. The thread waits until the
-run no longer needs Python's interpreter, because the run itself waits for the device. After this time, the recorder
-goes on although the run is busy."""
+"""Longest time [s] for which a recorder's thread waits in one call of :func:`yield_to_run`. It waits until the run is
+itself waiting for the device and therefore leaves Python's interpreter free. After this time, the recorder goes on even
+if the run is busy."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0

@@ -182,7 +182,7 @@ class _Net:
         frame = np.ones(values.shape, bool)
         frame[(slice(1, -1),) * self._axes] = False
         # Concrete ends at the sides of the grid. A node added outside the grid gets minus the level of its neighbour in
-        # the grid, so that the level is zero, and the surface lies, midway between the two nodes.
+        # the grid. The level is then zero midway between the two nodes, and the surface lies there.
         values[frame] = -np.abs(values[frame])
         self._values, self._inside = values, values > 0
         self._depths = None

@@ -95,7 +95,8 @@ class StableStep:
         if self._version != self.batch.version:
             self._recorded.clear()
             self._version = self.batch.version
-        # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.
+        # A CPU estimates the stable step of one scene at a time, in chunks of its spheres; a GPU estimates the stable
+        # steps of all scenes with the same launch.
         key = -1 if self.batch.parallel else s
         if key not in self._recorded:
             self._recorded[key] = self._made(self._phases(key, False))

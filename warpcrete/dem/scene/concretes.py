@@ -44,7 +44,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     if found.flow and not sized and (found.mix is not None or not found.elements):
         warn(f"concrete {found.name} has no sieve curve, so the scene's default sizes apply to its aggregate; give a "
              "sieve curve, for example 'sizes' = 4:0,8:0.4,16:1 (opening [mm]:share that passes)")  # fmt: skip
-    if "density" in values:  # a given density of aggregates replaces the bulk density of the concrete
+    # The density of the elements follows from the concrete's bulk density, unless the user gives that of the elements.
+    if "density" in values:
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
 

@@ -27,7 +27,8 @@ from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
 # Maximum number of steps in one launch graph, on one CPU thread, on several CPU threads, and on a GPU.
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
-GRAPHS_PER_CHECK = 4  # Maximum number of launch graphs, of the largest size, between two reads of the control flags.
+GRAPHS_PER_CHECK = 4
+"""Maximum number of launches of the largest graph of steps between two reads of the control flags."""
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 VELOCITY_ERROR = 1e-6
 """Tolerance of the viscosity solve, which stops when the norm of its residual is below this fraction of a typical norm.
@@ -150,9 +151,10 @@ class Stepping(ABC):
         return LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
 
     def settle(self) -> None:
-        """Wait for the launched steps, read how many are completed, and do the rebuild that they may have requested.
+        """Wait for the launched steps, read how many are completed, and rebuild what they request, such as arrays.
 
-        If a step failed, its error is raised.
+        A launched step does nothing if an earlier step has failed or has requested a rebuild, so not all launched steps
+        need be completed. If a step failed, its error is raised.
         """
         flags = self.flags.numpy()
         self._read_progress(flags)
