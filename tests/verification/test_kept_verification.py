@@ -70,6 +70,7 @@ def test_single_spheres_in_mortar_are_kept(monkeypatch, few_steps):
         "sheared": suspensions.sheared(3, 8, (0.25, 0.1, 0.3), "cpu", "float64"),
         "approaching": suspensions.approaching(3, 0.5, (0.3, 0.2, 0.1), "cpu", "float64"),
         "falling": suspensions.falling_in_bingham(0.13, 1e4, "cpu", "float64"),
+        "particles": suspensions.mortar_state((4, 4, 4), 0.01, "cpu", "float64").particle_spacing,
         "resistance": [suspensions.approach_resistance(gap) for gap in (0.05, 0.5, 3.0)],
     }
     asked = []
