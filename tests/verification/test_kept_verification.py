@@ -315,3 +315,12 @@ def test_starts_from_rest_are_kept(monkeypatch):
     monkeypatch.setattr(starting, "worst", lambda *given: asked.append(given) or (1e-3 * len(asked), 2e-3 * len(asked)))
     rows = [row for case in starting.CASES for row in case.run("cpu", "float32")]
     kept.compare("verified-starts", {"rows": rows, "asked": asked})
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_nearest_particles_are_found_whatever_their_order(dimensions):
+    x = np.random.default_rng(dimensions).uniform(0, 1, (60, dimensions))
+    particles = SimpleNamespace(position=SimpleNamespace(numpy=lambda: x))
+    state = SimpleNamespace(particles=particles, layout=SimpleNamespace(spacing=0.25))
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)[np.triu_indices(60, 1)]
+    assert flow_extremes._closest(SimpleNamespace(state=state)) == pytest.approx(apart.min() / 0.25, rel=1e-12)
