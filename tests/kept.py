@@ -53,6 +53,9 @@ def same(was: str, now: str, tolerance: float = TOLERANCE) -> bool:
         return False
     if math.isinf(tolerance):
         return True
+    name, sign, value = was.partition(" = ")
+    if sign and now.startswith(name + sign):
+        was, now = value, now.removeprefix(name + sign)  # A number in the name does not set the scale.
     before, after = (np.array([float(each) for each in NUMBER.findall(line)]) for line in (was, now))
     return bool(np.allclose(after, before, rtol=tolerance, atol=tolerance * float(np.abs(before).max(initial=0.0))))
 

@@ -78,7 +78,7 @@ def test_no_more_steps_are_launched_than_are_left():
         return GridFlow._steps_left.fget(SimpleNamespace(**flow))
 
     assert [left(), left(_goal_time=0.5501), left(_goal_time=0.5), left(_goal_time=9.0)] == [5, 6, 1, 20]
-    assert left(adaptive=False) == 20 and left(_goal_time=np.inf, _goal=10**9) == grid_flow.UNREACHABLE_STEPS
+    assert left(adaptive=False) == 20 and left(_goal_time=np.inf, _goal=10**10) == grid_flow.UNREACHABLE_STEPS
 
 
 def test_equal_steps_are_as_long_as_the_scene_has_them(device):

@@ -1,10 +1,15 @@
 """Heights, bases and reach of concrete in made-up cells, in a plane, in space and around an axis; durations."""
 
+import dataclasses
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from warpcrete.core.errors import InstabilityError
+from warpcrete.core.units import quantity
+from warpcrete.mps.common.forecast import coarser_run
 from warpcrete.mps.free import forecast
 from warpcrete.mps.free.forecast import course_of
 from warpcrete.mps.free.probes import bases, reach, surface
@@ -89,3 +94,43 @@ def test_the_expected_course_of_a_flow(monkeypatch):
     assert asked == [("the concrete is not at rest", {"spacing": pytest.approx(0.3 / 12)})]
     course(spacing=0.2)
     assert asked[-1][1]["spacing"] == pytest.approx(0.3 / 4)
+
+
+@dataclasses.dataclass(frozen=True)
+class Coarse:
+    """Scene of a made-up flow."""
+
+    spacing: float = 0.01
+    fails: bool = False
+
+
+class Flow:
+    """Made-up simulation of a scene; notes what copies are asked for and whether they are released."""
+
+    log: ClassVar[list] = []
+    duration = 7.0
+
+    def __init__(self, scene, *, device, precision, threads):
+        self.scene, self.device, self.precision, self.threads = scene, device, precision, threads
+        self.log.append((scene.spacing, device, precision, threads))
+        self.steady = scene.spacing < 0.05
+
+    def run(self):
+        if self.scene.fails:
+            raise InstabilityError("t = 1 s: burst")
+        return SimpleNamespace(result={"simulated_time": quantity(2.5, "s")})
+
+    def release(self):
+        self.log.append("released")
+
+
+def test_a_coarser_copy_runs_with_the_settings_of_the_flow_and_is_released():
+    flow = Flow(Coarse(), device="cpu", precision="float64", threads=3)
+    Flow.log.clear()
+    run, reached, remarks = coarser_run(flow, "not at rest", spacing=0.04)
+    assert run is not None and (reached, remarks) == (2.5, [])
+    assert Flow.log == [(0.04, "cpu", "float64", 3), "released"]
+    assert coarser_run(flow, "not at rest", spacing=0.06)[1:] == (2.5, ["not at rest within 2.5 s"])
+    run, reached, (remark,) = coarser_run(flow, "not at rest", fails=True)
+    assert run is None and reached == 7.0 and "a coarser copy of this flow stopped: t = 1 s: burst" in remark
+    assert Flow.log[-1] == "released"

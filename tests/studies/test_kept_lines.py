@@ -220,6 +220,8 @@ def test_runs_of_a_line_by_elements_are_kept(kind, line, meshed, tmp_path, monke
         known.append([[None if each is None else each.name for each in folders], len(digest)])
         return scene if len(known) == 1 else None
 
+    clock = iter(range(100))
+    monkeypatch.setattr(by_elements, "wall_clock", SimpleNamespace(perf_counter=lambda: 2.5 * next(clock)))
     monkeypatch.setattr(by_elements, "part_simulation", part_simulation)
     monkeypatch.setattr(by_elements, "method_of", lambda scene: SimpleNamespace(run_many=run_many))
     monkeypatch.setattr(by_elements, "previous_run", previous)

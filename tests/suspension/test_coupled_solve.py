@@ -27,6 +27,7 @@ def heap(device, precision="float32", **given):
 def test_touching_spheres_need_few_iterations(device):
     """The first step starts from rest and finds contacts late, so it has two solves; the others have one."""
     flow, counts, contacts = heap(device), [], 0
+    assert flow.holdings["aggregates"] is flow.aggregates and flow.holdings["coupled solve"] is flow.coupled.directions
     for _ in range(6):
         flow.take(1)
         counts.append(flow.coupled.outer)

@@ -70,6 +70,7 @@ def test_single_spheres_in_mortar_are_kept(monkeypatch, few_steps):
         "sheared": suspensions.sheared(3, 8, (0.25, 0.1, 0.3), "cpu", "float64"),
         "approaching": suspensions.approaching(3, 0.5, (0.3, 0.2, 0.1), "cpu", "float64"),
         "falling": suspensions.falling_in_bingham(0.13, 1e4, "cpu", "float64"),
+        "particles": suspensions.mortar_state((4, 4, 4), 0.01, "cpu", "float64").particle_spacing,
         "resistance": [suspensions.approach_resistance(gap) for gap in (0.05, 0.5, 3.0)],
     }
     asked = []
@@ -314,3 +315,12 @@ def test_starts_from_rest_are_kept(monkeypatch):
     monkeypatch.setattr(starting, "worst", lambda *given: asked.append(given) or (1e-3 * len(asked), 2e-3 * len(asked)))
     rows = [row for case in starting.CASES for row in case.run("cpu", "float32")]
     kept.compare("verified-starts", {"rows": rows, "asked": asked})
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_nearest_particles_are_found_whatever_their_order(dimensions):
+    x = np.random.default_rng(dimensions).uniform(0, 1, (60, dimensions))
+    particles = SimpleNamespace(position=SimpleNamespace(numpy=lambda: x))
+    state = SimpleNamespace(particles=particles, layout=SimpleNamespace(spacing=0.25))
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)[np.triu_indices(60, 1)]
+    assert flow_extremes._closest(SimpleNamespace(state=state)) == pytest.approx(apart.min() / 0.25, rel=1e-12)
