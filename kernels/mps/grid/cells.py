@@ -52,7 +52,8 @@ CELLS_PER_SECOND = wp.constant(5)  # Number of cells that the fastest concrete c
 BEFORE = wp.constant(6)  # Root mean square speed of the concrete in the previous step [m/s].
 RATE = wp.constant(7)  # Rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
-CLOCK = 9
+GATHERED = wp.constant(9)  # Root mean square speed that the particles brought to the grid in this step [m/s].
+CLOCK = 10
 STRIP = wp.constant(64)
 """Number of successive cells, faces or particles that one thread of a CPU processes at once."""
 
@@ -198,7 +199,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
         # Driving force of a periodic pipe, with the indices FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
         drive: wp.array(dtype=wp.float64)
-        clock: wp.array(dtype=wp.float64)  # Time and step control, with the indices DT to LAST, shape (CLOCK,).
+        clock: wp.array(dtype=wp.float64)  # Time and step control, with the indices DT to GATHERED, shape (CLOCK,).
 
     @wp.struct
     class Geometry:
