@@ -11,6 +11,7 @@ from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf
 from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.mps.common.mixes import SELF_COMPACTING, ConcreteName
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
@@ -41,6 +42,7 @@ AGGREGATE_REMARKS = (
 class FunnelParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the V-funnel; defaults follow EN 12350-9."""
 
+    concrete: ConcreteName = SELF_COMPACTING
     top_width: Annotated[float, "Inner width at the top [m]", Above()] = 0.515
     outlet_width: Annotated[float, "Inner width of the outlet [m]", Above()] = 0.065
     breadth: Annotated[float, "Distance between the parallel sides [m]", Above()] = 0.075

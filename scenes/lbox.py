@@ -12,9 +12,10 @@ from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.geometry.walls import MeshWall
+from warpcrete.mps.common.mixes import SELF_COMPACTING, ConcreteName
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs, free_variants
-from warpcrete.mps.free.scene import FreeConcrete, FreeScene
+from warpcrete.mps.free.scene import REST_SPEED, FreeConcrete, FreeScene
 from warpcrete.standards import L_BOX
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 
@@ -39,6 +40,7 @@ In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 class BoxParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the L-box; defaults follow EN 12350-10."""
 
+    concrete: ConcreteName = SELF_COMPACTING
     column_width: Annotated[float, "Inner width of the column, along the box [m]", Above()] = 0.1
     column_height: Annotated[float, "Height of the concrete in the column at the start [m]", Above()] = 0.6
     length: Annotated[float, "Inner length of the box, including the column [m]", Above()] = 0.7
@@ -52,6 +54,9 @@ class BoxParameters(FreeConcrete, AggregateParameters):
     spacing: Annotated[
         float, "Edge length of the cells [m]; bars need at least three cells for two diameters", Above()
     ] = 0.0125
+    # Most of the concrete has the same threshold as the fastest grain in the box of discrete elements. Below it, the
+    # surface still fluctuates by the arrangement of the particles.
+    rest_speed: Annotated[float, REST_SPEED, Above()] = 1e-3
 
 
 @scene_function(BoxParameters)

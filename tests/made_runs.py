@@ -90,7 +90,12 @@ def free(scene: FreeScene) -> Made:
     columns = {
         "slump": {"top": 0.3 * falling, "spread": 0.5 / falling},
         "funnel": {"screen": falling, "inside": falling},
-        "lbox": {"near_depth": 0.6 * falling, "far_depth": 0.1 / falling, "front": 0.7 - 0.7 * falling},
+        "lbox": {
+            "near_depth": 0.6 * falling,
+            "far_depth": 0.1 / falling,
+            "front": 0.7 - 0.7 * falling,
+            "speed_of_most": 0 * falling,
+        },
         "lcpc": {"near_depth": 0.15 * falling, "front": 0.2 / falling},
     }[scene.name]
     zero = np.zeros(ROWS)

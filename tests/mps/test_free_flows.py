@@ -267,7 +267,7 @@ def test_concrete_that_leaves_the_plate_stops_the_run():
 
 def test_slump_by_the_command(tmp_path):
     out = tmp_path / "run"
-    done = CliRunner().invoke(cli, ["run", "slump", "--spacing", "0.0125", "--lift-time", "0.5", "--duration", "5",
+    done = CliRunner().invoke(cli, ["run", "slump", "--spacing", "0.0125", "--lift-time", "0.5", "--duration", "8",
                                     "--concrete", "no1", "--yield-stress", "1500", "--device", "cpu", "--frames", "4",
                                     "--out", str(out), "--quiet"])  # fmt: skip
     assert done.exit_code == 0, done.output

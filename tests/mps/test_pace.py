@@ -104,6 +104,13 @@ def test_a_run_that_goes_on_takes_the_steps_of_one_that_was_not_cut(device):
         assert np.array_equal(array, rest.flow.state_arrays()[name]), name
 
 
+def test_noise_of_the_transfer_does_not_shorten_steps(device):
+    """Films in an L-box flow and stop; measured: 288 steps, most of them of the longest length."""
+    scene = scenes.lbox(spacing=0.025, duration=3.0, column_height=0.4, length=0.5)
+    run = Simulation(scene, device=device).run()
+    assert run.result["steps"] < 400
+
+
 def test_a_forecast_tells_the_mean_step():
     """From a coarser copy, whose cells are passed later; measured: 1.4 % of the time, 4 % of the step. A thin heap of
     100 Pa, which the copy has two cells for, takes a third of the steps that are foretold.

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from made_runs import ROWS, RUNS
 
+from warpcrete.standards.standard_test import is_at_rest
+
 TIMES = {
     "slump": {"t500": ("spread", 0.5, 0.2, 0.6)},
     "funnel": {"funnel_time": ("screen", 0.5, 1.0, 0.1)},
@@ -30,3 +32,11 @@ def test_times_lie_between_rows(test, quantity, method):
     assert made.run()[quantity] == pytest.approx(before + (later - before) * (value - reached) / (end - reached))
     made.series[column][:] = begin
     assert quantity not in made.run().result
+
+
+def test_a_box_is_at_rest_when_most_of_its_concrete_is_slow():
+    """A film on a wall that slides down does not count; without the speed of most concrete, the fastest counts."""
+    rows = [{"time": t, "fastest": 0.06, "speed_of_most": 5e-4} for t in (1.0, 1.5, 2.0)]
+    assert is_at_rest(rows, 1.0, 1e-3) and not is_at_rest(rows, 1.0, 4e-4) and not is_at_rest(rows, 1.5, 1e-3)
+    assert not is_at_rest([{**row, "speed_of_most": 2e-3} for row in rows[:1]] + rows[1:], 0.0, 1e-3)
+    assert not is_at_rest([{"time": row["time"], "fastest": row["fastest"]} for row in rows], 1.0, 1e-3)

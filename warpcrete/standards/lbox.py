@@ -43,6 +43,7 @@ L_BOX = StandardTest(
         Quantity("t400", "s", lambda k: k.when("front", 0.4), "T400", None, True),
     ),
     forms=(ClosedForm("passing_ratio", "theory", "slow flow, no bars", _ratio_of_slow_flow),),
+    slow_share=0.9,
     in_space=True,
     curves={"front": "position of the front", "near_depth": "depth at the gate", "far_depth": "depth at the end"},
 )

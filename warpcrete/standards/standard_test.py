@@ -17,6 +17,9 @@ from ..core.units import number
 
 RESTED = 1.0
 """Simulated time [s] that concrete must stay slow before it counts as being at rest."""
+FASTEST, MOST = "fastest", "speed_of_most"
+"""Columns of the series from which rest follows: the largest speed, and the speed that :attr:`StandardTest.slow_share`
+of the concrete does not exceed [m/s]."""
 FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "Pa": (1.0, " Pa", 1, 1), "1": (1.0, "", 2, 2)}
 """Format of a result in the report, by its SI unit: the factor to the displayed unit, the displayed unit, the number of
 decimals of the result, and the number of decimals of the closed forms that predict it."""
@@ -152,6 +155,9 @@ class StandardTest:
     forms: tuple[ClosedForm, ...] = ()
     outflow: Outflow | None = None
     """End condition of a test whose vessel empties; all other tests end when the concrete is at rest."""
+    slow_share: float = 1.0
+    """Fraction of the concrete in a flow that must be slow for the concrete to count as at rest. It is below 1 in a
+    vessel on whose walls a film may remain that slides down long after the rest of the concrete has stopped."""
     on_plate: bool = False
     """True if the concrete spreads on a plate, whose edge it must not reach."""
     in_space: bool = False
@@ -207,7 +213,10 @@ class StandardTest:
         result = run.result
         if self.outflow is None:
             speed = 1e3 * number(result["rest_speed"])
-            return {"at rest": (bool(result["at_rest"]), f"the fastest moves at {speed:.2g} mm/s")}
+            share = (
+                f"{self.slow_share:.0%} of it moves at no more than" if MOST in run.series else "the fastest moves at"
+            )
+            return {"at rest": (bool(result["at_rest"]), f"{share} {speed:.2g} mm/s")}
         time = result.get(self.outflow.time)
         left = f"{100 * result['remaining']:.0f} % of the concrete remains"
         return {self.outflow.finding: (time is not None, f"after {number(time):.2f} s" if time else left)}
@@ -247,10 +256,11 @@ def quantities_of_tests(
 def is_at_rest(rows: Sequence[Row], opened: float, rest_speed: float) -> bool:
     """Return whether the concrete was slower than `rest_speed` [m/s] throughout the last `RESTED` seconds.
 
-    All of this time must lie after the time `opened` [s], from which on the concrete was free to flow.
+    All of this time must lie after the time `opened` [s], from which on the concrete was free to flow. The speed is
+    that of most of the concrete if the rows contain it, otherwise the largest speed.
     """
-    now = rows[-1]["time"]
-    late = (row["fastest"] for row in rows if row["time"] > now - RESTED - 1e-9)
+    now, column = rows[-1]["time"], MOST if MOST in rows[-1] else FASTEST
+    late = (row[column] for row in rows if row["time"] > now - RESTED - 1e-9)
     return now >= opened + RESTED and all(speed < rest_speed for speed in late)
 
 

@@ -56,7 +56,9 @@ CELLS_PER_SECOND = wp.constant(5)  # Index of the number of cells that the faste
 BEFORE = wp.constant(6)  # Index of the root mean square speed of the concrete in the previous step [m/s].
 RATE = wp.constant(7)  # Index of the rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Index of the previous time step [s].
-CLOCK = 9
+# GATHERED is the index of the root mean square speed that the particles brought to the grid in this step [m/s].
+GATHERED = wp.constant(9)
+CLOCK = 10
 STRIP = wp.constant(64)
 """Number of successive cells, faces or particles that one thread of a CPU processes at once."""
 
@@ -208,7 +210,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Driving force of a periodic pipe and related values, at the indices FORCE to VELOCITY_CORRECTION, shape
         # (DRIVE,).
         drive: wp.array(dtype=wp.float64)
-        # Time and variables of the step control, at the indices DT to LAST, shape (CLOCK,).
+        # Time and variables of the step control, at the indices DT to GATHERED, shape (CLOCK,).
         clock: wp.array(dtype=wp.float64)
 
     @wp.struct

@@ -3,6 +3,10 @@
 The error of a step of the backward Euler method is half the step times the change of the acceleration between two
 steps. Here the acceleration is that of the root mean square speed of the flow. The acceleration at a single face would
 contain the noise of the particles, which a shorter step does not reduce.
+
+With a free surface, the transfer of velocities from particles to the grid changes even the rms speed by up to a
+hundredth in every step, however short the step is. If errors had to be smaller than this change, steps would shrink to
+microseconds, and the many transfers would slow the flow down.
 """
 
 import functools
@@ -17,6 +21,7 @@ from .cells import (
     BEFORE,
     CELLS_PER_SECOND,
     DT,
+    GATHERED,
     LAST,
     LIQUID,
     NOW,
@@ -50,6 +55,9 @@ class Pace:
     # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
     error: wp.float64
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
+    # Allowed error of a step, divided by the change of the rms speed in the transfer from particles to the grid. An error
+    # below this limit or the other one is allowed.
+    transfer: wp.float64
     viscous: wp.float64  # Residual norm at which the viscous solve stops if the time step is `longest`.
     pressure: wp.float64  # Residual norm at which the pressure solve stops if the time step is `longest`.
     # Residual norm at which the solve that disperses particles stops if the time step is `longest`.
@@ -83,15 +91,20 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if flags[HALTED] != 0:
             return
         square = wp.float64(0.0)
+        gathered = wp.float64(0.0)
         volume = wp.float64(0.0)
         most = wp.float64(0.0)
         for r in range(dims * g.slots):
             if mesh.kind[r] == LIQUID:
+                own = wp.float64(mesh.volume[r])
                 u = wp.float64(mesh.velocity[r])
-                square += wp.float64(mesh.volume[r]) * u * u
-                volume += wp.float64(mesh.volume[r])
+                before = wp.float64(mesh.start[r])
+                square += own * u * u
+                gathered += own * before * before
+                volume += own
                 most = wp.max(most, cells_per_second(g, mesh, r))
         mesh.clock[SPEED] = wp.sqrt(square / wp.max(volume, wp.float64(1.0e-30)))
+        mesh.clock[GATHERED] = wp.sqrt(gathered / wp.max(volume, wp.float64(1.0e-30)))
         mesh.clock[CELLS_PER_SECOND] = most
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -104,20 +117,24 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
         """
         r = wp.tid()
         square = wp.float64(0.0)
+        gathered = wp.float64(0.0)
         volume = wp.float64(0.0)
         most = wp.float64(0.0)
         if r < dims * g.slots:
             if mesh.kind[r] == LIQUID:
                 u = wp.float64(mesh.velocity[r])
+                before = wp.float64(mesh.start[r])
                 volume = wp.float64(mesh.volume[r])
                 square = volume * u * u
+                gathered = volume * before * before
                 most = cells_per_second(g, mesh, r)
         keep(r, partial, 0, square)
         keep(r, partial, blocks, volume)
+        keep(r, partial, 2 * blocks, gathered)
         highest = wp.tile_max(wp.tile(most))
         whole = highest[0]
         if r % BLOCK == 0:
-            partial[2 * blocks + r / BLOCK] = whole
+            partial[3 * blocks + r / BLOCK] = whole
 
     @wp.kernel(enable_backward=False, module="unique")
     def speeds_of_sums(
@@ -130,13 +147,15 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
         thread = wp.tid()
         square = total(thread, partial, 0, blocks)
         volume = total(thread, partial, blocks, blocks)
+        gathered = total(thread, partial, 2 * blocks, blocks)
         own = wp.float64(0.0)
         for k in range(thread, blocks, BLOCK):
-            own = wp.max(own, partial[2 * blocks + k])
+            own = wp.max(own, partial[3 * blocks + k])
         highest = wp.tile_max(wp.tile(own))
         most = highest[0]
         if thread == 0 and flags[HALTED] == 0:
             mesh.clock[SPEED] = wp.sqrt(square / wp.max(volume, wp.float64(1.0e-30)))
+            mesh.clock[GATHERED] = wp.sqrt(gathered / wp.max(volume, wp.float64(1.0e-30)))
             mesh.clock[CELLS_PER_SECOND] = most
 
     return SimpleNamespace(speeds=speeds, sums=sums, speeds_of_sums=speeds_of_sums)
@@ -178,6 +197,7 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
             # The error is proportional to the square of the step, so the allowed step follows from a square root.
             error = wp.float64(0.5) * wp.abs(clock[SPEED] - clock[BEFORE] - clock[RATE] * dt)
             allowed = pace.error * wp.max(clock[SPEED], pace.floor)
+            allowed = wp.max(allowed, pace.transfer * wp.abs(clock[GATHERED] - clock[BEFORE]))
             factor = wp.max(SAFETY * wp.sqrt(allowed / wp.max(error, wp.float64(1.0e-30))), SHORTER)
             longer = wp.min(factor * dt, longest)
         clock[RATE] = (clock[SPEED] - clock[BEFORE]) / dt

@@ -30,9 +30,24 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
 
+SELF_COMPACTING = "scc"
+"""Name of the shipped self-compacting concrete, the default in tests of concrete of this kind."""
+
+
 def concrete_names() -> tuple[str, ...]:
     """Return the names that the parameter `concrete` of a flow accepts in addition to paths of files."""
     return *flowing(), "own"
+
+
+ConcreteName = Annotated[
+    str,
+    "Concrete: no1, no2, no3 (Xu et al. 2021), scc (self-compacting), the path of a .yaml file, or own with the next "
+    "five constants",
+    Alias("mix"),
+    FileIf(is_file),
+    Suggests(concrete_names),
+]
+"""Type of the parameter `concrete`. A scene may declare the parameter again with a default of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +63,7 @@ class ConcreteParameters:
         "slip_yield",
     )
 
-    concrete: Annotated[
-        str,
-        "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the next five constants",
-        Alias("mix"),
-        FileIf(is_file),
-        Suggests(concrete_names),
-    ] = "no1"
+    concrete: ConcreteName = "no1"
     density: Annotated[
         float | None,
         "Density [kg/m3]; the density and the next eight parameters replace the constants of the named concrete",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...standards import Specimen
+from ...standards.standard_test import MOST
 from ..grid.flow import GridFlow
 from ..grid.layout import GridLayout
 
@@ -22,8 +23,9 @@ UNITS = {
     "pressure_iterations": "1",
     "time_step": "s",
     "steps": "1",
+    MOST: "m/s",
 }
-"""Units of the columns of the time series."""
+"""Units of the columns of the time series; only tests with a `slow_share` below 1 have the last column."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +146,7 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     through an open side is not counted as lost.
     """
     concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout, flow.scene.about_axis)
-    row = dict.fromkeys(UNITS, 0.0)
+    row = dict.fromkeys([name for name in UNITS if name != MOST], 0.0)
     row |= {"top": concrete.top(0.0), "spread": concrete.spread(), "inside": concrete.inside}
     if flow.steps:
         speed, outcomes = speeds(flow), flow.outcomes()
@@ -159,4 +161,6 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
             "steps": float(flow.steps),
         }
     test = flow.scene.test
+    if test and test.slow_share < 1:
+        row[MOST] = float(np.quantile(speed, test.slow_share)) if flow.steps and len(speed) else 0.0
     return row | test.measure(concrete, flow.scene.dimensions) if test else row

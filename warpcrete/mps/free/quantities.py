@@ -12,7 +12,7 @@ from ...core.run.method import Quantity
 from ...core.run.run_loop import Run
 from ...geometry.sections import section_area
 from ...standards import Outcome, StandardTest
-from ...standards.standard_test import quantities_of_tests, report_unrest
+from ...standards.standard_test import FASTEST, MOST, quantities_of_tests, report_unrest
 from ..common.run import largest
 from ..grid.geometry import MIRROR, polygon_distance, wall_distance
 from .scene import FreeScene, Points
@@ -44,7 +44,7 @@ class RunData:
 
 
 QUANTITIES = (
-    Quantity("rest_speed", "m/s", lambda k: float(k.series["fastest"][-1])),
+    Quantity("rest_speed", "m/s", lambda k: float(k.series[MOST if MOST in k.series else FASTEST][-1])),
     Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
 )
 """Result quantities that every flow with a free surface has, with or without a standard test."""

@@ -22,6 +22,9 @@ from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Names of the lower and upper sides of the simulated space along each axis."""
+REST_SPEED = (
+    "Speed below which the fastest concrete, or 90 % of it in an L-box, must be for a second to count as at rest [m/s]"
+)
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
@@ -38,7 +41,7 @@ class FreeSettings(Declared):
     )
     rest_speed: Annotated[
         float,
-        "Speed below which the fastest concrete must be, now and a second earlier, to count as at rest [m/s]",
+        REST_SPEED,
         Above(),
     ] = 2e-4
     time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 2e-2

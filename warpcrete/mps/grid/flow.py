@@ -94,6 +94,7 @@ class GridFlow(Stepping):
         stop_norm = DISPERSION_TOLERANCES[1]
         pace.longest, pace.error = scene.time_step, scene.step_error
         pace.floor = MIN_RELATIVE_SPEED * self.state.layout.speed
+        pace.transfer = 0.0 if self.full else 1.0
         pace.viscous = VELOCITY_ERROR * self._force
         pace.pressure = max(
             ABSOLUTE_PRESSURE_FACTOR * scene.tolerance * self._force / self.state.layout.length, self._rounding

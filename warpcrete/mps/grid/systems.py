@@ -89,7 +89,7 @@ def solve_arrays(scalar: Any, device: wp.Device, finest: int, rows: int) -> Any:
     wide = parallel(device)
     sizes = {
         "direction": finest * (2 if wide else 1), "product": finest, "stop_norm": 1, "outcome": OUTCOME,
-        "partial": 3 * (-(-finest // BLOCK) if wide else CHUNKS), "history": HISTORY,
+        "partial": 4 * (-(-finest // BLOCK) if wide else CHUNKS), "history": HISTORY,
     }  # fmt: skip
     struct = system_structs(scalar).Solve
     return allocate(struct, device, **dict.fromkeys(struct.vars, rows) | sizes)
