@@ -55,8 +55,8 @@ class Pace:
     # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
     error: wp.float64
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
-    # Allowed error of a step, divided by the change of the rms speed in the transfer from particles to the grid. An error
-    # below this limit or the other one is allowed.
+    # Allowed error of a step, divided by the change of the rms speed in the transfer from particles to the grid. An
+    # error is allowed if it is below this limit or below that of `error`.
     transfer: wp.float64
     viscous: wp.float64  # Residual norm at which the viscous solve stops if the time step is `longest`.
     pressure: wp.float64  # Residual norm at which the pressure solve stops if the time step is `longest`.
