@@ -2,8 +2,10 @@
 
 import copy
 import dataclasses
+import hashlib
 import importlib
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +16,7 @@ import warpcrete
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli import cli
 from warpcrete.core.device.device import find_device
+from warpcrete.core.inputs import origin
 from warpcrete.core.inputs.fingerprints import fingerprint
 from warpcrete.core.inputs.origin import arguments_of, changed_fields
 from warpcrete.core.run.files import write_json
@@ -185,3 +188,15 @@ def test_a_line_takes_no_run_of_a_changed_scene_for_its_own(tmp_path):
         saved(scene, parts / "run")
         write_json(parts / "run" / "result.json", {"finished": True})
         assert (previous_run([tmp_path / name], made) is not None) == (name == "made")
+
+
+def test_files_of_the_package_are_not_recorded_and_those_beside_it_are(tmp_path):
+    """The version of the package identifies its own files; a user's file may lie in the same folder as the package."""
+    beside, inside = Path(__file__), Path(warpcrete.__file__).parent / "measured" / "tube.json"
+    own = tmp_path / "own.yaml"
+    own.write_text("x: 1", encoding="utf-8")
+    with origin.files_read() as found:
+        for path in (beside, inside, own):
+            origin.note_file(path)
+    assert set(found) == {str(beside.resolve()), str(own.resolve())}
+    assert found[str(own.resolve())] == hashlib.sha256(b"x: 1").hexdigest()

@@ -59,6 +59,7 @@ def test_scenes_of_a_batch_come_to_their_estimates_together():
     assert planner.launch_sizes(*two_scenes((20, 20), (20, 20))) == [20, 20]
     assert planner.launch_sizes(*two_scenes((40, 33), (40, 20))) == [20, 20]
     assert planner.launch_sizes(*two_scenes((33, 32), (20, 20))) == [8, 20]
+    assert LaunchPlanner(False, 2).launch_sizes(*two_scenes((33, 30), (20, 20))) == [10]
     assert planner.launch_sizes(*two_scenes((20, 20), (20, 20), goal=45)) == [20, 5]
     assert planner.launch_sizes(*two_scenes((20, 20), (20, 20), goal=(21, 45))) == [20, 5]
     flags, _, rows = two_scenes((60, 60), (60, 60))

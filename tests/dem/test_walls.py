@@ -122,7 +122,7 @@ def test_convex_edge_and_corner_give_one_force_towards_the_centre(start):
         assert force == pytest.approx(K_WALL * depth * n, rel=1e-7, abs=1e-9)
 
 
-@pytest.mark.parametrize("by", [0.0, 0.1])
+@pytest.mark.parametrize("by", [0.0, 0.55])
 def test_a_convex_body_touches_each_sphere_once(start, by):
     """Twelve bodies of arbitrary shape, with a sphere at every corner, or beside it on one of its edges."""
     rng = np.random.default_rng(2)
@@ -138,7 +138,8 @@ def test_a_convex_body_touches_each_sphere_once(start, by):
         normal = hull.face_normals[meeting].mean(axis=0)
         normals.append(normal / np.linalg.norm(normal))
         places.append(hull.vertices[corner] + by * RADIUS * along / np.linalg.norm(along))
-    places, normals, depth = np.array(places), np.array(normals), 0.02 * RADIUS
+    # So deep that the corner lies inside the sphere, too, in a direction that is not merged with that of the edge.
+    places, normals, depth = np.array(places), np.array(normals), 0.2 * RADIUS
     scene = Scene(
         name="hulls", duration=0, gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-6),
         walls=(MeshWall(name="hulls", vertices=hull.vertices, faces=rng.permutation(hull.faces)),),
