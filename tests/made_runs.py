@@ -89,6 +89,7 @@ def free(scene: FreeScene) -> Made:
     falling = np.linspace(1, 0.2, ROWS)
     columns = {
         "slump": {"top": 0.3 * falling, "spread": 0.5 / falling},
+        "jring": {"top": 0.3 * falling, "spread": 0.5 / falling, "outside": 0.02 / falling},
         "funnel": {"screen": falling, "inside": falling},
         "lbox": {"near_depth": 0.6 * falling, "far_depth": 0.1 / falling, "front": 0.7 - 0.7 * falling},
         "lcpc": {"near_depth": 0.15 * falling, "front": 0.2 / falling},
@@ -156,7 +157,7 @@ COLUMN = {"channel": dict(name="channel"), "tube": dict(name="tube"),
           "tube, tolerant": dict(name="tube", tolerated_error=0.2)}  # fmt: skip
 RUNS: dict[str, Callable[[], Made]] = {
     **{name: lambda given=given: column(**given) for name, given in COLUMN.items()},
-    **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "funnel", "lbox", "lcpc")},
+    **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "jring", "funnel", "lbox", "lcpc")},
     "part": part,
     "part, level": lambda: part(unit="bend-level"),
     **{

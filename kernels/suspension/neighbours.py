@@ -97,7 +97,7 @@ def wall_search_function(scalar, of: GridKind):
                 to = e - size * (wp.normalize(slope) + e)
                 to = wp.normalize(to - wp.max(wp.dot(to, known), scalar(0.0)) * known)
                 there, steep, number = wall_gap(g, geometry, x + radius * to)
-                closer = there < distance or turn == 0 and wp.length(e) == scalar(0.0)
+                closer = there < distance or (turn == 0 and wp.length(e) == scalar(0.0))
                 size = wp.where(closer and turn > 0, size, scalar(0.5) * size)
                 if closer:
                     e = to

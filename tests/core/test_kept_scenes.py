@@ -43,6 +43,7 @@ VARIANTS = {
         {"spacing": 0.02},
         {"spacing": 0.02, "top_diameter": 0.1, "mould_height": 0.2, "lift_time": 3.0, "concrete": "no3"},
     ),
+    "jring": ({"spacing": 0.0118}, {"spacing": 0.0118, "bars": 12, "lift_time": 0.0}),
     "funnel": ({"spacing": 0.016},),
     "lcpc": ({"spacing": 0.02},),
     "lbox": ({"spacing": 0.02},),

@@ -156,7 +156,7 @@ def dark(made: Made) -> None:
 
 def of_free(run: str) -> list[Case]:
     """Return the cases of a standard test as a flow."""
-    limit = {"slump": 0.05, "funnel": 0.04, "lbox": 0.07, "lcpc": 0.06}[run]
+    limit = {"slump": 0.05, "jring": 0.05, "funnel": 0.04, "lbox": 0.07, "lcpc": 0.06}[run]
     last = off("light is seen", dark) if run == "funnel" else off("at rest", unsteady)
     return [off("finished", cut_short), *beyond("volume", limit, in_the_middle("volume_error")), last]
 
@@ -272,7 +272,7 @@ def of_pumped(run: str) -> list[Case]:
 def cases_of(run: str) -> list[Case]:
     name = scene_name(run)
     makers = {"channel": of_column, "tube": of_column, "part": of_part, "pipe": of_pumped, "part-dem": of_pumped,
-              **dict.fromkeys(("slump", "funnel", "lbox", "lcpc"), of_free),
+              **dict.fromkeys(("slump", "jring", "funnel", "lbox", "lcpc"), of_free),
               **dict.fromkeys(("slump-dem", "funnel-dem", "lbox-dem", "jring-dem", "lcpc-dem"), of_vessel)}  # fmt: skip
     return makers[name](run)
 

@@ -7,15 +7,27 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InstabilityError
+from ..core.run.method import results_of
+from ..core.run.tables import Table
 from ..mps.free.layout import free_cells, free_layout
+from ..mps.free.probes import beyond
+from ..mps.free.quantities import RunData
 from ..mps.free.simulation import FreeSimulation
 from ..mps.grid.state import GridState, check_memory
 from .display import SuspensionDisplay
 from .flow import SuspensionFlow
 from .placing import placed_aggregates
+from .quantities import QUANTITIES, mortar_part
 from .scene import SuspensionScene
 
-UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1", "aggregates_inside": "1"}
+UNITS = {
+    "smallest_gap": "1",
+    "aggregate_height": "m",
+    "coupled_error": "1",
+    "aggregates_inside": "1",
+    "aggregates_passed": "1",
+    "mortar_passed": "1",
+}
 """Units of the columns of the time series that describe the aggregates."""
 SOLVE_BYTES = 4 * 8 * 64
 """Memory per cell that the coupled solve of mortar and aggregates needs for its search directions [bytes], in single
@@ -68,7 +80,26 @@ class SuspensionSimulation(FreeSimulation):
         }
         if flow.opens:
             row["aggregates_inside"] = flow.aggregates.volume_inside(flow.opens)
+        test = self.scene.test
+        if test and test.ring:
+            row |= self._passed(test.ring(self.scene.dimensions))
         return super().measured() | row
+
+    def _passed(self, ring: float) -> dict[str, float]:
+        """Return the fractions of the volumes of aggregates and mortar outside a ring of bars with a radius [m].
+
+        An aggregate counts as outside if its centre is.
+        """
+        bodies = self.flow.aggregates
+        centre, volume = bodies.bodies.centre.numpy(), bodies.radius**3
+        passed = float(volume[np.hypot(centre[:, 0], centre[:, 1]) > ring].sum() / volume.sum())
+        mortar = mortar_part(beyond(self.flow, ring), passed, self.fraction)
+        return {"aggregates_passed": passed, "mortar_passed": mortar}
+
+    @property
+    def fraction(self) -> float:
+        """Volume of the placed aggregates divided by the volume of the concrete."""
+        return 4 / 3 * np.pi * float(np.sum(self.flow.aggregates.radius**3)) / self.volume
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap too far.
@@ -84,6 +115,10 @@ class SuspensionSimulation(FreeSimulation):
 
     def sizes(self) -> dict[str, Any]:
         """Return sizes of the model, such as the number of aggregates, for the run's result."""
-        bodies = self.flow.aggregates
-        volume = 4 / 3 * np.pi * float(np.sum(bodies.radius**3))
-        return super().sizes() | {"aggregates": {"count": bodies.count, "fraction": volume / self.volume}}
+        found = {"count": self.flow.aggregates.count, "fraction": self.fraction}
+        return super().sizes() | {"aggregates": found}
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return the entries of the result that follow from the time series and the surface; there are no tables."""
+        result, tables = super().outcome(series)
+        return result | results_of(QUANTITIES, RunData(self.scene, series, self.volume)), tables
