@@ -61,9 +61,21 @@ def test_the_part_of_the_concrete_outside_a_circle():
     assert beyond(flow, 0.075) == pytest.approx(outer / (np.pi * 0.2 / 3 * 0.0175), rel=0.03)
 
 
+def test_bars_and_all_quarters_are_drawn():
+    simulation = ready()
+    simulation.flow.take(1)
+    display = simulation.display("shear")
+    names = [wall.name for wall in display.walls()]
+    assert names == ["plate", "bars", "bars_front", "bars_left", "bars_left_front"]
+    lower, upper = display.bounds()
+    assert np.all(lower[:2] == -upper[:2]) and display.centres()[:, :2].min() < -0.08
+    # Measured: 2.1 % less, because the surface rounds off the edges of the cone.
+    assert display.surface().volume == pytest.approx(4 * simulation.volume, rel=0.025)
+
+
 @pytest.mark.thorough
 def test_bars_hold_concrete_back(device):
-    given = SMALL | {"duration": 6.0, "sample_interval": 0.05}
+    given = SMALL | {"duration": 8.0, "sample_interval": 0.05}
     ring = FreeSimulation(scenes.jring(**given), device=device).run()
     free = {name: value for name, value in given.items() if name not in ("bars", "bar_diameter", "ring_diameter",
                                                                        "ring_height")}  # fmt: skip

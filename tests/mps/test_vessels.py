@@ -339,7 +339,7 @@ def test_same_run_in_space_same_bits_and_a_checkpoint_goes_on_with_them(device, 
 
 
 @pytest.mark.parametrize("scene", [scenes.funnel(**OWN, spacing=0.015, time_step=4e-3),
-                                   scenes.lbox(**OWN), scenes.lcpc(**OWN), scenes.jring(**OWN)])  # fmt: skip
+                                   scenes.lbox(**OWN), scenes.lcpc(**OWN)])  # fmt: skip
 def test_what_is_drawn_of_a_room_in_space(scene):
     simulation = FreeSimulation(scene, device="cpu")
     simulation.prepare()
