@@ -41,10 +41,11 @@ if TYPE_CHECKING:
     from .pipe import scene as pipe
     from .slump import scene as slump
     from .slump_dem import scene as slump_dem
+    from .stretch import scene as stretch
     from .tube import scene as tube
 
 __all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring", "jring_dem", "lbox", "lbox_dem", "lcpc", "lcpc_dem",
-           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
+           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "stretch", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
 """Names of the two simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements."""

@@ -22,6 +22,8 @@ from warpcrete.mps.part.quantities import RunData as KnownPart
 from warpcrete.mps.part.scene import PartScene
 from warpcrete.mps.quantities import RunData as KnownColumn
 from warpcrete.mps.scene import FluidScene
+from warpcrete.suspension.stretch.quantities import RunData as KnownStretch
+from warpcrete.suspension.stretch.scene import StretchScene
 
 ROWS = 21
 MIDDLE = ROWS // 2
@@ -58,7 +60,8 @@ class Made:
             if len(series["time"]) > 1:
                 makers = {FluidScene: lambda: KnownColumn(scene, series, scene.theory()),
                           FreeScene: lambda: KnownFree(scene, series, 1e-3),
-                          PartScene: lambda: KnownPart(scene, series)}  # fmt: skip
+                          PartScene: lambda: KnownPart(scene, series),
+                          StretchScene: lambda: KnownStretch(scene, series)}  # fmt: skip
                 known = makers[type(scene)]()
         if known is not None:
             closed = (
@@ -113,6 +116,15 @@ def part(**parameters) -> Made:
     return Made(scene, series)
 
 
+def stretch(**parameters) -> Made:
+    """Return a steady flow of mortar with aggregates whose friction at the wall balances the driving force."""
+    scene: Any = scenes.modules()["stretch"].scene(**parameters)
+    one = np.ones(ROWS)
+    columns = {"flow": scene.mortar_alone.flow, "wall_stress": scene.wall_stress, "aggregate_velocity": 0.1,
+               "aggregate_radius": 0.6, "smallest_gap": 0.01}  # fmt: skip
+    return Made(scene, {"time": np.linspace(0, 1, ROWS)} | {name: value * one for name, value in columns.items()})
+
+
 def elements(scene: Scene, columns: dict[str, np.ndarray], groups: list[str]) -> Made:
     """Return a run of discrete elements in balance: one wall bears the weight of all, for ten seconds."""
     zero = np.zeros(ROWS)
@@ -159,6 +171,7 @@ RUNS: dict[str, Callable[[], Made]] = {
     **{name: lambda given=given: column(**given) for name, given in COLUMN.items()},
     **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "jring", "funnel", "lbox", "lcpc")},
     "part": part,
+    "stretch": stretch,
     "part, level": lambda: part(unit="bend-level"),
     **{
         name: lambda name=name: vessel(name)

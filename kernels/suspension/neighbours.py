@@ -167,6 +167,7 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
     Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
     f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), pair_functions(scalar, of)
     search, list_others = wall_search_function(scalar, of), others_function(scalar, of)
+    wall_gap = wall_gap_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def locate(bodies: Bodies, points: wp.array(dtype=wp.vec3f)):
@@ -214,8 +215,11 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
                 part = wp.where((mirrors >> side) % 2 == 1, scalar(0.5), scalar(1.0))
                 if gap < closest and (mirrors >> side) % 2 == 0:
-                    closest = gap
-                    beside = n
+                    # A side that lies behind another wall, such as a pipe's, does not count.
+                    there, slope, wall = wall_gap(g, geometry, x + radius * n)
+                    if there > gap - scalar(0.25) * g.width[axis]:
+                        closest = gap
+                        beside = n
                 if gap < reach:
                     approach = wp.dot(bodies.velocity[b], n)
                     count = pair.store(
