@@ -49,18 +49,18 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
             found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
         return found
 
-    return aggregates_within(scene, layout, distance, layout.fluid.min(0), layout.fluid.max(0))
+    return aggregates_within(scene, layout, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
 
 
 def aggregates_within(
-    scene: SphereFields, layout: GridLayout, distance: Distance, low: np.ndarray, high: np.ndarray,
+    scene: SphereFields, layout: GridLayout, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
     periodic: bool = False,
 ) -> Aggregates:  # fmt: skip
     """Return randomly placed spheres between the corners `low` and `high` of a box [m], as `random_places` does.
 
     Raises :class:`warpcrete.SceneError` if not all spheres find a place.
     """
-    rng = np.random.default_rng(scene.seed)
+    rng = np.random.default_rng(seed)
     radii = _radii(scene, layout, rng)
     centres = random_places(radii, low, high, distance, rng, periodic)
     if centres is None:

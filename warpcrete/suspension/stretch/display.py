@@ -32,7 +32,11 @@ class StretchDisplay(SphereDisplay):
     """
 
     colourings: ClassVar = ("speed", "shear", "pressure")
-    copies = 1
+
+    @property
+    def copies(self) -> int:
+        """Number of images of each displayed particle, itself included."""
+        return 1
 
     @property
     def _scene(self) -> StretchScene:
