@@ -1,4 +1,4 @@
-"""What runs of all mortars with aggregates share: memory, columns of the time series, and the watch over overlaps."""
+"""Base class for runs of mortars with aggregates: columns of the time series, the watch over overlaps, and sizes."""
 
 from __future__ import annotations
 

@@ -39,11 +39,17 @@ def _points() -> np.ndarray:
     return cube[np.linalg.norm(cube, axis=1) < 1]
 
 
-def _rings(flow: SuspensionFlow) -> tuple[np.ndarray, int]:
-    """Return the ring of each column of cells, counted from the axis, shape (ny, nx), and the number of rings."""
-    room, scene = flow.state.layout.room, flow.scene
+def _columns(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance of each column of cells from the axis [m] and the number of its ring, shape (ny, nx)."""
+    room = flow.state.layout.room
     x, y = (o + (np.arange(n) + 0.5) * h for o, n, h in zip(room.origin, room.cells[:2], room.width, strict=False))
-    return np.floor(np.hypot(x, y[:, None]) / room.width[0]).astype(int), round(scene.radius / room.width[0])
+    radius = np.hypot(x, y[:, None])
+    return radius, np.floor(radius / room.width[0]).astype(int)
+
+
+def _ring_count(flow: SuspensionFlow) -> int:
+    """Return the number of rings one cell wide from the axis to the wall."""
+    return round(flow.scene.radius / flow.state.layout.room.width[0])
 
 
 def velocity_profile(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -51,11 +57,8 @@ def velocity_profile(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
 
     The velocities are those of mortar and aggregates together.
     """
-    ring, count = _rings(flow)
-    speed, part = _along(flow)
-    room = flow.state.layout.room
-    x, y = (o + (np.arange(n) + 0.5) * h for o, n, h in zip(room.origin, room.cells[:2], room.width, strict=False))
-    radius, inside = np.hypot(x, y[:, None]), ring < count
+    (radius, ring), count = _columns(flow), _ring_count(flow)
+    (speed, part), inside = _along(flow), ring < count
     weight = np.bincount(ring[inside], part.sum(0)[inside], count)
     middle = np.bincount(ring[inside], (part.sum(0) * radius)[inside], count) / weight
     return middle, np.bincount(ring[inside], (speed * part).sum(0)[inside], count) / weight
@@ -70,7 +73,7 @@ def _along(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
 
 def fraction_profile(flow: SuspensionFlow) -> np.ndarray:
     """Return the volume fraction of the aggregates in rings one cell wide, counted from the axis."""
-    room, scene, count = flow.state.layout.room, flow.scene, _rings(flow)[1]
+    room, scene, count = flow.state.layout.room, flow.scene, _ring_count(flow)
     centre, radius = flow.aggregates.bodies.centre.numpy().astype(float), flow.aggregates.radius
     points = _points()
     aside = np.hypot(
