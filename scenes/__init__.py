@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .channel import scene as channel
     from .funnel import scene as funnel
     from .funnel_dem import scene as funnel_dem
+    from .jring import scene as jring
     from .jring_dem import scene as jring_dem
     from .lbox import scene as lbox
     from .lbox_dem import scene as lbox_dem
@@ -40,10 +41,11 @@ if TYPE_CHECKING:
     from .pipe import scene as pipe
     from .slump import scene as slump
     from .slump_dem import scene as slump_dem
+    from .stretch import scene as stretch
     from .tube import scene as tube
 
-__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "lcpc", "lcpc_dem",
-           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
+__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring", "jring_dem", "lbox", "lbox_dem", "lcpc", "lcpc_dem",
+           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "stretch", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
 """Names of the two simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements."""

@@ -11,11 +11,12 @@ from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.geometry.walls import Wall
 from warpcrete.mps.common.mixes import CONSTANTS
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
-from warpcrete.standards import SLUMP
+from warpcrete.standards import SLUMP, StandardTest
 from warpcrete.suspension.scene import AggregateParameters, vessel_scene
 from warpcrete.theory.vessels import cone_volume, long_heap_spread
 
@@ -24,7 +25,8 @@ PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
 TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 """Top diameter, base diameter and height of the mould in EN 12350-2 [m]."""
 RELEASED = "the friction of the mould is neglected: concrete is released from below as the mould rises"
-QUARTER = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
+QUARTER = "a quarter of the cone is simulated, between two planes of symmetry"
+QUARTER_OF_AGGREGATES = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
 MAX_PART = 0.7
 """Largest diameter of an aggregate divided by the radius of the mould's top. A quarter of the cone is simulated, and at
 the top this quarter is as wide as that radius."""
@@ -68,10 +70,22 @@ def scene(parameters: SlumpParameters) -> FreeScene:
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
-    given = parameters
+    return lifted_mould(parameters, SLUMP)
+
+
+def lifted_mould(
+    given: SlumpParameters, test: StandardTest, walls: tuple[Wall, ...] = (), least_room: float = 0.0
+) -> FreeScene:
+    """Build the scene of a `test` in which a mould is lifted from a plate; `walls` are walls that stand on the plate.
+
+    With walls or aggregates, a quarter of the mould and the plate is simulated in space. The default radius of the
+    plate is at least `least_room` [m].
+    """
     concrete = given.make_concrete(given.plate == "slips")
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
-    room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
+    room = given.plate_radius or max(
+        least_room, _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
+    )
     outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))
     # Fit a whole number of cells into the height of the mould, and also into the radius of its base.
     rows, rings = max(4, round(height / given.spacing)), max(4, round(base / given.spacing))
@@ -81,35 +95,45 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     as_printed = given.concrete in PUBLISHED and all(getattr(given, name) is None for name in CONSTANTS)
     width = base / rings * math.ceil(room * rings / base)
     quarter: dict[str, Any] = {}
+    remark = (QUARTER,) * bool(walls)
     if given.aggregate_fraction:
-        if given.aggregate_largest > MAX_PART * top:
-            refuse("aggregate_largest", given.aggregate_largest,
-                   f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
-                   f"use {MAX_PART * top:.2g} m or less")  # fmt: skip
-        if given.lift_time and given.precision == "float32":
-            refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
-                                                 "then hardly deforms, and the solve does not converge",
-                   "use 'precision' float64, or 'lift_time' = 0")  # fmt: skip
+        _check_aggregates(given)
+        remark = (QUARTER_OF_AGGREGATES,)
+    if walls or given.aggregate_fraction:
         quarter = {"depth": width, "round": True, "sides": {"left": "mirror", "front": "mirror"}}
     return vessel_scene(
         given,
-        name="slump",
-        test=SLUMP,
+        name=test.name,
+        test=test,
         concrete=concrete,
         axial=not quarter,
         width=width,
         height=height * (rows + ABOVE) / rows,
         spacing=given.spacing,
         outline=outline,
+        walls=walls,
         gate=gate,
         lift_speed=height / given.lift_time if given.lift_time else 0.0,
         plate_slips=given.plate == "slips",
-        dimensions=SLUMP.sizes(given),
-        published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
-        remarks=(RELEASED,) * bool(gate) + (QUARTER,) * bool(quarter),
+        dimensions=test.sizes(given),
+        published={"slump": PUBLISHED[given.concrete]} if test is SLUMP and standard and as_printed else {},
+        remarks=(RELEASED,) * bool(gate) + remark,
         **quarter,
         **given.settings(),
     )
+
+
+def _check_aggregates(given: SlumpParameters) -> None:
+    """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
+    top = given.top_diameter / 2
+    if given.aggregate_largest > MAX_PART * top:
+        refuse("aggregate_largest", given.aggregate_largest,
+               f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
+               f"use {MAX_PART * top:.2g} m or less")  # fmt: skip
+    if given.lift_time and given.precision == "float32":
+        refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
+                                             "then hardly deforms, and the solve does not converge",
+               "use 'precision' float64, or 'lift_time' = 0")  # fmt: skip
 
 
 def _room(top: float, base: float, height: float, yield_stress: float, density: float, gravity: float) -> float:

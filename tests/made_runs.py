@@ -22,6 +22,8 @@ from warpcrete.mps.part.quantities import RunData as KnownPart
 from warpcrete.mps.part.scene import PartScene
 from warpcrete.mps.quantities import RunData as KnownColumn
 from warpcrete.mps.scene import FluidScene
+from warpcrete.suspension.stretch.quantities import RunData as KnownStretch
+from warpcrete.suspension.stretch.scene import StretchScene
 
 ROWS = 21
 MIDDLE = ROWS // 2
@@ -58,7 +60,8 @@ class Made:
             if len(series["time"]) > 1:
                 makers = {FluidScene: lambda: KnownColumn(scene, series, scene.theory()),
                           FreeScene: lambda: KnownFree(scene, series, 1e-3),
-                          PartScene: lambda: KnownPart(scene, series)}  # fmt: skip
+                          PartScene: lambda: KnownPart(scene, series),
+                          StretchScene: lambda: KnownStretch(scene, series)}  # fmt: skip
                 known = makers[type(scene)]()
         if known is not None:
             closed = (
@@ -89,6 +92,7 @@ def free(scene: FreeScene) -> Made:
     falling = np.linspace(1, 0.2, ROWS)
     columns = {
         "slump": {"top": 0.3 * falling, "spread": 0.5 / falling},
+        "jring": {"top": 0.3 * falling, "spread": 0.5 / falling, "outside": 0.02 / falling},
         "funnel": {"screen": falling, "inside": falling},
         "lbox": {
             "near_depth": 0.6 * falling,
@@ -115,6 +119,15 @@ def part(**parameters) -> Made:
         "outflow_error": 0 * one,
     }
     return Made(scene, series)
+
+
+def stretch(**parameters) -> Made:
+    """Return a steady flow of mortar with aggregates whose friction at the wall balances the driving force."""
+    scene: Any = scenes.modules()["stretch"].scene(**parameters)
+    one = np.ones(ROWS)
+    columns = {"flow": scene.mortar_alone.flow, "wall_stress": scene.wall_stress, "aggregate_velocity": 0.1,
+               "aggregate_radius": 0.6, "smallest_gap": 0.01}  # fmt: skip
+    return Made(scene, {"time": np.linspace(0, 1, ROWS)} | {name: value * one for name, value in columns.items()})
 
 
 def elements(scene: Scene, columns: dict[str, np.ndarray], groups: list[str]) -> Made:
@@ -161,8 +174,9 @@ COLUMN = {"channel": dict(name="channel"), "tube": dict(name="tube"),
           "tube, tolerant": dict(name="tube", tolerated_error=0.2)}  # fmt: skip
 RUNS: dict[str, Callable[[], Made]] = {
     **{name: lambda given=given: column(**given) for name, given in COLUMN.items()},
-    **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "funnel", "lbox", "lcpc")},
+    **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "jring", "funnel", "lbox", "lcpc")},
     "part": part,
+    "stretch": stretch,
     "part, level": lambda: part(unit="bend-level"),
     **{
         name: lambda name=name: vessel(name)

@@ -12,6 +12,7 @@ from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES
 from .mps.part.method import METHOD as PARTS_OF_LINES
 from .suspension.method import METHOD as SUSPENSIONS
+from .suspension.stretch.method import METHOD as STRETCHES
 
 __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 
@@ -23,6 +24,7 @@ METHODS: tuple[Method, ...] = (
     SUSPENSIONS,
     FREE_FLOWS,
     PARTS_OF_LINES,
+    STRETCHES,
 )
 
 

@@ -12,6 +12,14 @@ from ..mps.structs import mps_types
 from .bodies import body_functions, body_structs
 from .pairs import CAPACITY, LOOKED_AT, WALL, pair_functions, pair_struct
 
+TURNS = 6
+"""Number of steps in which a search for a wall moves over the surface of an aggregate."""
+FACING = wp.constant(0.9)
+"""Minimum cosine of the angle between the direction that a search has found and the normal of the wall. At a smaller
+cosine the wall is not closest to the aggregate in this direction."""
+FAR = wp.constant(1.0e30)
+"""Gap [m] that a search returns if it finds no wall."""
+
 
 @functools.cache
 def wall_gap_function(scalar, of: GridKind):
@@ -57,6 +65,50 @@ def wall_gap_function(scalar, of: GridKind):
         return value, slope, wall
 
     return wall_gap
+
+
+@functools.cache
+def wall_search_function(scalar, of: GridKind):
+    """Build the function that finds the wall near a point of an aggregate's surface.
+
+    The gap between a sphere and a wall is the smallest distance of the sphere's surface from the wall. The function
+    moves over the surface from a starting point, in the direction in which the distance decreases. Its first step leads
+    to the closest point of a plane wall. Further steps are shorter, because they would go too far at convex walls such
+    as bars.
+    """
+    vec = mps_types(scalar, 3).vec
+    Grid = grid_parameters_struct(scalar, 3)
+    Geometry = grid_structs(scalar, 3).Geometry
+    wall_gap = wall_gap_function(scalar, of)
+
+    @wp.func
+    def search(g: Grid, geometry: Geometry, x: vec, radius: scalar, start: vec, known: vec, reach: scalar):
+        """Return the gap to a wall [m], the unit vector towards it, and the number of the wall.
+
+        `start` is the direction from the centre `x` to the starting point, or 0 for the centre. If `known` is not 0, it
+        is the direction of another wall, and the search does not turn towards that wall.
+        """
+        e = start
+        distance, slope, wall = wall_gap(g, geometry, x + radius * e)
+        size = scalar(1.0)
+        # No point of the surface near the starting point is closer to a wall than this distance minus the radius.
+        if distance < radius + reach:
+            for turn in range(wp.static(TURNS)):
+                to = e - size * (wp.normalize(slope) + e)
+                to = wp.normalize(to - wp.max(wp.dot(to, known), scalar(0.0)) * known)
+                there, steep, number = wall_gap(g, geometry, x + radius * to)
+                closer = there < distance or (turn == 0 and wp.length(e) == scalar(0.0))
+                size = wp.where(closer and turn > 0, size, scalar(0.5) * size)
+                if closer:
+                    e = to
+                    distance = there
+                    slope = steep
+                    wall = number
+        if wp.length(slope) < scalar(0.1) or -wp.dot(wp.normalize(slope), e) < scalar(FACING):
+            distance = scalar(FAR)
+        return distance, e, wall
+
+    return search
 
 
 @functools.cache
@@ -114,7 +166,8 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
     Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
     Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
     f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), pair_functions(scalar, of)
-    wall_gap, list_others = wall_gap_function(scalar, of), others_function(scalar, of)
+    search, list_others = wall_search_function(scalar, of), others_function(scalar, of)
+    wall_gap = wall_gap_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def locate(bodies: Bodies, points: wp.array(dtype=wp.vec3f)):
@@ -150,6 +203,8 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
         # Neighbours also include the sides of the box that are walls or planes of symmetry. Beyond a plane of symmetry
         # lies the mirror image of the aggregate. The reduced radius for this image is half that for a wall, and the gap
         # and the speed of approach to the image are twice those to the plane.
+        beside = vec()
+        closest = reach
         for side in range(6):
             if (sides >> side) % 2 == 1:
                 axis = side / 2
@@ -159,34 +214,43 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 if side % 2 == 1:
                     gap = scalar(g.n[axis]) * g.width[axis] - (x[axis] - g.origin[axis]) - radius
                 part = wp.where((mirrors >> side) % 2 == 1, scalar(0.5), scalar(1.0))
+                if gap < closest and (mirrors >> side) % 2 == 0:
+                    # A side that lies behind another wall, such as a pipe's, does not count.
+                    there, slope, wall = wall_gap(g, geometry, x + radius * n)
+                    if there > gap - scalar(0.25) * g.width[axis]:
+                        closest = gap
+                        beside = n
                 if gap < reach:
                     approach = wp.dot(bodies.velocity[b], n)
                     count = pair.store(
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
                         part * roughness, dt, longest,
                     )  # fmt: skip
-        # Look for walls other than the sides of the box, at the centre of the aggregate and at six points of its
-        # surface. The distances stored on the grid are those from the nearest wall, which at the centre may be a side
-        # of the box.
+        # Search for walls other than the sides of the box, from the centre of the aggregate and from six points of its
+        # surface. The distances stored on the grid are those from the nearest wall, which may be a side of the box. The
+        # search therefore does not turn towards the closest side, on which another wall may stand as a bar on a plate.
+        # A search that finds a known wall is repeated without turning towards this wall.
         for probe in range(7):
             e = vec()
             if probe > 0:
                 e[(probe - 1) / 2] = wp.where(probe % 2 == 1, scalar(-1.0), scalar(1.0))
-            distance, slope, wall = wall_gap(g, geometry, x + radius * e)
-            steep = wp.length(slope)
-            if steep > scalar(0.1):
-                n = -slope / steep
-                gap = distance + radius * wp.dot(e, n) - radius
-                if gap < reach and not pair.is_known(pairs, b, count, n, gap, radius):
-                    moving = vec()
-                    for axis in range(3):
-                        moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
-                    still = wp.dot(moving, n)
-                    approach = wp.dot(bodies.velocity[b], n) - still
-                    count = pair.store(
-                        g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
-                        longest,
-                    )  # fmt: skip
+            known = beside
+            for again in range(2):
+                if again == 0 or wp.length(known) > scalar(0.0):
+                    gap, n, wall = search(g, geometry, x, radius, e, known, reach)
+                    known = vec()
+                    if gap < reach and pair.is_known(pairs, b, count, n, gap, radius):
+                        known = n
+                    elif gap < reach:
+                        moving = vec()
+                        for axis in range(3):
+                            moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
+                        still = wp.dot(moving, n)
+                        approach = wp.dot(bodies.velocity[b], n) - still
+                        count = pair.store(
+                            g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
+                            longest,
+                        )  # fmt: skip
         pairs.count[b] = count
 
     return SimpleNamespace(locate=locate, find=find)

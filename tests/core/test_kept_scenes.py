@@ -19,6 +19,8 @@ from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.layout import layout
 from warpcrete.mps.part.layout import part_layout
 from warpcrete.mps.part.scene import PartScene
+from warpcrete.suspension.stretch.layout import stretch_layout
+from warpcrete.suspension.stretch.scene import StretchScene
 
 VARIANTS = {
     "channel": (
@@ -43,9 +45,14 @@ VARIANTS = {
         {"spacing": 0.02},
         {"spacing": 0.02, "top_diameter": 0.1, "mould_height": 0.2, "lift_time": 3.0, "concrete": "no3"},
     ),
+    "jring": ({"spacing": 0.0118}, {"spacing": 0.0118, "bars": 12, "lift_time": 0.0}),
     "funnel": ({"spacing": 0.016},),
     "lcpc": ({"spacing": 0.02},),
     "lbox": ({"spacing": 0.02},),
+    "stretch": (
+        {"spacing": 5e-3, "length": 0.06},
+        {"spacing": 5e-3, "length": 0.06, "surfaces": "slips", "concrete": "no2", "gravity": 0.0},
+    ),
     "pipe": (
         {},
         {"unit": "bend-to-vertical", "shapes": "reference", "wall": "mesh", "facets": 12},
@@ -98,6 +105,15 @@ def of_flow(scene):
             "weight": scene.weight(s),
             "theory": [scene.theory(float(x)) for x in s[::4]],
             "friction": [scene.friction(0.0, float(x)) for x in s[1:]],
+        }
+    if isinstance(scene, StretchScene):
+        begun, aggregates = stretch_layout(scene)
+        radius = np.linspace(0, scene.radius, 5)
+        return {
+            "layout": begun,
+            "aggregates": aggregates,
+            "step": scene.time_step,
+            "alone": scene.velocity_alone(radius),
         }
     return {"layout": layout(scene), "theory": scene.theory(), "restart": scene.restart() if scene.gained else None}
 

@@ -105,7 +105,7 @@ def test_scenes_that_share_a_parameter_have_the_same_rules():
     assert {name for (name, _), found in shared.items() if len(set(found.values())) > 1} == DIFFERENT
 
 
-@pytest.mark.parametrize("scene", ["slump", "funnel", "lbox", "lcpc", "part", "channel", "tube"])
+@pytest.mark.parametrize("scene", ["slump", "jring", "funnel", "lbox", "lcpc", "part", "channel", "tube", "stretch"])
 @pytest.mark.parametrize(
     ("name", "value"),
     [("slip_thickness", float("nan")), ("slip_thickness", -float("inf")), ("slip_thickness", -1.0), ("density", 1.0),

@@ -28,6 +28,7 @@ ONE_SIDED = {
     "momentum balance": "the length of a vector, whatever the direction",
     "no grain swallowed": "grains may touch as little as they like",
     "no aggregate swallowed": "aggregates may touch as little as they like",
+    "no overlap": "gaps may be as wide as they like",
     "enough grains": "more are better",
     "enough aggregates": "more are better",
     "one heap": "all of it may hold together",
@@ -156,7 +157,7 @@ def dark(made: Made) -> None:
 
 def of_free(run: str) -> list[Case]:
     """Return the cases of a standard test as a flow."""
-    limit = {"slump": 0.05, "funnel": 0.04, "lbox": 0.07, "lcpc": 0.06}[run]
+    limit = {"slump": 0.05, "jring": 0.05, "funnel": 0.04, "lbox": 0.07, "lcpc": 0.06}[run]
     last = off("light is seen", dark) if run == "funnel" else off("at rest", unsteady)
     return [off("finished", cut_short), *beyond("volume", limit, in_the_middle("volume_error")), last]
 
@@ -168,6 +169,25 @@ def of_part(run: str) -> list[Case]:
         theory = lambda made, place=place: made.scene.theory(place * made.scene.axis.length).pressure  # noqa: E731
         cases += beyond(f"friction {end}", 0.03, at_the_end(f"{end}_gradient", theory))
     return cases + beyond("volume", 1e-3, at_the_end("outflow_error", lambda made: 1.0))
+
+
+def of_stretch(run: str) -> list[Case]:
+    """Return the cases of mortar with aggregates in a stretch of pipe."""
+
+    def wall(made: Made, part: float) -> None:
+        made.series["wall_stress"] *= part
+
+    def gap(made: Made, value: float) -> None:
+        made.series["smallest_gap"][MIDDLE] = value
+
+    return [
+        off("finished", cut_short),
+        off("steady", unsteady),
+        Case("balance of forces", "high", wall, 1.0199, 1.0201),
+        Case("balance of forces", "low", wall, 0.9801, 0.9799),
+        Case("balance of forces", "high", wall, bad=NAN),
+        Case("no overlap", "low", gap, -0.0499, -0.0501),
+    ]
 
 
 def unbalanced(made: Made, part: float) -> None:
@@ -271,8 +291,9 @@ def of_pumped(run: str) -> list[Case]:
 
 def cases_of(run: str) -> list[Case]:
     name = scene_name(run)
-    makers = {"channel": of_column, "tube": of_column, "part": of_part, "pipe": of_pumped, "part-dem": of_pumped,
-              **dict.fromkeys(("slump", "funnel", "lbox", "lcpc"), of_free),
+    makers = {"channel": of_column, "tube": of_column, "part": of_part, "stretch": of_stretch,
+              "pipe": of_pumped, "part-dem": of_pumped,
+              **dict.fromkeys(("slump", "jring", "funnel", "lbox", "lcpc"), of_free),
               **dict.fromkeys(("slump-dem", "funnel-dem", "lbox-dem", "jring-dem", "lcpc-dem"), of_vessel)}  # fmt: skip
     return makers[name](run)
 

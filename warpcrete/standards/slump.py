@@ -92,4 +92,5 @@ J_RING = StandardTest(
         Quantity("blocking_step", "m", lambda k: k.last("top") - k.last("outside"), "blocking step", None, True),
     ),
     on_plate=True,
+    ring=lambda size: 0.5 * size["ring_diameter"],
 )

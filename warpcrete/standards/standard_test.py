@@ -162,6 +162,9 @@ class StandardTest:
     """True if the concrete spreads on a plate, whose edge it must not reach."""
     in_space: bool = False
     """True if a flow must be simulated in three dimensions, because the closed forms need the width of the vessel."""
+    ring: Callable[[Sizes], float] | None = None
+    """Function that returns the radius of a ring of bars about the axis [m], through which the concrete flows; None
+    without a ring."""
     curves: Mapping[str, str] | None = None
     """Labels of the columns of the series that the figure of a run shows over time; by default, spread and height."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..core.drawing.surfaces import Surface
 from ..mps.free.display import FreeDisplay
+from ..mps.grid.display import GridDisplay
 from .aggregates import is_inside
 
 STONE = (168, 120, 82)
@@ -17,7 +18,56 @@ DIVISIONS = 2
 """Number of times that the triangles of an icosahedron are subdivided, so that it approximates a sphere."""
 
 
-class SuspensionDisplay(FreeDisplay):
+class SphereDisplay(GridDisplay):
+    """Display of a mortar on a grid whose aggregates are drawn as spheres."""
+
+    def surface_colours(self, surface: Surface) -> np.ndarray:
+        """Return the colours of a surface at its vertices as RGB bytes, shape (v, 3)."""
+        colours = super().surface_colours(surface)
+        colours[surface.fields["aggregate"] > 0] = STONE
+        return colours
+
+    @cached_property
+    def _sphere(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and faces of a sphere of unit radius."""
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=DIVISIONS)
+        return np.asarray(ball.vertices, float), np.asarray(ball.faces)
+
+    def with_spheres(
+        self, concrete: Surface, centres: np.ndarray, numbers: np.ndarray, cut: float | None = None
+    ) -> Surface:
+        """Return a surface of the concrete with spheres at `centres` [m], shape (n, 3).
+
+        `numbers` are the indices of the aggregates that the spheres show. With `cut`, only spheres in or behind the
+        plane at this coordinate y [m] are drawn.
+        """
+        radii = self.read("aggregates.radius").astype(float)[numbers]
+        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)[numbers]
+        if cut is not None:
+            seen = centres[:, 1] + radii > cut
+            centres, radii, speeds = centres[seen], radii[seen], speeds[seen]
+        points, faces = self._sphere
+        count, each = len(radii), len(points)
+        vertices = (centres[:, None] + radii[:, None, None] * points).reshape(-1, 3)
+        offsets = len(concrete.vertices) + each * np.arange(count)
+        values = {"speed": np.repeat(speeds, each)}
+        fields = {
+            name: np.concatenate([field, values.get(name, np.zeros(each * count))])
+            for name, field in concrete.fields.items()
+        }
+        marks = np.concatenate([np.zeros(len(concrete.vertices)), np.ones(each * count)])
+        return replace(
+            concrete,
+            vertices=np.concatenate([concrete.vertices, vertices]),
+            faces=np.concatenate([concrete.faces, (offsets[:, None, None] + faces).reshape(-1, 3)]),
+            normals=np.concatenate([concrete.normals, np.tile(points, (count, 1))]),
+            fields={**fields, "aggregate": marks},
+        )
+
+
+class SuspensionDisplay(SphereDisplay, FreeDisplay):
     """Display of a mortar with aggregates.
 
     The surface of the concrete hides most aggregates; only those that bulge out of it are visible. In a cut view, the
@@ -38,46 +88,11 @@ class SuspensionDisplay(FreeDisplay):
         concrete = super().surface(cut)
         return self.derived(("with aggregates", cut), lambda: self._with_spheres(concrete, cut))
 
-    def surface_colours(self, surface: Surface) -> np.ndarray:
-        """Return the colours of a surface at its vertices as RGB bytes, shape (v, 3)."""
-        colours = super().surface_colours(surface)
-        colours[surface.fields["aggregate"] > 0] = STONE
-        return colours
-
-    @cached_property
-    def _sphere(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices and faces of a sphere of unit radius."""
-        import trimesh
-
-        ball = trimesh.creation.icosphere(subdivisions=DIVISIONS)
-        return np.asarray(ball.vertices, float), np.asarray(ball.faces)
-
     def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
         centres = self.read("aggregates.centre").astype(float)
         inside = is_inside(centres)
-        centres = centres[inside]
-        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float)[inside], axis=1)
-        radii = self.read("aggregates.radius").astype(float)[inside]
         copies = self._mirrored
-        centres = np.concatenate([centres * [a, b, 1.0] for a, b in copies])
-        radii, speeds = np.tile(radii, len(copies)), np.tile(speeds, len(copies))
-        if cut and self.cut is not None:
-            seen = centres[:, 1] + radii > self.cut
-            centres, radii, speeds = centres[seen], radii[seen], speeds[seen]
-        points, faces = self._sphere
-        count, each = len(radii), len(points)
-        vertices = (centres[:, None] + radii[:, None, None] * points).reshape(-1, 3)
-        offsets = len(concrete.vertices) + each * np.arange(count)
-        values = {"speed": np.repeat(speeds, each)}
-        fields = {
-            name: np.concatenate([field, values.get(name, np.zeros(each * count))])
-            for name, field in concrete.fields.items()
-        }
-        marks = np.concatenate([np.zeros(len(concrete.vertices)), np.ones(each * count)])
-        return replace(
-            concrete,
-            vertices=np.concatenate([concrete.vertices, vertices]),
-            faces=np.concatenate([concrete.faces, (offsets[:, None, None] + faces).reshape(-1, 3)]),
-            normals=np.concatenate([concrete.normals, np.tile(points, (count, 1))]),
-            fields={**fields, "aggregate": marks},
+        centres = np.concatenate([centres[inside] * [a, b, 1.0] for a, b in copies])
+        return self.with_spheres(
+            concrete, centres, np.tile(np.flatnonzero(inside), len(copies)), self.cut if cut else None
         )

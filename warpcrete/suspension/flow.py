@@ -151,8 +151,10 @@ class SuspensionFlow(GridFlow):
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
         self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
         # The top of the box, which is the last of its sides, is open as well. Leave it out of the open sides through
-        # which aggregates may leave, because it is above the concrete.
-        self.opens = sum(1 << n for n, side in enumerate(sides[:-1]) if side == OPEN_SIDE)
+        # which aggregates may leave, because it is above the concrete. The ends of a periodic pipe are connected, so no
+        # aggregate leaves it.
+        leaving = [] if state.layout.periodic else sides[:-1]
+        self.opens = sum(1 << n for n, side in enumerate(leaving) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
 

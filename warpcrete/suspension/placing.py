@@ -12,7 +12,7 @@ from ..mps.free.layout import free_walls, section_distance
 from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
 from .aggregates import Aggregates
-from .scene import SuspensionScene
+from .scene import SphereFields, SuspensionScene
 
 CLEARANCE = 0.02
 """Minimum gap at the start. Between two spheres it is divided by the mean of their radii, and between a sphere and a
@@ -38,8 +38,6 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
 
     Raises :class:`warpcrete.SceneError` if not all spheres find a place.
     """
-    rng = np.random.default_rng(scene.seed)
-    radii = _radii(scene, layout, rng)
     nearest, outline = nearest_wall(layout.room, free_walls(scene)), section_distance(scene, scene.outline)
     origin, width = np.array(layout.room.origin), np.array(layout.room.width)
     top = origin + np.array(layout.room.cells) * width
@@ -51,13 +49,25 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
             found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
         return found
 
-    low, high = layout.fluid.min(0), layout.fluid.max(0)
-    centres = random_places(radii, low, high, distance, rng)
+    return aggregates_within(scene, layout, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
+
+
+def aggregates_within(
+    scene: SphereFields, layout: GridLayout, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
+    periodic: bool = False,
+) -> Aggregates:  # fmt: skip
+    """Return randomly placed spheres between the corners `low` and `high` of a box [m], as `random_places` does.
+
+    Raises :class:`warpcrete.SceneError` if not all spheres find a place.
+    """
+    rng = np.random.default_rng(seed)
+    radii = _radii(scene, layout, rng)
+    centres = random_places(radii, low, high, distance, rng, periodic)
     if centres is None:
         whole, fewer = float(np.sum(radii**3)), rng.permutation(radii)
         while centres is None and len(fewer) > 1:
             fewer = fewer[: int(SHRINK * len(fewer))]
-            centres = random_places(fewer, low, high, distance, rng)
+            centres = random_places(fewer, low, high, distance, rng, periodic)
         count, part = (0, 0.0) if centres is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
@@ -195,7 +205,7 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
     return i[near], origin[j[near]], d[near]
 
 
-def _radii(scene: SuspensionScene, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
+def _radii(scene: SphereFields, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
     """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires."""
     wanted = scene.aggregate_fraction * float(np.sum(layout.mass)) * layout.volume
     radii, volume = [], 0.0

@@ -16,9 +16,11 @@ diameters wide."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SuspensionScene(FreeScene):
-    """Mortar with rigid spherical aggregates in a vessel; `concrete` holds the constants of the mortar alone."""
+class SphereFields:
+    """Fields of a scene that describe its aggregates."""
 
+    spacing: float
+    """Wanted width of the cells [m]."""
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
@@ -28,11 +30,8 @@ class SuspensionScene(FreeScene):
     roughness: float
     """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.depth:
-            refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
-                   "use half of the width")  # fmt: skip
+    def check_aggregates(self) -> None:
+        """Raise :class:`SceneError` if sizes of aggregates and cells do not fit each other."""
         smallest, largest = self.aggregate_diameters
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
@@ -41,6 +40,18 @@ class SuspensionScene(FreeScene):
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {smallest:g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
                    f"use {smallest / 4:.3g} m or less, or count aggregates of this size as mortar")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuspensionScene(SphereFields, FreeScene):
+    """Mortar with rigid spherical aggregates in a vessel; `concrete` holds the constants of the mortar alone."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.depth:
+            refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
+                   "use half of the width")  # fmt: skip
+        self.check_aggregates()
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"

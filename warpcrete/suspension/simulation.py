@@ -6,35 +6,35 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InstabilityError
+from ..core.run.method import results_of
+from ..core.run.tables import Table
 from ..mps.free.layout import free_cells, free_layout
+from ..mps.free.probes import beyond
+from ..mps.free.quantities import RunData
 from ..mps.free.simulation import FreeSimulation
 from ..mps.grid.state import GridState, check_memory
 from .display import SuspensionDisplay
 from .flow import SuspensionFlow
 from .placing import placed_aggregates
+from .quantities import QUANTITIES, mortar_part
+from .runs import SOLVE_BYTES, AggregateRun
+from .runs import UNITS as SHARED_UNITS
 from .scene import SuspensionScene
 
-UNITS = {"smallest_gap": "1", "aggregate_height": "m", "coupled_error": "1", "aggregates_inside": "1"}
+UNITS = SHARED_UNITS | {
+    "aggregate_height": "m",
+    "aggregates_inside": "1",
+    "aggregates_passed": "1",
+    "mortar_passed": "1",
+}
 """Units of the columns of the time series that describe the aggregates."""
-SOLVE_BYTES = 4 * 8 * 64
-"""Memory per cell that the coupled solve of mortar and aggregates needs for its search directions [bytes], in single
-precision.
-
-With each direction, the solve stores the direction's product with the matrix. A direction and its product have eight
-numbers for each cell. A solve of at most 60 iterations stores up to 64 directions.
-"""
-DEEPEST = 0.3
-"""Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error. The overlap is
-divided by the radius of the aggregate."""
 
 
-class SuspensionSimulation(FreeSimulation):
+class SuspensionSimulation(AggregateRun, FreeSimulation):
     """Simulation of a mortar with aggregates; parameters and errors are those of :class:`warpcrete.Simulation`."""
 
     scene_type = SuspensionScene
     scene: SuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
-    method = "suspension"
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
@@ -58,32 +58,32 @@ class SuspensionSimulation(FreeSimulation):
     def measured(self) -> dict[str, float]:
         """Measure the flow and return the results as a row of the time series."""
         flow = self.flow
-        gap = flow.aggregates.smallest_gap() if flow.steps else 0.0
         inside = flow.aggregates.inside
         heights = flow.aggregates.bodies.centre.numpy()[inside, 2]
-        row = {
-            "smallest_gap": min(gap, 1.0),
-            "aggregate_height": float(heights.mean()) if len(heights) else 0.0,
-            "coupled_error": flow.coupled.error,
-        }
+        row = self.aggregate_columns() | {"aggregate_height": float(heights.mean()) if len(heights) else 0.0}
         if flow.opens:
             row["aggregates_inside"] = flow.aggregates.volume_inside(flow.opens)
+        test = self.scene.test
+        if test and test.ring:
+            row |= self._passed(test.ring(self.scene.dimensions))
         return super().measured() | row
 
-    def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap too far.
+    def _passed(self, ring: float) -> dict[str, float]:
+        """Return the fractions of the volumes of aggregates and mortar outside a ring of bars with a radius [m].
 
-        The limit of an overlap with a neighbour or wall is DEEPEST times the radius of the aggregate.
+        An aggregate counts as outside if its centre is.
         """
-        super().watch_row(row)
-        if row["smallest_gap"] < -DEEPEST:
-            raise InstabilityError(
-                f"t = {row['time']:.6g} s: two aggregates, or an aggregate and a wall, overlap by "
-                f"{-row['smallest_gap']:.2g} of a radius; use a smaller 'time_step'"
-            )
+        bodies = self.flow.aggregates
+        centre, volume = bodies.bodies.centre.numpy(), bodies.radius**3
+        passed = float(volume[np.hypot(centre[:, 0], centre[:, 1]) > ring].sum() / volume.sum())
+        mortar = mortar_part(beyond(self.flow, ring), passed, self.fraction)
+        return {"aggregates_passed": passed, "mortar_passed": mortar}
 
     def sizes(self) -> dict[str, Any]:
         """Return sizes of the model, such as the number of aggregates, for the run's result."""
-        bodies = self.flow.aggregates
-        volume = 4 / 3 * np.pi * float(np.sum(bodies.radius**3))
-        return super().sizes() | {"aggregates": {"count": bodies.count, "fraction": volume / self.volume}}
+        return super().sizes() | self.aggregate_sizes()
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return the entries of the result that follow from the time series and the surface; there are no tables."""
+        result, tables = super().outcome(series)
+        return result | results_of(QUANTITIES, RunData(self.scene, series, self.volume)), tables

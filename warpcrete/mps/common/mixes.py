@@ -26,6 +26,8 @@ CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
 """Names of all constants and factors of a concrete. A scene may have parameters with these names; their values replace
 those of the named concrete."""
+NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
+"""Constants of a slip layer on which concrete hardly slips."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
@@ -121,6 +123,17 @@ class ConcreteParameters:
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the constants of a concrete file, to keep them in a run's record even if the file changes later."""
         return file_constants(values)
+
+    def make_concrete(self, slips: bool) -> Concrete:
+        """Return the concrete with its constants.
+
+        If `slips` is False, the concrete slips on no wall. Constants that the user states, in the parameters or in a
+        file, then need not include the slip layer.
+        """
+        constants = {name: getattr(self, name) for name in CONSTANTS}
+        if not slips and (self.concrete == "own" or is_file(self.concrete)):
+            constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}
+        return concrete_of(self.concrete, self.slip_thickness, **constants)
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:

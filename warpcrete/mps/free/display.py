@@ -145,7 +145,7 @@ class FreeDisplay(GridDisplay):
                 corners = np.array(scene.outline)
                 shell = corners[corners[:, 0] > 0]
                 found.append(_revolved("mould", shell[np.argsort(shell[:, 1])], OTHER, True))
-            return found
+            return found + self._standing_walls()
         deep = scene.depth or SHOWN_DEPTH
         low = -deep if scene.sides.get("front") == MIRROR else 0.0
         if scene.sides.get("bottom", WALL) == WALL:
@@ -157,14 +157,20 @@ class FreeDisplay(GridDisplay):
                 name = f"block{number + 1}" + ("" if a > 0 else "_image")
                 line = self._cropped(block) * [a, 1.0]
                 found.append(_extruded(name, line, OTHER, False, low, deep))
-        for wall in scene.walls:
+        found += self._standing_walls()
+        if scene.gate:
+            found.append(_extruded("gate", self._cropped(scene.gate), OTHER, True, low, deep))
+        return found
+
+    def _standing_walls(self) -> list[DrawnWall]:
+        """Return the walls of the scene and their mirror images."""
+        found = []
+        for wall in self.simulation.scene.walls:
             drawn = wall.drawn()
             if drawn is not None:
                 for a, b in self._mirrored:
                     name = wall.name + ("" if a > 0 else "_left") + ("" if b > 0 else "_front")
                     found.append(DrawnWall(name, drawn[0] * [a, b, 1.0], drawn[1], False, PLATE))
-        if scene.gate:
-            found.append(_extruded("gate", self._cropped(scene.gate), OTHER, True, low, deep))
         return found
 
     def _cropped(self, points: Points) -> np.ndarray:

@@ -47,9 +47,34 @@ def _means_of_rings(layout: GridLayout, values: np.ndarray) -> np.ndarray:
     `values` has the shape (..., ny, nx), and the result the shape (..., nx). Each ring is as wide as a cell and
     contains the columns whose middles lie in it.
     """
-    x, y = ((np.arange(n) + 0.5) * h for n, h in zip(layout.cells[:2], layout.room.width[:2], strict=True))
-    ring = np.floor(np.hypot(x, y[:, None]) / layout.spacing).astype(int)
+    ring = np.floor(radii(layout) / layout.spacing).astype(int)
     return np.stack([values[..., ring == k].mean(-1) for k in range(layout.cells[0])], -1)
+
+
+def radii(layout: GridLayout) -> np.ndarray:
+    """Return the distance of each column of cells from the axis of a round vessel [m], shape (ny, nx)."""
+    x, y = ((np.arange(n) + 0.5) * h for n, h in zip(layout.cells[:2], layout.room.width[:2], strict=True))
+    return np.hypot(x, y[:, None])
+
+
+def _filled_walls(flow: GridFlow, fill: np.ndarray) -> np.ndarray:
+    """Return the filled fractions of the cells of a round vessel, with those of cells inside walls, such as bars.
+
+    A cell inside a wall gets the mean fraction of the other cells at its distance from the axis. Both arrays have the
+    shape (nz, ny, nx).
+    """
+    layout, free = flow.state.layout, flow.state.cells("room") > 0
+    count, sum = (_means_of_rings(layout, each) for each in (free.astype(float), fill * free))
+    means = np.divide(sum, count, out=np.zeros_like(sum), where=count > 0)
+    ring = np.floor(radii(layout) / layout.spacing).astype(int)
+    means = np.pad(means, [(0, 0), (0, int(ring.max()) + 1 - means.shape[1])])
+    return np.where(free, fill, means[:, ring])
+
+
+def beyond(flow: GridFlow, radius: float) -> float:
+    """Return the fraction of the concrete that is farther from the axis of a round vessel than `radius` [m]."""
+    x, mass = (getattr(flow.state.particles, name).numpy().astype(float) for name in ("position", "mass"))
+    return float(mass[np.hypot(x[:, 0], x[:, 1]) > radius].sum() / mass.sum())
 
 
 def bases(flow: GridFlow) -> np.ndarray:
@@ -71,6 +96,8 @@ def reach(flow: GridFlow) -> float:
     """Return how far the concrete reaches from the axis or the left side [m], at the height where it is widest."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
     if flow.scene.round:
+        if flow.scene.walls:
+            fill = _filled_walls(flow, fill)
         # Only a quarter of a round vessel is simulated. At each height, take the radius of a quarter disc with the area
         # of the concrete, and return the largest of these radii.
         return float(np.sqrt(4 / np.pi * fill.sum((1, 2)) * layout.spacing * layout.room.width[1]).max())

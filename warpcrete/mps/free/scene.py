@@ -11,12 +11,11 @@ import numpy as np
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.errors import between, one_of, positive, refuse
-from ...core.inputs.concretes import is_file
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
-from ..common.mixes import CONSTANTS, ConcreteParameters, concrete_of
+from ..common.mixes import ConcreteParameters
 from ..common.settings import STEP_ERROR, check_interval
 from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 
@@ -25,7 +24,6 @@ SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 REST_SPEED = (
     "Speed below which the fastest concrete, or 90 % of it in an L-box, must be for a second to count as at rest [m/s]"
 )
-NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
 
@@ -241,17 +239,6 @@ class FreeScene(Parametrised, FreeSettings):
 @dataclass(frozen=True, kw_only=True)
 class FreeConcrete(ConcreteParameters, FreeSettings):
     """Parameters that all tests of fresh concrete share."""
-
-    def make_concrete(self, slips: bool) -> Concrete:
-        """Return the concrete with its constants.
-
-        If `slips` is False, the concrete slips on no wall. Constants that the user states, in the parameters or in a
-        file, then need not include the slip layer.
-        """
-        constants = {name: getattr(self, name) for name in CONSTANTS}
-        if not slips and (self.concrete == "own" or is_file(self.concrete)):
-            constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}
-        return concrete_of(self.concrete, self.slip_thickness, **constants)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""

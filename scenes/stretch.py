@@ -1,0 +1,92 @@
+"""Stretch of an endless pipe: mortar with aggregates that are simulated one by one, driven by a pressure gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Annotated
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.inputs.parameters import Above, OneOf, Within
+from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
+from warpcrete.suspension.aggregates import MIN_CELLS
+from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters
+from warpcrete.suspension.stretch.checks import check_stretch
+from warpcrete.suspension.stretch.scene import StretchScene, StretchSettings
+
+REMARKS = (
+    "the ends of the stretch are connected: what leaves one end enters the other",
+    "the pressure gradient does not include the weight of the concrete",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings):
+    """Dimensions of the stretch, and the pressure gradient in it."""
+
+    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.1
+    length: Annotated[float, "Length of the stretch [m]: at least three aggregates", Above()] = 0.1
+    gradient: Annotated[
+        float, "Pressure gradient beyond the weight of mortar and aggregates, which drives the flow [Pa/m]", Above()
+    ] = 2e4
+    surfaces: Annotated[str, "Condition on the wall: mortar sticks, or slips on its slip layer",
+                        OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
+    spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 4e-3
+    aggregate_fraction: Annotated[
+        float,
+        "Volume fraction of the aggregates, which are rigid spheres in the mortar; the constants of the concrete are "
+        "those of the mortar between them",
+        Within(0, MAX_FRACTION),
+    ] = 0.2
+    aggregate_smallest: Annotated[
+        float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above()
+    ] = 0.016
+    aggregate_largest: Annotated[float, "Largest diameter of the simulated aggregates [m]", Above()] = 0.016
+
+
+@scene_function(StretchParameters)
+def scene(parameters: StretchParameters) -> StretchScene:
+    """Model mortar with aggregates in a stretch of an endless upright pipe whose ends are connected.
+
+    A constant pressure gradient drives the flow. The results are the volume flow, the velocity and the fraction of
+    aggregates over the radius, how far aggregates move towards the axis, and, for a mortar without yield stress, the
+    viscosity in the core and the apparent slip velocity at the wall.
+
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
+    """
+    given = parameters
+    concrete = given.make_concrete(given.surfaces == "slips")
+    if given.surfaces == "sticks":
+        concrete = replace(concrete, **NO_LAYER)
+    if given.slip_thickness:
+        refuse("slip_thickness", given.slip_thickness, "must be 0, because the cells represent the whole pipe",
+               "reduce 'diameter' by twice the thickness instead")  # fmt: skip
+    return StretchScene(
+        name="stretch",
+        concrete=concrete,
+        radius=given.diameter / 2,
+        length=given.length,
+        gradient=given.gradient,
+        spacing=given.spacing,
+        slips=given.surfaces == "slips",
+        remarks=REMARKS,
+        **given.aggregates(),
+        **{f.name: getattr(given, f.name) for f in fields(StretchSettings)},
+    )
+
+
+check = check_stretch
+
+
+def _knobs(given: StretchParameters) -> Iterator[Knob]:
+    coarsest = min(given.aggregate_smallest / MIN_CELLS, given.diameter / 8)
+    factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
+    yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m")
+    yield scaled("courant", "courant", given.courant, [f for f in (2.0, 1.0, 0.5) if f * given.courant <= 1], -0.8)
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")
+    yield precisions()
+
+
+trading = Trading(_knobs, quantities=("flow", "relative_viscosity", "slip_velocity"))

@@ -1,0 +1,42 @@
+"""Results of a mortar with aggregates in a vessel, beyond those of free-surface flows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..core.run.method import Quantity
+from ..core.run.run_loop import Run
+from ..mps.free.quantities import RunData, report
+
+
+def mortar_part(concrete: float, aggregates: float, fraction: float) -> float:
+    """Return the part of the mortar in a region, from the parts of the concrete and of the aggregates in it.
+
+    `fraction` is the volume fraction of the aggregates in the concrete.
+    """
+    return (concrete - fraction * aggregates) / (1 - fraction)
+
+
+def _last(known: RunData, name: str) -> float | None:
+    return float(known.series[name][-1]) if name in known.series else None
+
+
+def _both(run: Run) -> str:
+    aggregates, mortar = (100 * float(run.series[f"{what}_passed"][-1]) for what in ("aggregates", "mortar"))
+    return f"{aggregates:.1f} % of the aggregates, {mortar:.1f} % of the mortar"
+
+
+QUANTITIES = (
+    Quantity("aggregates_passed", "1", lambda k: _last(k, "aggregates_passed"), "passed the bars", _both, True),
+    Quantity("mortar_passed", "1", lambda k: _last(k, "mortar_passed"), "", None, True),
+)
+"""Results of tests with a ring of bars."""
+
+
+def report_aggregates(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield the report of a free-surface flow, and the fractions of aggregates and mortar still in the vessel."""
+    yield from report(run)
+    if "aggregates_inside" in run.series:
+        aggregates, fraction = float(run.series["aggregates_inside"][-1]), run.result["aggregates"]["fraction"]
+        mortar = mortar_part(float(run.series["inside"][-1]), aggregates, fraction)
+        yield "aggregates", f"{100 * aggregates:.1f} % of their volume remains, and {100 * mortar:.1f} % of the mortar"

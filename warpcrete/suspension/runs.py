@@ -1,0 +1,59 @@
+"""Base class for runs of mortars with aggregates: columns of the time series, the watch over overlaps, and sizes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import InstabilityError
+from ..mps.common.run import FlowRun
+from .flow import SuspensionFlow
+
+SOLVE_BYTES = 4 * 8 * 64
+"""Memory per cell that the coupled solve of mortar and aggregates needs for its search directions [bytes], in single
+precision.
+
+With each direction, the solve stores the direction's product with the matrix. A direction and its product have eight
+numbers for each cell. A solve of at most 60 iterations stores up to 64 directions.
+"""
+DEEPEST = 0.3
+"""Overlap of two aggregates, or of an aggregate and a wall, above which the run stops with an error. The overlap is
+divided by the radius of the aggregate."""
+UNITS = {"smallest_gap": "1", "coupled_error": "1"}
+"""Units of the columns that describe aggregates in every run."""
+
+
+class AggregateRun(FlowRun):
+    """Run of a mortar with aggregates, in a vessel or in a pipe."""
+
+    flow: SuspensionFlow
+    method = "suspension"
+
+    def aggregate_columns(self) -> dict[str, float]:
+        """Return the smallest gap between aggregates or walls, relative to the radius, and the error of the solve."""
+        gap = self.flow.aggregates.smallest_gap() if self.flow.steps else 0.0
+        return {"smallest_gap": min(gap, 1.0), "coupled_error": self.flow.coupled.error}
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if a value is not finite, or if aggregates overlap too far.
+
+        The limit of an overlap with a neighbour or wall is DEEPEST times the radius of the aggregate.
+        """
+        super().watch_row(row)
+        if row["smallest_gap"] < -DEEPEST:
+            raise InstabilityError(
+                f"t = {row['time']:.6g} s: two aggregates, or an aggregate and a wall, overlap by "
+                f"{-row['smallest_gap']:.2g} of a radius; use a smaller 'time_step'"
+            )
+
+    @property
+    def fraction(self) -> float:
+        """Volume of the placed aggregates divided by the volume of the concrete."""
+        layout = self.flow.state.layout
+        volume = float(np.sum(layout.mass)) * layout.volume
+        return 4 / 3 * np.pi * float(np.sum(self.flow.aggregates.radius**3)) / volume
+
+    def aggregate_sizes(self) -> dict[str, Any]:
+        """Return number and volume fraction of the aggregates, for the run's result."""
+        return {"aggregates": {"count": self.flow.aggregates.count, "fraction": self.fraction}}

@@ -1,0 +1,131 @@
+"""Display of a stretch of pipe for recorders: mortar behind the axis, all aggregates, and a transparent wall."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from ...core.drawing.display import GLASS, Curve, DrawnWall, Plot, Points, Profile
+from ...core.drawing.paint import rounded_up
+from ...core.drawing.style import RUN, SECOND, THEORY
+from ...core.drawing.surfaces import Surface
+from ...geometry.axis import Axis, Line
+from ...mps.grid.display import HALF_CELL
+from ..display import SphereDisplay
+from .probes import fraction_profile, velocity_profile
+from .scene import StretchScene
+
+MAX_PARTICLES = 12000
+"""Maximum number of particles of mortar in files for ParaView."""
+FACETS = 48
+"""Number of facets around the axis with which the wall is drawn."""
+WALL_GAP = 0.03
+"""Distance between the mortar and the drawn wall, in radii of the pipe."""
+
+
+class StretchDisplay(SphereDisplay):
+    """Display of a stretch of pipe: mortar coloured by speed, by shear rate or by pressure.
+
+    The mortar in front of the axis is left out, so that the aggregates in it are visible.
+    """
+
+    colourings: ClassVar = ("speed", "shear", "pressure")
+
+    @property
+    def copies(self) -> int:
+        """Number of images of each displayed particle, itself included."""
+        return 1
+
+    @property
+    def _scene(self) -> StretchScene:
+        return self.simulation.scene
+
+    @property
+    def drawn_particles(self) -> np.ndarray:
+        """Indices of the particles that are displayed, shape (n,)."""
+        count = self.simulation.state.count
+        return np.arange(0, count, max(1, -(-count // MAX_PARTICLES)))
+
+    def radii(self) -> np.ndarray:
+        """Return the radii of drawn particles [m], larger where fewer of the particles are drawn."""
+        state, chosen = self.simulation.state, self.drawn_particles
+        fewer = (state.count / len(chosen)) ** (1 / 3)
+        return np.full(len(chosen), 0.45 * state.particle_spacing * fewer, np.float32)
+
+    def centres(self) -> np.ndarray:
+        """Return the positions of drawn particles [m], shape (n, 3)."""
+        return self.read("particles.position").astype(float)[self.drawn_particles]
+
+    @property
+    def cut(self) -> float | None:
+        """Coordinate y [m] of the cutting plane, which contains the axis."""
+        return 0.0
+
+    @cached_property
+    def _gap(self) -> np.ndarray:
+        """Distance of each cell's centre from the wall, in cells and limited to half a cell, first axis first."""
+        layout = self._layout
+        middles = layout.room.places([0.5] * 3)[1:-1, 1:-1, 1:-1]
+        gap = self._scene.radius - np.hypot(middles[..., 0], middles[..., 1])
+        return np.clip(gap / layout.spacing, -HALF_CELL, HALF_CELL)
+
+    def _cell_levels(self) -> np.ndarray:
+        return self._gap
+
+    def surface(self, cut: bool = False) -> Surface:
+        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates behind the cutting plane."""
+        mortar = super().surface(True)
+        return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
+
+    def _with_aggregates(self, mortar: Surface, cut: bool) -> Surface:
+        centres = self.read("aggregates.centre").astype(float)
+        return self.with_spheres(mortar, centres, np.arange(len(centres)), self.cut if cut else None)
+
+    def scale(self) -> tuple[str, float, float]:
+        """Return label, lowest and highest value of the quantity that the colours show."""
+        scene = self._scene
+        fastest = float(scene.velocity_alone(np.zeros(1))[0])
+        if self.colouring == "speed":
+            return "speed [m/s]", 0.0, rounded_up(fastest)
+        if self.colouring == "shear":
+            return "shear rate [1/s]", 0.0, rounded_up(2 * fastest / scene.radius)
+        return "pressure [kPa]", 0.0, rounded_up(2e-3 * scene.gradient * scene.length)
+
+    def plots(self) -> tuple[Plot, ...]:
+        """Return the volume flow, and the distance of the aggregates from the axis, over time."""
+        radius = Curve("radius", "mean distance from the axis [radii]", lambda row: row["aggregate_radius"], SECOND)
+        return (
+            Plot("flow", "Flow", (Curve("flow", "flow [m3/h]", lambda row: 3600 * row["flow"], RUN),)),
+            Plot("migration", "Aggregates", (radius,)),
+        )
+
+    def profiles(self) -> tuple[Profile, ...]:
+        """Return the velocity over the radius, and that of the mortar without aggregates by theory."""
+        return (Profile("velocity", "Velocity [m/s] over the radius [mm]", (
+            Points("this run", lambda: self._velocities()[0], RUN),
+            Points("mortar alone, theory", lambda: self._velocities()[1], THEORY),
+        )), Profile("fraction", "Fraction of aggregates over the radius [mm]", (
+            Points("this run", self._fractions, SECOND),
+        )))  # fmt: skip
+
+    def _velocities(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        radius, velocity = self.snapshot_value("velocities", lambda: velocity_profile(self.simulation.flow))
+        return (1e3 * radius, velocity), (1e3 * radius, self._scene.velocity_alone(radius))
+
+    def _fractions(self) -> tuple[np.ndarray, np.ndarray]:
+        radius = self.snapshot_value("velocities", lambda: velocity_profile(self.simulation.flow))[0]
+        return 1e3 * radius, self.snapshot_value("fractions", lambda: fraction_profile(self.simulation.flow))
+
+    def walls(self) -> list[DrawnWall]:
+        """Return the wall of the pipe, a little outside the mortar, so that a viewer can tell them apart."""
+        scene = self._scene
+        axis = Axis((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (Line(scene.length),))
+        vertices, faces = axis.swept(np.array([0.0, scene.length]), (1 + WALL_GAP) * scene.radius, FACETS)
+        return [DrawnWall("wall", vertices, faces, False, GLASS)]
+
+    def bounds(self) -> np.ndarray:
+        """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
+        wide = self._scene.radius
+        return np.array([[-wide, -wide, 0.0], [wide, wide, self._scene.length]])

@@ -1,0 +1,76 @@
+"""Grid, wall, mortar and aggregates of a stretch of pipe at the start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...kernels.mps.flow_laws import BINGHAM
+from ...kernels.mps.grid.cells import GridKind
+from ...mps.grid.filling import fill_cells
+from ...mps.grid.geometry import NO_SLIP_VISCOSITY, OPEN_SIDE, PLATE, WALL, Room, geometry_of
+from ...mps.grid.layout import GridLayout
+from ..aggregates import Aggregates
+from ..placing import aggregates_within
+from .scene import StretchScene
+
+PARTICLES_PER_AXIS = 2
+"""Number of particles of mortar per cell along each axis."""
+MARGIN = 2
+"""Number of cells between the pipe and the sides of the grid."""
+
+
+def stretch_room(scene: StretchScene) -> Room:
+    """Return the box of cells around the stretch; a whole number of cells fits into the radius and into the length."""
+    rings = round(scene.radius / scene.spacing)
+    width, layers = scene.radius / rings, round(scene.length / scene.spacing)
+    across = 2 * (rings + MARGIN)
+    low = -0.5 * across * width
+    sides = ((WALL, WALL), (WALL, WALL), (OPEN_SIDE, OPEN_SIDE))
+    return Room((across, across, layers), (width, width, scene.length / layers), (low, low, 0.0), sides)
+
+
+def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
+    """Return the layout of a stretch and its aggregates.
+
+    The driving force carries the weight of the aggregates beyond that of the mortar, so that the friction at the wall
+    balances the pressure gradient of the scene.
+    """
+    room, concrete = stretch_room(scene), scene.concrete
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        return scene.radius - np.hypot(x[:, 0], x[:, 1])
+
+    geometry = geometry_of(room, [(distance, PLATE)])
+    places, mass = fill_cells(room, PARTICLES_PER_AXIS, lambda x: distance(x) > 0)
+    layer = (concrete.slip_viscosity, concrete.slip_yield) if scene.slips else (NO_SLIP_VISCOSITY, 0.0)
+    layout = GridLayout(
+        kind=GridKind(
+            3,
+            cut=True,
+            periodic=True,
+            law=concrete.bulk_law.name,
+            slip_law=concrete.layer_law.name if scene.slips else BINGHAM,
+        ),
+        room=room,
+        solid=geometry.solid,
+        fluid=places,
+        mass=mass,
+        particle_spacing=room.width[0] / PARTICLES_PER_AXIS,
+        slip=layer,
+        slips=scene.slips,
+        speed=scene.mortar_alone.flow / (np.pi * scene.radius**2),
+        length=scene.radius,
+        geometry=geometry,
+        full=True,
+        weightless=True,
+        mean_velocity_fixed=False,
+    )
+    half = np.array([scene.radius, scene.radius, 0.0])
+    aggregates = aggregates_within(scene, layout, distance, -half, half + [0.0, 0.0, scene.length], scene.seed, True)
+    # The driving force acts on the open volume of the cells, which differs a little from that of the pipe.
+    volume = float(geometry.room[1:-1, 1:-1, 1:-1].sum()) * float(np.prod(room.width))
+    part = 4 / 3 * np.pi * float(np.sum(aggregates.radius**3)) / volume
+    weight = part * (scene.aggregate_density - concrete.density) * scene.gravity
+    return replace(layout, drive=scene.gradient + weight), aggregates

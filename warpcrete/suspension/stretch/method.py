@@ -1,0 +1,46 @@
+"""Entry of stretches of pipe in the list of methods, through which the program runs, draws and reports them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...core.run.forecast import Forecast, Probe
+from ...core.run.method import Method
+from ...mps.common.forecast import Course, flow_forecast, law_features
+from ...mps.common.stepping import run_abreast
+from .display import StretchDisplay
+from .pictures import draw, plot_stretch
+from .quantities import QUANTITIES, report
+from .scene import StretchScene
+from .simulation import StretchSimulation
+
+
+def forecast(scene: StretchScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
+    return flow_forecast(
+        lambda: StretchSimulation(scene, device=str(device), precision=precision, threads=threads),
+        lambda simulation: Course(scene.duration, scene.time_step),
+        lambda simulation: {
+            "dimensions": "in space, connected ends",
+            "wall": "slip layer" if scene.slips else "mortar sticks",
+            "aggregates": f"{simulation.flow.aggregates.count} spheres",
+            "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
+            **law_features(scene.concrete),
+        },
+        probe,
+        governing="choice: cells that mortar on the axis passes in a step ('courant')",
+    )
+
+
+METHOD = Method(
+    name="suspension",
+    simulation=StretchSimulation,
+    list_quantities=lambda: QUANTITIES,
+    display=StretchDisplay,
+    picture="flow.png",
+    draw=draw,
+    show=plot_stretch,
+    report=report,
+    forecast=forecast,
+    run_many=run_abreast,
+)

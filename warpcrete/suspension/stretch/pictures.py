@@ -1,0 +1,36 @@
+"""Matplotlib figure of mortar with aggregates in a stretch of pipe."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...core.drawing.style import RUN, SECOND, THEORY, legend_beside, open_frame, rgb
+from ...core.run.run_loop import Run
+
+
+def plot_stretch(run: Run) -> Any:
+    """Return a figure of velocity and fraction of aggregates over the radius at the end, and of the flow over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 3.6), layout="constrained")
+    speed, fraction, course = figure.subplots(1, 3)
+    profile = {name: np.array(column["value"]) for name, column in run.result["profile"].items()}
+    radius = 1e3 * profile["radius"]
+    speed.plot(radius, profile["velocity"], color=rgb(RUN), label="this run")
+    speed.plot(radius, profile["velocity_alone"], "--", color=rgb(THEORY), label="mortar alone,\ntheory")
+    speed.set(xlabel="distance from the axis [mm]", ylabel="velocity [m/s]", xlim=(0, None), ylim=(0, None))
+    legend_beside(speed)
+    fraction.plot(radius, profile["fraction"], color=rgb(SECOND))
+    fraction.set(xlabel="distance from the axis [mm]", ylabel="fraction of aggregates", xlim=(0, None), ylim=(0, None))
+    course.plot(run.series["time"][1:], 3600 * run.series["flow"][1:], color=rgb(RUN))
+    course.set(xlabel="time [s]", ylabel="flow [m3/h]", ylim=(0, None))
+    open_frame(speed, fraction, course)
+    figure.suptitle(run.scene.caption, fontsize=10)
+    return figure
+
+
+def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
+    """Return the figure of a run folder, or None if the run has only its initial row."""
+    return plot_stretch(run) if "profile" in run.result else None

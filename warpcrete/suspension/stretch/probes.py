@@ -1,0 +1,138 @@
+"""Measurements of mortar with aggregates in a stretch of pipe."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from ...theory.laws import BINGHAM
+from ..balance import wall_friction
+from ..flow import SuspensionFlow
+from .scene import StretchScene
+
+POINTS = 12
+"""Number of sample points along the diameter of an aggregate, from which its volume in each ring follows."""
+CORE_RINGS = 4
+"""Minimum number of cells from the axis to the edge of the core, to which a parabola is fitted."""
+UNITS = {
+    "time": "s",
+    "flow": "m3/s",
+    "axis_velocity": "m/s",
+    "aggregate_velocity": "m/s",
+    "aggregate_radius": "1",
+    "wall_stress": "Pa",
+    "relative_viscosity": "1",
+    "slip_velocity": "m/s",
+    "viscosity_iterations": "1",
+    "pressure_iterations": "1",
+    "steps": "1",
+}
+"""Units of the columns of the time series, without those that all mortars with aggregates have."""
+
+
+@cache
+def _points() -> np.ndarray:
+    """Return points that fill a sphere of radius 1 evenly, shape (p, 3)."""
+    along = (2 * np.arange(POINTS) + 1) / POINTS - 1
+    cube = np.stack(np.meshgrid(along, along, along), -1).reshape(-1, 3)
+    return cube[np.linalg.norm(cube, axis=1) < 1]
+
+
+def _columns(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance of each column of cells from the axis [m] and the number of its ring, shape (ny, nx)."""
+    room = flow.state.layout.room
+    x, y = (o + (np.arange(n) + 0.5) * h for o, n, h in zip(room.origin, room.cells[:2], room.width, strict=False))
+    radius = np.hypot(x, y[:, None])
+    return radius, np.floor(radius / room.width[0]).astype(int)
+
+
+def _ring_count(flow: SuspensionFlow) -> int:
+    """Return the number of rings one cell wide from the axis to the wall."""
+    return round(flow.scene.radius / flow.state.layout.room.width[0])
+
+
+def velocity_profile(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean distances from the axis [m] and mean velocities along the pipe [m/s], for rings one cell wide.
+
+    The velocities are those of mortar and aggregates together.
+    """
+    (radius, ring), count = _columns(flow), _ring_count(flow)
+    (speed, part), inside = _along(flow), ring < count
+    weight = np.bincount(ring[inside], part.sum(0)[inside], count)
+    middle = np.bincount(ring[inside], (part.sum(0) * radius)[inside], count) / weight
+    return middle, np.bincount(ring[inside], (speed * part).sum(0)[inside], count) / weight
+
+
+def _along(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
+    """Return the velocities along the pipe [m/s] and the open fractions of the faces across it, shape (nz, ny, nx)."""
+    inner = (slice(1, -1),) * 3
+    part = flow.geometry.part.numpy().astype(float).reshape(3, *flow.state.shape)[2]
+    return flow.state.faces("velocity")[2][inner], part[inner]
+
+
+def fraction_profile(flow: SuspensionFlow) -> np.ndarray:
+    """Return the volume fraction of the aggregates in rings one cell wide, counted from the axis."""
+    room, scene, count = flow.state.layout.room, flow.scene, _ring_count(flow)
+    centre, radius = flow.aggregates.bodies.centre.numpy().astype(float), flow.aggregates.radius
+    points = _points()
+    aside = np.hypot(
+        centre[:, 0, None] + radius[:, None] * points[:, 0], centre[:, 1, None] + radius[:, None] * points[:, 1]
+    )
+    own = np.repeat(4 / 3 * np.pi * radius**3 / len(points), len(points))
+    ring = np.clip((aside.ravel() / room.width[0]).astype(int), 0, count - 1)
+    edges = room.width[0] * np.arange(count + 1)
+    return np.bincount(ring, own, count) / (np.pi * np.diff(edges**2) * scene.length)
+
+
+def mean_radius(flow: SuspensionFlow) -> float:
+    """Return the mean distance of the aggregates' centres from the axis over the pipe's radius, weighted by volume."""
+    centre, volume = flow.aggregates.bodies.centre.numpy().astype(float), flow.aggregates.radius**3
+    return float(np.sum(np.hypot(centre[:, 0], centre[:, 1]) * volume) / volume.sum() / flow.scene.radius)
+
+
+def has_core(scene: StretchScene) -> bool:
+    """Return whether the velocity in the core is a parabola that the cells resolve.
+
+    The mortar must be a Newtonian fluid, and the core at least `CORE_RINGS` cells wide.
+    """
+    wide = scene.radius - scene.mean_diameter >= CORE_RINGS * scene.spacing
+    return wide and scene.concrete.bulk_law.name == BINGHAM and scene.concrete.yield_stress == 0
+
+
+def core(scene: StretchScene, radius: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
+    """Return the relative viscosity of the core, and the velocity of its parabola at the wall [m/s].
+
+    The core reaches to within one mean diameter of an aggregate from the wall. The parabola is fitted to the velocities
+    in the core, weighted by area. Its velocity at the wall is the apparent slip velocity.
+    """
+    inside = radius < scene.radius - scene.mean_diameter
+    curve, wall = np.polyfit(radius[inside] ** 2 - scene.radius**2, velocity[inside], 1, w=np.sqrt(radius[inside]))
+    return float(-scene.gradient / (4 * curve * scene.concrete.viscosity)), float(wall)
+
+
+def measured(flow: SuspensionFlow) -> dict[str, float]:
+    """Measure a stretch of pipe and return the values of one row of the time series, by column name."""
+    scene: StretchScene = flow.scene
+    row = dict.fromkeys(UNITS, 0.0)
+    row["aggregate_radius"] = mean_radius(flow)
+    if not has_core(scene):
+        del row["relative_viscosity"], row["slip_velocity"]
+    if not flow.steps:
+        return row
+    room, (speed, part), outcomes = flow.state.layout.room, _along(flow), flow.outcomes()
+    radius, velocity = velocity_profile(flow)
+    along, volume = flow.aggregates.bodies.velocity.numpy().astype(float)[:, 2], flow.aggregates.radius**3
+    row |= {
+        "time": flow.time,
+        "flow": float((speed * part).sum()) * room.width[0] * room.width[1] / room.cells[2],
+        "axis_velocity": float(velocity[0]),
+        "aggregate_velocity": float(np.sum(along * volume) / volume.sum()),
+        "wall_stress": float(wall_friction(flow)[0][2].sum()) / (2 * np.pi * scene.radius * scene.length),
+        "viscosity_iterations": outcomes["viscosity"]["iterations"],
+        "pressure_iterations": outcomes["pressure"]["iterations"],
+        "steps": float(flow.steps),
+    }
+    if has_core(scene):
+        row["relative_viscosity"], row["slip_velocity"] = core(scene, radius, velocity)
+    return row

@@ -1,0 +1,77 @@
+"""Result quantities of mortar with aggregates in a stretch of pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
+from ...core.units import number
+from .scene import StretchScene
+
+LATE = 0.5
+"""Part of the simulated time, at its end, over which velocities are averaged."""
+
+
+@dataclass(frozen=True)
+class RunData:
+    """Scene and series, with two rows or more, from which the quantities of a run are computed."""
+
+    scene: StretchScene
+    series: dict[str, np.ndarray]
+
+    def mean(self, name: str) -> float | None:
+        """Return the mean of a column over the late part of the run, or None if there is no such column."""
+        if name not in self.series:
+            return None
+        time = self.series["time"]
+        late = (time > 0) & (time >= (1 - LATE) * time[-1])
+        return float(self.series[name][late].mean())
+
+    def change(self, name: str) -> float:
+        """Return the change of a column from the first to the last row."""
+        return float(self.series[name][-1] - self.series[name][0])
+
+
+def _flow_words(run: Run) -> str:
+    ours, alone = (3600 * number(run.result[name]) for name in ("flow", "flow_alone"))
+    return f"{ours:.4g} m3/h   (mortar without aggregates: {alone:.4g} m3/h)"
+
+
+def _stress_words(run: Run) -> str:
+    ours, given = (number(run.result[name]) for name in ("wall_stress", "wall_stress_theory"))
+    return f"{ours:.4g} Pa   (from the pressure gradient: {given:.4g} Pa)"
+
+
+def _slip_words(run: Run) -> str:
+    slip, flow = number(run.result["slip_velocity"]), number(run.result["flow"])
+    part = slip * np.pi * run.scene.radius**2 / flow
+    return f"{1e3 * slip:.3g} mm/s, {100 * part:.3g} % of the flow"
+
+
+def _migration_words(run: Run) -> str:
+    start, end = (float(run.series["aggregate_radius"][k]) for k in (0, -1))
+    return f"{start:.4f} to {end:.4f} radii of the pipe"
+
+
+QUANTITIES = (
+    Quantity("flow", "m3/s", lambda k: k.mean("flow"), "flow", _flow_words, True),
+    Quantity("flow_alone", "m3/s", lambda k: k.scene.mortar_alone.flow),
+    Quantity("wall_stress", "Pa", lambda k: k.mean("wall_stress"), "wall's stress", _stress_words, True),
+    Quantity("wall_stress_theory", "Pa", lambda k: k.scene.wall_stress),
+    Quantity("relative_viscosity", "1", lambda k: k.mean("relative_viscosity"), "viscosity in the core",
+             lambda run: f"{run.result['relative_viscosity']:.3g} times that of the mortar", True),
+    Quantity("slip_velocity", "m/s", lambda k: k.mean("slip_velocity"), "apparent slip", _slip_words, True),
+    Quantity("aggregate_velocity", "m/s", lambda k: k.mean("aggregate_velocity"), "speed of aggregates", None, True),
+    Quantity("migration", "1", lambda k: k.change("aggregate_radius"), "distance from axis", _migration_words, True),
+    Quantity("smallest_gap", "1", lambda k: float(k.series["smallest_gap"][1:].min())),
+)  # fmt: skip
+"""Results of a stretch of pipe; velocities are means over the last half of the run."""
+
+
+def report(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield no further lines of the report."""
+    return iter(())

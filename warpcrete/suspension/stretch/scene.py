@@ -1,0 +1,160 @@
+"""Scenes of mortar with aggregates in a stretch of an endless pipe."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from ...core.device.device import PRECISIONS
+from ...core.drawing.html import Parametrised
+from ...core.errors import positive, refuse
+from ...core.inputs.parameters import Above, Declared, OneOf, Within
+from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, velocity
+from ..scene import SphereFields
+
+MIN_LENGTH = 3.0
+"""Minimum length of the stretch, in diameters of the largest aggregate."""
+MIN_ACROSS = 8
+"""Minimum number of cells across the pipe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StretchSettings(Declared):
+    """Settings of the simulation of a stretch of pipe."""
+
+    common: ClassVar[tuple[str, ...]] = ("duration",)
+
+    duration: Annotated[float, "Simulated time [s]", Above()] = 1.0
+    courant: Annotated[
+        float,
+        "Length of a time step: cells that mortar on the axis passes in a step, by the theory of mortar without "
+        "aggregates, and that a single aggregate settles",
+        Within(0.01, 1),
+    ] = 0.5
+    gravity: Annotated[
+        float,
+        "Gravity against the flow, which lets heavy aggregates fall behind the mortar; 0 for no settling [m/s2]",
+        Within(0, 1e4),
+    ] = 9.81
+    regularisation: Annotated[
+        float,
+        "Parameter beta of the regularised flow law [s]; mortar below the yield stress creeps at a rate of 1/beta",
+        Above(),
+    ] = 1e3
+    tolerance: Annotated[
+        float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
+    ] = 1e-3
+    maximum_iterations: Annotated[
+        int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
+    ] = 5000
+    precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "Random seed of the places and sizes of the aggregates", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class StretchScene(SphereFields, Parametrised, StretchSettings):
+    """Mortar with rigid spheres in a stretch of an endless upright pipe; SI units.
+
+    `concrete` holds the constants of the mortar between the spheres. The axis of the pipe is the z axis.
+    """
+
+    name: str
+    concrete: Concrete
+    radius: float
+    """Radius of the pipe [m]."""
+    length: float
+    """Length of the stretch [m]."""
+    gradient: float
+    """Pressure gradient beyond the weight of mortar and aggregates, which drives the flow [Pa/m]."""
+    slips: bool
+    """True if mortar slips on the wall with its slip layer; False if it sticks to the wall."""
+    remarks: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
+
+    step_error: ClassVar[float] = 0.0
+    """Steps have equal lengths, so no error limits them."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, unit in (("radius", "m"), ("length", "m"), ("spacing", "m"), ("gradient", "Pa/m")):
+            positive(name, getattr(self, name), unit)
+        if not self.aggregate_fraction > 0:
+            refuse("aggregate_fraction", self.aggregate_fraction, "must be above 0", "use the scene 'tube' for a flow "
+                   "without aggregates")  # fmt: skip
+        self.check_aggregates()
+        largest = self.aggregate_diameters[1]
+        if self.length < MIN_LENGTH * largest:
+            refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
+                                          "because the ends of the stretch are connected",
+                   f"use {MIN_LENGTH * largest:.3g} m or more")  # fmt: skip
+        if largest > self.radius:
+            refuse("aggregate_largest", largest, f"must be at most the radius of the pipe, {self.radius:g} m",
+                   "use smaller aggregates or a wider pipe")  # fmt: skip
+        if 2 * self.radius < MIN_ACROSS * self.spacing:
+            refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the pipe",
+                   f"use {2 * self.radius / MIN_ACROSS:.3g} m or less")  # fmt: skip
+        least = 2 * max(self.concrete.yield_stress * (not self.slips), 0.0) / self.radius
+        if self.gradient <= least:
+            refuse("gradient", self.gradient, f"is too small: mortar with a yield stress of "
+                                              f"{self.concrete.yield_stress:g} Pa does not flow below {least:.4g} Pa/m",
+                   f"use {1.5 * least:.3g} Pa/m or more")  # fmt: skip
+
+    @cached_property
+    def mortar_alone(self) -> Steady:
+        """Steady flow of the mortar without aggregates at the same pressure gradient, by theory."""
+        return flow_of_pressure(self.concrete, self.line, self.gradient * self.length)
+
+    @property
+    def line(self) -> Line:
+        """Stretch of pipe as a :class:`Line` of the closed-form theory, without weight."""
+        return Line(radius=self.radius, length=self.length, gravity=0.0)
+
+    def velocity_alone(self, radius: np.ndarray) -> np.ndarray:
+        """Return the velocity [m/s] of the mortar without aggregates, by theory, at distances from the axis [m]."""
+        return velocity(self.concrete, self.line, self.mortar_alone, np.minimum(radius, self.radius))
+
+    @property
+    def wall_stress(self) -> float:
+        """Mean shear stress at the wall in steady flow, which follows from the pressure gradient [Pa]."""
+        return 0.5 * self.gradient * self.radius
+
+    @property
+    def time_step(self) -> float:
+        """Length of a time step [s]."""
+        fastest = float(self.velocity_alone(np.zeros(1))[0]) + self.settling
+        return min(self.courant * self.spacing / fastest, self.sample_interval)
+
+    @property
+    def settling(self) -> float:
+        """Speed at which a single aggregate of the largest size settles or rises in mortar without yield stress [m/s].
+
+        The speed is that of Stokes' law, with the viscosity of the mortar at low shear.
+        """
+        weight = abs(self.aggregate_density - self.concrete.density) * self.gravity
+        return 2 / 9 * weight * (self.aggregate_diameters[1] / 2) ** 2 / self.concrete.viscosity
+
+    @property
+    def caption(self) -> str:
+        """Scene, diameter and mortar in words, for titles of figures and recordings."""
+        return (
+            f"{self.name}, diameter {2e3 * self.radius:.4g} mm, mortar {self.concrete.name} with "
+            f"{100 * self.aggregate_fraction:.3g} % of aggregates, {1e-3 * self.gradient:.3g} kPa/m"
+        )
+
+    @property
+    def mean_diameter(self) -> float:
+        """Mean diameter of the aggregates [m]."""
+        return math.fsum(self.aggregate_diameters) / 2
+
+    def __repr__(self) -> str:
+        return (
+            f"<StretchScene {self.name!r}: {self.concrete.name}, {self.aggregate_fraction:.0%} aggregates, "
+            f"R = {self.radius:g} m, {self.gradient:g} Pa/m, spacing {self.spacing:g} m>"
+        )

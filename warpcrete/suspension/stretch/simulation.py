@@ -1,0 +1,77 @@
+"""Simulation of mortar with aggregates in a stretch of pipe, from a scene to a finished run."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...core.run.method import results_of
+from ...core.run.tables import Table
+from ...core.units import quantity
+from ...mps.grid.state import GridState, check_memory
+from ..flow import SuspensionFlow
+from ..runs import SOLVE_BYTES, AggregateRun
+from ..runs import UNITS as SHARED_UNITS
+from .display import StretchDisplay
+from .layout import stretch_layout, stretch_room
+from .probes import UNITS, fraction_profile, measured, velocity_profile
+from .quantities import QUANTITIES, RunData
+from .scene import StretchScene
+
+STEADINESS = 0.02
+"""Largest relative change of the flow over the last quarter of a run for it to count as steady."""
+
+
+class StretchSimulation(AggregateRun):
+    """Simulation of a stretch of pipe; parameters and errors are those of :class:`warpcrete.Simulation`."""
+
+    scene_type = StretchScene
+    scene: StretchScene
+    cure = "use a smaller 'courant'"
+
+    def unit(self, column: str) -> str:
+        """Return the unit of a column of the time series."""
+        return (UNITS | SHARED_UNITS)[column]
+
+    def display(self, colouring: str | None = None) -> StretchDisplay:
+        """Return the display, which tells recorders what to draw: mortar, aggregates, wall, colours and curves."""
+        return StretchDisplay(self, colouring)
+
+    def place_flow(self) -> SuspensionFlow:
+        """Return the flow in its initial state, with particles, aggregates and grid."""
+        check_memory(stretch_room(self.scene).cells, self.device, self.precision, more=SOLVE_BYTES)
+        layout, aggregates = stretch_layout(self.scene)
+        return SuspensionFlow(
+            GridState(self.scene, layout, self.device, self.precision), aggregates, roughness=self.scene.roughness
+        )
+
+    def measured(self) -> dict[str, float]:
+        """Measure the flow and return the values of one row of the time series, by column name."""
+        return measured(self.flow) | self.aggregate_columns()
+
+    def ended_early(self) -> bool:
+        """Find whether the flow is steady, and return False: a run always lasts as long as it should."""
+        time, flow = (np.array([row[name] for row in self._rows]) for name in ("time", "flow"))
+        late = flow[time >= 0.75 * time[-1]]
+        self.steady = len(late) > 1 and float(np.ptp(late)) <= STEADINESS * abs(float(late[-1]))
+        return False
+
+    def sizes(self) -> dict[str, Any]:
+        """Return sizes of the model, such as the numbers of cells and aggregates, for the run's result."""
+        layout = self.flow.state.layout
+        sizes = {"cells": math.prod(layout.cells), "spacing": quantity(layout.spacing, "m")}
+        return sizes | self.aggregate_sizes()
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return the entries of the result that follow from the time series and the present state; no tables."""
+        result = results_of(QUANTITIES, RunData(self.scene, series))
+        radius, velocity = velocity_profile(self.flow)
+        result["profile"] = {
+            "radius": {"value": radius.tolist(), "unit": "m"},
+            "velocity": {"value": velocity.tolist(), "unit": "m/s"},
+            "velocity_alone": {"value": self.scene.velocity_alone(radius).tolist(), "unit": "m/s"},
+            "fraction": {"value": fraction_profile(self.flow).tolist(), "unit": "1"},
+        }
+        return result, {}
