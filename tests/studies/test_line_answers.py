@@ -6,17 +6,20 @@ import subprocess
 import sys
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from warpcrete import SceneError, WarpcreteError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
+from warpcrete.mix.mix import mix_of
 from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS, MODEL_ERRORS, VALVE_PRESSURE, library_factor
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
 from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.run import run_line
+from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.bands import Band
 from warpcrete.theory.pipe import Concrete
 
@@ -131,11 +134,54 @@ def test_the_band_is_split_by_cause():
     assert band.low == pytest.approx(value * math.exp(-math.hypot(down, both)), rel=1e-6)
     assert band.shares["slip layer"] == pytest.approx((2 * both) ** 2 / ((2 * both) ** 2 + (up + down) ** 2), rel=1e-6)
     first, *rest = band_sentences(band)
-    assert first.startswith(f"{100 * band.shares['slip layer']:.0f} % of the band of ") and "measure it with" in first
+    assert first.startswith(f"{100 * band.shares['slip layer']:.0f} % of the band of ")
     assert rest == []
     assert band_sentences(Band(1e6, 1e6, 1e6)) == []
     mixed = band_sentences(Band(1e6, 5e5, 2e6, {"bends": 0.3, "slip layer": 0.62, "density": 0.08}))
     assert [each[:4] for each in mixed] == ["62 %", "30 %"] and "5 to 20 bar comes from the slip layer" in mixed[0]
+
+
+@pytest.mark.parametrize(
+    ("layer", "slump", "advised"),
+    [
+        (None, None, "fit it"),
+        ("{viscosity: 500, yield_stress: 10, from: tribometer}", None, "fit it"),
+        ("{viscosity: 500, yield_stress: 10, from: pipe}", None, ""),
+        (None, "180 mm", "fit it"),
+    ],
+)
+def test_only_a_measurement_that_makes_the_band_narrower_is_recommended(tmp_path, layer, slump, advised):
+    """The band that a measurement would give is that of a concrete whose layer has this measurement's band."""
+    mix = {"density": 2350, "spread": "600 mm"} if slump is None else {"density": 2350, "slump": slump}
+    if slump is None:
+        mix["water_binder"] = 0.45
+    if layer is not None:
+        mix["layer"] = yaml.safe_load(layer)
+    found = line_by_theory(line({"straight": 100}), (of := mix_of(mix)).concrete, FLOW, variants=of.variants)
+    first = found.band_sentences()[0]
+    assert "comes from the slip layer" in first and "tribometer" not in first
+    assert ("fit it to pressures of a trial line" in first) == (advised == "fit it")
+    for text in (x for x in first.split("which would give ")[1:]):
+        low, high = (1e5 * float(x) for x in text.split(" bar")[0].split(" to "))
+        assert high - low < found.band().high - found.band().low
+        eta, tau = of.concrete.slip_viscosity, of.concrete.slip_yield
+        fitted = {**mix, "layer": {"viscosity": eta, "yield_stress": tau, "from": "pipe"}}
+        then = line_by_theory(line({"straight": 100}), mix_of(fitted).concrete, FLOW, variants=mix_of(fitted).variants)
+        assert (low, high) == pytest.approx((then.band().low, then.band().high), rel=0.01)
+
+
+def test_a_tribometer_is_recommended_where_its_band_is_narrower_than_a_guess():
+    of = mix_of({"density": 2350, "spread": "600 mm"})
+    first = line_by_theory(line({"straight": 100}), of.concrete, FLOW, variants=of.variants).band_sentences()[0]
+    assert "with --fit, which would give" in first and "measure it with a tribometer, which would give" in first
+
+
+def test_a_stated_slump_is_not_recommended():
+    """The yield stress of the bulk makes most of the band of a stiff concrete whose slip layer was fitted."""
+    layer = {"viscosity": 605, "yield_stress": 0, "uncertainty": 0.02, "from": "pipe"}
+    of = mix_of({"density": 2368, "slump": "200 mm", "layer": layer})
+    text = "; ".join(line_by_theory(line({"straight": 100}), of.concrete, FLOW, variants=of.variants).band_sentences())
+    assert "from the yield stress of the bulk; measure it with a rheometer" in text and "slump" not in text
 
 
 def test_power_volume_and_time_follow_from_pressure_and_bore():
@@ -328,7 +374,7 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
     given = ["line", str(path), "--theory", "--pump-power", "110 kW", "--rest", "20 min", "--practice", "--out"]
     done = CliRunner().invoke(cli, [*given, str(tmp_path / "line")])
     assert done.exit_code == 0, done.output
-    for words in ("pressure at the pump ", "of the band of", "comes from the slip layer; measure it with",
+    for words in ("pressure at the pump ", "of the band of", "comes from the slip layer; fit it",
                   "the motor has 110 kW", "(efficiency 0.69: bar times m3/h over 25)", "after 20 min of rest",
                   "the line holds 0.404 m3", "| JSCE |"):  # fmt: skip
         assert words in done.output

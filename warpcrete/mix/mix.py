@@ -36,6 +36,8 @@ assumed to be at the lower ends of their bands together, or at the upper ends.""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
+WEIGHING = 0.01
+"""Relative uncertainty of a density that the mix states."""
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
@@ -220,7 +222,7 @@ def mix_of(
     told = read(given, folder)
     way = "sum of the parts" if told.summed else "density"
     bulk = {
-        "density": around("density", told.density, DENSITY_TOLERANCE if told.summed else 0.01, "kg/m3", way, "as given")
+        "density": around("density", told.density, DENSITY_TOLERANCE if told.summed else WEIGHING, "kg/m3", way, "as given")
     }
     bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
     laws = _laws(told, bulk)

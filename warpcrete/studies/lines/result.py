@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,18 @@ from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band
-from .answers import CUSTOMARY_SIZES, EFFICIENCY, PumpMargin, band_sentences, beside, motor_power, pressure_text
+from .answers import (
+    ADVICE,
+    CUSTOMARY_SIZES,
+    EFFICIENCY,
+    MEASUREMENTS,
+    WORTHWHILE,
+    PumpMargin,
+    band_sentences,
+    beside,
+    motor_power,
+    pressure_text,
+)
 from .figure import draw
 from .fit import LineFit
 from .fittings import METHODS_ON_BENDS, is_in_library
@@ -136,7 +148,36 @@ class LineResult(LinePressures):
     @property
     def band_text(self) -> str:
         """Sentences for the user on how much each cause contributes to the uncertainty of the line's pressure."""
-        return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
+        return "; ".join(self.band_sentences()) or "no uncertainty is stated"
+
+    def band_sentences(self) -> list[str]:
+        """Return sentences on the causes of the pressure's uncertainty, with advice on how to reduce it."""
+        return band_sentences(self.band(), lambda cause: self._advice(cause, lambda each: each.band()))
+
+    def restart_sentences(self) -> list[str]:
+        """Return sentences on the causes of the uncertainty of the pressure that restarts the line at full flow."""
+
+        def full(each: LineResult) -> Band:
+            return each.restart(each.flow)
+
+        return band_sentences(full(self), lambda cause: self._advice(cause, full))
+
+    def _advice(self, cause: str, band_of: Callable[[LineResult], Band]) -> str:
+        """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
+
+        `band_of` returns the band [Pa] of the pressure in question. Only measurements that make this band narrower are
+        recommended, and none of a cause that was fitted to a trial line.
+        """
+        if self.fit is not None and cause in ("slip layer", "bends"):
+            return ""
+        if cause not in MEASUREMENTS:
+            return ADVICE.get(cause, "")
+        now, found = band_of(self), []
+        for each in MEASUREMENTS[cause]:
+            then = band_of(self.measured(cause, each.factors))
+            if then.high - then.low < WORTHWHILE * (now.high - now.low):
+                found.append(f"{each.advice}, which would give {then.low / 1e5:.3g} to {then.high / 1e5:.3g} bar")
+        return ", or ".join(found)
 
     def remarks(self) -> list[str]:
         """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
@@ -209,7 +250,6 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     With `practice`, a further table compares the result with rules of practice.
     """
     band, us = result.band(), result.line.customary
-    fitted = () if result.fit is None else ("slip layer", "bends")
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m{beside(us, 'ft', result.line.length)}, "
         f"{result.line.rise:.4g} m{beside(us, 'ft', result.line.rise)} up, {result.concrete.name} at "
@@ -217,7 +257,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar"
         f"{beside(us, 'psi', band.low, band.high)}",
-        *(f"- {sentence}" for sentence in band_sentences(band, fitted)),
+        *(f"- {sentence}" for sentence in result.band_sentences()),
         *(
             [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
             if result.simulated or result.theory != result.pressure
@@ -236,7 +276,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         found += [
             f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
             f"(theory), it starts to move at {_span(begins, us)}, and at full flow with {_span(full, us)}",
-            *(f"- restart: {sentence}" for sentence in band_sentences(full)[:1]),
+            *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
     if result.line.recorded is not None:
         found.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")
