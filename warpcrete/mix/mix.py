@@ -221,9 +221,8 @@ def mix_of(
     """
     told = read(given, folder)
     way = "sum of the parts" if told.summed else "density"
-    bulk = {
-        "density": around("density", told.density, DENSITY_TOLERANCE if told.summed else WEIGHING, "kg/m3", way, "as given")
-    }
+    error = DENSITY_TOLERANCE if told.summed else WEIGHING
+    bulk = {"density": around("density", told.density, error, "kg/m3", way, "as given")}
     bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
     laws = _laws(told, bulk)
     thickens = {key: laws[name].value for key, name in LAWS.items() if name in laws}
