@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,7 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:
-        return {"variants": mix.variants}
+        return {"variants": mix.variants, "band_origin": mix.band_origin}
     return {"layer_factor": LAYER_FACTOR if factor is None else factor}
 
 
@@ -178,10 +179,22 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
 
 def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]) -> None:
     """Print the verdicts of rules against blocking and, with `--blocking`, the simulated probability of a blockage."""
+    if settings["fit"] is None:
+        _print_other_layers(line, given)
     print_rules(line, given.mix, folder)
     if settings["blocking"] is not None and folder is not None:
         assert given.flow is not None
         importlib.import_module(f"{__package__}.line_blocked").run(line, given.name, given.flow, folder, settings)
+
+
+def _print_other_layers(line: PipeLine, given: LineInputs) -> None:
+    """Print the pressure by theory with each other estimate of the slip layer that the mix allows."""
+    for eta, tau in () if given.mix is None else given.mix.other_layers:
+        assert given.flow is not None
+        concrete = replace(given.concrete, slip_viscosity=eta.value, slip_yield=tau.value)
+        pressure = line_by_theory(line, concrete, given.flow).pressure
+        click.echo(f"\nanother estimate of the slip layer, {eta.value:.3g} Pa s/m from {eta.way}, would give "
+                   f"{pressure / 1e5:.3g} bar; a measured layer decides")  # fmt: skip
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:

@@ -32,6 +32,10 @@ from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures
 
+COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without a known probability"}
+"""Words on how often the band of a pressure contains the measured one, by the origin of the band. For slip layers that
+follow from the paste, 94 % of the measured concretes in straight pipe lie inside in `warpcrete validate`, and two of
+only three measured whole lines."""
 HIGHEST_PUMP = 500e5
 """Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
 (https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
@@ -46,6 +50,9 @@ class LineResult(LinePressures):
     """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
+    band_origin: str = ""
+    """Origin of the band of the slip layer: 'paste' or 'other' (see :attr:`warpcrete.mix.mix.Mix.band_origin`); empty
+    if the user chose its width."""
     fit: LineFit | None = None
     """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
     None if no trial line was given."""
@@ -149,6 +156,13 @@ class LineResult(LinePressures):
     def band_text(self) -> str:
         """Sentences for the user on how much each cause contributes to the uncertainty of the line's pressure."""
         return "; ".join(self.band_sentences()) or "no uncertainty is stated"
+
+    @property
+    def coverage(self) -> str:
+        """Words on how often the band contains the pressure, to follow the band; empty if the user chose its width."""
+        if self.fit is not None:
+            return " in 95 % of cases"
+        return COVERAGE.get(self.band_origin, "")
 
     def band_sentences(self) -> list[str]:
         """Return sentences on the causes of the pressure's uncertainty, with advice on how to reduce it."""
@@ -256,7 +270,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         f"{3600 * result.flow:.4g} m3/h{beside(us, 'yd3/h', result.flow)}",
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar"
-        f"{beside(us, 'psi', band.low, band.high)}",
+        f"{beside(us, 'psi', band.low, band.high)}{result.coverage}",
         *(f"- {sentence}" for sentence in result.band_sentences()),
         *(
             [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
