@@ -161,7 +161,7 @@ class LineResult(LinePressures):
     def coverage(self) -> str:
         """Words on how often the band contains the pressure, to follow the band; empty if the user chose its width."""
         if self.fit is not None:
-            return " in 95 % of cases"
+            return " in about 95 % of cases"
         return COVERAGE.get(self.band_origin, "")
 
     def band_sentences(self) -> list[str]:
