@@ -110,7 +110,9 @@ def test_a_ratio_of_water_to_binder_without_masses():
                           (200, True, "fine")])  # fmt: skip
 def test_the_slump(slump, admixture, verdict):
     own = parts(superplasticizer=2) if admixture else parts()
-    assert verdicts(parts=own, slump=f"{slump} mm")["consistency"].verdict == verdict
+    found = verdicts(parts=own, slump=f"{slump} mm")["consistency"]
+    assert found.verdict == verdict
+    assert ("100 to 160 mm are usual, and more with a superplasticizer, as here" in found.found) == admixture
 
 
 @pytest.mark.parametrize(("slump", "verdict"), [(120, "fine"), (160, "fine"), (161, "unknown"), (40, "risky")])
@@ -155,14 +157,19 @@ def test_a_line_is_judged_at_its_narrowest_part():
     longer = LINE | {"parts": [*LINE["parts"][:2], {"straight": "5 m"}, *LINE["parts"][3:]]}
     assert [each.rule for each in line_rules(line_of(longer), None)] == ["stone in bore"]
     text = rule_lines(found, "narrowest part 2")
-    assert text[0] == "will it block? rules of practice, narrowest part 2: 2 risky" and any("->" in x for x in text)
+    assert text[0] == "will it block? perhaps, by rules of practice (2 risky; narrowest part 2)"
+    assert any("->" in x for x in text)
+    assert rule_lines([])[0].startswith("will it block? no rule of practice says so, but not all could be applied")
 
 
 def test_the_commands_print_the_rules(tmp_path):
     path = tmp_path / "mix.yaml"
     path.write_text(yaml_text({"mix": ORDINARY}), encoding="utf-8")
     found = CliRunner().invoke(cli, ["mix", str(path), "--bore", "2 in"]).output
-    assert "bore of 50.8 mm: 1 blocks, 6 fine" in found and "-> use a bore of 80 mm" in found
+    assert (
+        "will it block? yes, by rules of practice (1 blocks, 6 fine; bore of 50.8 mm)" in found
+        and "-> use a bore of 80 mm" in found
+    )
     assert "bore" in str(CliRunner().invoke(cli, ["mix", str(path), "--bore", "-2"]).exception)
     site = tmp_path / "site.yaml"
     site.write_text(yaml_text(LINE | {"flow": "20 m3/h", "concrete": str(path)}), encoding="utf-8")

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
@@ -13,7 +14,7 @@ from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.core.units import number
 from warpcrete.dem.scene.concretes import COVERAGE
-from warpcrete.mix.ingredients import is_thickener, paste_volumes
+from warpcrete.mix.ingredients import is_plasticizer, is_thickener, paste_volumes
 from warpcrete.mix.mix import completed, mix_of, read_mix
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines.losses import line_of
@@ -40,6 +41,45 @@ from warpcrete.theory.vessels import heap_at_rest, long_heap_spread, tall_cone_s
 SPREADING = {"density": "2300 kg/m3", "spread": "600 mm", "t500": "4 s"}
 STONES = {"aggregate": "36 %", "sieve": {4: 0, 8: 0.4, 16: 1}, "shape": "crushed"}
 BULK = {"density": 2300, "concrete": {"yield_stress": 60, "viscosity": "40 Pa s", "uncertainty": "10 %"}}
+
+
+LOAD = {"cement": 573, "fly ash": 101, "water": 295, "sand": 1315, "gravel": 1702}
+"""Ingredients of a cubic yard [lb]."""
+
+
+def test_the_largest_stone_alone_suffices(tmp_path):
+    """The smallest is then that which the option --stone of `warpcrete line` assumes."""
+    given = mix_of(SPREADING | {"sizes": "20 mm"}).given
+    assert given.sizes == (0.004, 0.02) == mix_of(SPREADING | {"sizes": ["4 mm", "20 mm"]}).given.sizes
+    with pytest.raises(SceneError, match=r"largest of mix sizes = 0\.006: must be in \[0\.008, 0\.3\] m"):
+        mix_of(SPREADING | {"sizes": "6 mm"})
+    for name in ("stone", "largest_stone"):
+        with pytest.raises(SceneError, match=rf"mix key = '{name}': is the entry 'sizes' of a mix; write 'sizes: 20 m"):
+            mix_of(SPREADING | {name: "20 mm"})
+
+
+def test_the_sieve_curve_that_a_warning_suggests_is_accepted(tmp_path):
+    with pytest.warns(PlausibilityWarning, match="has no sieve curve") as caught:
+        scenes.pipe(concrete=str(written(tmp_path, SPREADING)))
+    text = next(str(each.message) for each in caught if "sieve curve" in str(each.message))
+    entry = yaml.safe_load(text.split("in a mix '")[1].split("'")[0])
+    assert mix_of(SPREADING | entry).given.largest == 0.016
+    assert "sizes='4:0,8:0.4,16:1'" in text and scenes.pipe(sizes="4:0,8:0.4,16:1")
+
+
+@pytest.mark.parametrize("unit", ["lb/yd3", "lbs/yd3", "lbs/cy", "pcy"])
+@pytest.mark.parametrize("admixture", ["HRWR", "high-range water reducer", "superplasticizer", "WRDA 64"])
+def test_names_and_units_of_an_american_ticket(unit, admixture):
+    parts = {name: f"{mass} {unit}" for name, mass in LOAD.items()} | {admixture: "80 oz/yd3"}
+    given = mix_of({"parts": parts, "slump": "8 in"}).given
+    assert given.parts["cement"] == pytest.approx(573 * 0.5932764, rel=1e-6)
+    assert given.parts[admixture] == pytest.approx(1100 * 80 * 3.86807e-5, rel=1e-4)
+    assert given.plasticizer and not given.thickener
+    assert given.water_binder == pytest.approx(295 / 674)
+
+
+def test_a_reducer_of_other_things_than_water_is_no_plasticizer():
+    assert not is_plasticizer("shrinkage reducer") and not is_plasticizer("viscosity reducer")
 
 
 def written(folder, section, name="mix.yaml", **more):
@@ -342,7 +382,7 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
     assert (found.band().low, found.band().high) == pytest.approx((expected.low, expected.high))
     assert dict(found.band().shares) == pytest.approx(dict(expected.shares))
     assert found.record()["layer_factor"] is None
-    assert "comes from the slip layer; measure it with" in found.record()["band"]
+    assert "comes from the slip layer; fit it to pressures" in found.record()["band"]
     done = CliRunner().invoke(cli, ["line", str(site), "--theory"])
     assert done.exit_code == 0, done.output
     assert f"{found.band().low / 1e5:.4g} to " in done.output and "comes from the slip layer" in done.output

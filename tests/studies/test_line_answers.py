@@ -6,17 +6,20 @@ import subprocess
 import sys
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from warpcrete import SceneError, WarpcreteError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
+from warpcrete.mix.mix import mix_of
 from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS, MODEL_ERRORS, VALVE_PRESSURE, library_factor
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
 from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.run import run_line
+from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.bands import Band
 from warpcrete.theory.pipe import Concrete
 
@@ -94,6 +97,8 @@ def test_the_default_bend_is_at_least_two_diameters_wide():
             r"straight: key = '5 m': must be one of .*put an amount with a decim",
         ),
         ({"bend": 45}, r"bend: to = 45: must be one of up, down, left"),
+        ({"bend": 90}, r"bend: to = 90: must be .*; write the direction.* as in 'bend: \{to: up, angle: 90\}'"),
+        ({"bend": {"angle": 30}}, r"bend: to = None: must be .*; write .* as in 'bend: \{to: up, angle: 30\}'"),
         ({"bend": "rigth"}, r"bend: to = 'rigth': must be one of .*did you mean 'right'\?"),
     ],
 )
@@ -101,6 +106,16 @@ def test_fittings_that_cannot_be_are_refused_in_one_line(entry, says):
     with pytest.raises(SceneError, match=rf"^part 2, {says}") as caught:
         line({"straight": 2}, entry)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [("horizontal", "write 'straight: 10 m'"), ("vertical", "write 'bend: up' and then 'straight: 10 m'"),
+     ("elbow", "write 'bend: up', or"), ("taper", "write 'reducer: "), ("tip", "write 'hose: 5 m'")],
+)  # fmt: skip
+def test_other_words_for_parts_are_refused_with_the_right_one(kind, says):
+    with pytest.raises(SceneError, match=rf"^part 1 = '{kind}': must be one of straight, .*; {says}"):
+        line({kind: "5 m"})
 
 
 def test_every_fitting_has_a_band_with_its_cause():
@@ -131,11 +146,87 @@ def test_the_band_is_split_by_cause():
     assert band.low == pytest.approx(value * math.exp(-math.hypot(down, both)), rel=1e-6)
     assert band.shares["slip layer"] == pytest.approx((2 * both) ** 2 / ((2 * both) ** 2 + (up + down) ** 2), rel=1e-6)
     first, *rest = band_sentences(band)
-    assert first.startswith(f"{100 * band.shares['slip layer']:.0f} % of the band of ") and "measure it with" in first
+    assert first.startswith(f"{100 * band.shares['slip layer']:.0f} % of the band of ")
     assert rest == []
     assert band_sentences(Band(1e6, 1e6, 1e6)) == []
     mixed = band_sentences(Band(1e6, 5e5, 2e6, {"bends": 0.3, "slip layer": 0.62, "density": 0.08}))
     assert [each[:4] for each in mixed] == ["62 %", "30 %"] and "5 to 20 bar comes from the slip layer" in mixed[0]
+
+
+@pytest.mark.parametrize(
+    ("layer", "slump", "advised"),
+    [
+        (None, None, "fit it"),
+        ("{viscosity: 500, yield_stress: 10, from: tribometer}", None, "fit it"),
+        ("{viscosity: 500, yield_stress: 10, from: pipe}", None, ""),
+        (None, "180 mm", "fit it"),
+    ],
+)
+def test_only_a_measurement_that_makes_the_band_narrower_is_recommended(tmp_path, layer, slump, advised):
+    """The band that a measurement would give is that of a concrete whose layer has this measurement's band."""
+    mix = {"density": 2350, "spread": "600 mm"} if slump is None else {"density": 2350, "slump": slump}
+    if slump is None:
+        mix["water_binder"] = 0.45
+    if layer is not None:
+        mix["layer"] = yaml.safe_load(layer)
+    found = line_by_theory(line({"straight": 100}), (of := mix_of(mix)).concrete, FLOW, variants=of.variants)
+    first = found.band_sentences()[0]
+    assert "comes from the slip layer" in first and "tribometer" not in first
+    assert ("fit it to pressures of a trial line" in first) == (advised == "fit it")
+    for text in (x for x in first.split("which would give ")[1:]):
+        low, high = (1e5 * float(x) for x in text.split(" bar")[0].split(" to "))
+        assert high - low < found.band().high - found.band().low
+        eta, tau = of.concrete.slip_viscosity, of.concrete.slip_yield
+        fitted = {**mix, "layer": {"viscosity": eta, "yield_stress": tau, "from": "pipe"}}
+        then = line_by_theory(line({"straight": 100}), mix_of(fitted).concrete, FLOW, variants=mix_of(fitted).variants)
+        assert (low, high) == pytest.approx((then.band().low, then.band().high), rel=0.01)
+
+
+def test_a_tribometer_is_recommended_where_its_band_is_narrower_than_a_guess():
+    of = mix_of({"density": 2350, "spread": "600 mm"})
+    first = line_by_theory(line({"straight": 100}), of.concrete, FLOW, variants=of.variants).band_sentences()[0]
+    assert "with --fit, which would give" in first and "measure it with a tribometer, which would give" in first
+
+
+def test_a_stated_slump_is_not_recommended():
+    """The yield stress of the bulk makes most of the band of a stiff concrete whose slip layer was fitted."""
+    layer = {"viscosity": 605, "yield_stress": 0, "uncertainty": 0.02, "from": "pipe"}
+    of = mix_of({"density": 2368, "slump": "200 mm", "layer": layer})
+    text = "; ".join(line_by_theory(line({"straight": 100}), of.concrete, FLOW, variants=of.variants).band_sentences())
+    assert "from the yield stress of the bulk; measure it with a rheometer" in text and "slump" not in text
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({"spread": "600 mm", "water_binder": 0.45}, " bar in about nine of ten cases"),
+        ({"slump": "200 mm"}, " bar, a range without a known probability"),
+    ],
+)
+def test_the_output_says_how_often_its_band_holds(tmp_path, entries, words):
+    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": {"density": 2350, **entries}}), encoding="utf-8")
+    call = ["line", "--concrete", str(tmp_path / "mix.yaml"), "--diameter", "125 mm", "--length", "90 m", "--flow"]
+    says = next(x for x in CliRunner().invoke(cli, [*call, "30 m3/h"]).output.splitlines() if "at the pump" in x)
+    chosen = CliRunner().invoke(cli, [*call, "30 m3/h", "--layer-factor", "1.5"]).output
+    assert says.endswith(words) and "cases" not in chosen and "probability" not in chosen
+
+
+def test_a_line_tells_the_pressure_by_the_other_estimate_of_the_slip_layer(tmp_path):
+    """With the parts of the mix and a slump, the other estimate is that of the slump alone."""
+    mix = {"density": 2350, "slump": "200 mm"}
+    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": {**mix, "water_binder": 0.45}}), encoding="utf-8")
+    pipe = ["--diameter", "125 mm", "--length", "190 m", "--flow", "30 m3/h"]
+    both, alone = (CliRunner().invoke(cli, ["line", *more, *pipe]).output
+                   for more in (["--concrete", str(tmp_path / "mix.yaml")], ["--slump", "200 mm"]))  # fmt: skip
+    other = float(both.split("from slump of 200 mm, would give ")[1].split(" bar")[0])
+    assert other == pytest.approx(float(alone.split("at the pump ")[1].split(" bar")[0]), rel=0.005)
+    assert "another estimate" not in alone
+
+
+@pytest.mark.parametrize(("length", "jgj"), [(3.0, 2.0), (5.0, 2.0), (5.01, 2.004), (10.0, 4.0)])
+def test_a_hose_longer_than_that_of_the_rule_counts_in_proportion(length, jgj):
+    rows = pumped({"straight": 2}, {"hose": length}).practice()[1]
+    assert next(row for row in rows if row.rule == "JGJ/T 10").pressures["hose"] == pytest.approx(jgj * 1e5)
 
 
 def test_power_volume_and_time_follow_from_pressure_and_bore():
@@ -288,10 +379,10 @@ def test_rules_of_practice_count_parts_as_they_say():
     assert ours.pressure == pytest.approx(found.pressure)
     assert aij.pressure == pytest.approx(METRE * (30.5 + 3 * 2 * bend + 2 * 8) + weight * 21, rel=1e-9)
     assert jsce.pressure == pytest.approx(METRE * (10 + 4 * 20 + 2 * 6 + 20 + 0.5), rel=1e-9)
-    assert jgj.pressure == pytest.approx(5e3 * 10 + 20e3 * 20 + 2 * 0.1e6 + 2 * 0.2e6 + 0.8e6, rel=1e-9)
+    assert jgj.pressure == pytest.approx(5e3 * 10 + 20e3 * 20 + 2 * 0.1e6 + 8 / 5 * 0.2e6 + 0.8e6, rel=1e-9)
     assert [row.rule for row in rows] == ["AIJ", "JSCE", "JGJ/T 10"] and all("http" in row.source for row in rows)
     text = "\n".join(lines_of(found, practice=True))
-    assert "| JGJ/T 10 | 18.5 |" in text and METHODS_ON_BENDS in text and "a metre of rise counts as 4 m" in text
+    assert "| JGJ/T 10 | 17.7 |" in text and METHODS_ON_BENDS in text and "a metre of rise counts as 4 m" in text
     down = pumped({"straight": 10}, {"bend": "down"}, {"straight": 20}).practice()[1]
     assert down[1].pressures["straight"] == pytest.approx(30 * METRE) and down[2].pressures["straight"] == 150e3
 
@@ -328,7 +419,7 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
     given = ["line", str(path), "--theory", "--pump-power", "110 kW", "--rest", "20 min", "--practice", "--out"]
     done = CliRunner().invoke(cli, [*given, str(tmp_path / "line")])
     assert done.exit_code == 0, done.output
-    for words in ("pressure at the pump ", "of the band of", "comes from the slip layer; measure it with",
+    for words in ("pressure at the pump ", "of the band of", "comes from the slip layer; fit it",
                   "the motor has 110 kW", "(efficiency 0.69: bar times m3/h over 25)", "after 20 min of rest",
                   "the line holds 0.404 m3", "| JSCE |"):  # fmt: skip
         assert words in done.output

@@ -5,12 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from warpcrete import SceneError
 from warpcrete.cli.main import cli
-from warpcrete.studies.lines.fit import Tap, fit_line, fit_lines, read_taps
-from warpcrete.studies.lines.losses import line_of
+from warpcrete.studies.lines.fit import fit_line
+from warpcrete.studies.lines.fit_report import fit_lines
+from warpcrete.studies.lines.fittings import library_factor
+from warpcrete.studies.lines.losses import line_of, with_layer_factor
+from warpcrete.studies.lines.taps import Tap, read_taps
 from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.fits import student_t
 from warpcrete.theory.pipe import Concrete
@@ -88,7 +92,7 @@ def test_a_layer_without_yield_stress_stays_without():
 
 
 def test_a_fitted_factor_has_its_band_in_the_result():
-    fit = fit_line(LINE, GUESS, taps(noise=2e4, parts=(0, 1, 3, 4)))
+    fit = fit_line(LINE, GUESS, taps(noise=5e3, parts=(0, 1, 3, 4)))
     found = line_by_theory(fit.line(LINE), fit.concrete(GUESS), 0.01, variants=fit.variants(GUESS), fit=fit)
     assert set(found.band().shares) == {"slip layer", "bends", "hoses"}
     assert found.losses[1].range == (fit.constants[2].low, fit.constants[2].high)
@@ -103,9 +107,8 @@ def test_factors_of_student(freedom, factor):
 @pytest.mark.parametrize(
     ("points", "says"),
     [
-        (taps()[:1], r"^fit = '1 point': must be at least 2 to determine slip viscosity with a band; measure at more"),
-        (taps(flows=(15, 30), parts=(0,)), r"^fit = '2 points': must be at least 3 to determine slip visc"),
-        (taps(flows=(15,), parts=(0, 3)), r"'2 points': must be at least 3 to determine slip viscosity"),
+        (taps()[:1], r"^fit = '1 point': must be at least 2 to determine the slip viscosity with a band, 3 at two "
+         r"flows for the slip yield, and 4 at two places for the bends; measure at more"),
         ([Tap(0.0, 1e5, 0.01, 2)] * 4, r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
     ],
@@ -189,6 +192,27 @@ def test_the_command_fits_a_trial_line(tmp_path):
         assert refused.exit_code == 2 and says in refused.output
 
 
+def test_a_pasted_fit_gives_the_pressure_of_the_fitted_line(tmp_path):
+    """Six gauges with errors of a quarter of a bar do not determine the factor of two bends in 107 m."""
+    ticket = {"parts": {"cement": 340, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1010, "superplasticizer": 3},
+              "slump": "200 mm"}  # fmt: skip
+    parts = [{"straight": 40}, {"bend": "up"}, {"straight": 60}, {"bend": "level"}, {"hose": 5}]
+    rows = ((1, 23.9, 20), (3, 20.0, 20), (1, 28.3, 30), (3, 23.3, 30), (1, 33.4, 40), (3, 25.9, 40))
+    taps_file = "part,pressure [bar],flow [m3/h]\n" + "".join(f"{a},{b},{c}\n" for a, b, c in rows)
+    (tmp_path / "taps.csv").write_text(taps_file, encoding="utf-8")
+    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": ticket}), encoding="utf-8")
+    site = {"diameter": "125 mm", "flow": "30 m3/h", "concrete": "mix.yaml", "parts": parts}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
+    call = ["line", str(tmp_path / "site.yaml")]
+    fitted = CliRunner().invoke(cli, [*call, "--fit", str(tmp_path / "taps.csv")], catch_exceptions=False).output
+    layer = yaml.safe_load(next(x for x in fitted.splitlines() if x.strip().startswith("layer: {")))
+    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": {**ticket, **layer}}), encoding="utf-8")
+    pasted = CliRunner().invoke(cli, call, catch_exceptions=False).output
+    pressures = [float(x.split("pressure at the pump ")[1].split(" bar")[0]) for x in (fitted, pasted)]
+    assert pressures[1] == pytest.approx(pressures[0], rel=1e-3)
+    assert "slip yield 0 Pa (fitted without it, because the points would give a negative one)" in fitted
+
+
 def test_the_text_of_a_fit_names_every_tap():
     fit = fit_line(LINE, GUESS, taps(noise=1e4))
     text = fit_lines(fit, LINE)
@@ -198,15 +222,62 @@ def test_the_text_of_a_fit_names_every_tap():
     )
 
 
-def test_a_factor_of_bends_that_the_points_hardly_determine_is_not_recommended():
-    sure = "\n".join(fit_lines(fit_line(LINE, GUESS, taps()), LINE))
-    assert "    factor: 2.2" in sure and "Leave out" not in sure
-    unsure = fit_line(LINE, GUESS, taps(noise=1e5, parts=(0, 1, 2)))
-    low, high = unsure.constants[2].low, unsure.constants[2].high
-    assert unsure.constants[2].fitted and low <= 1 and high >= 3
+def test_a_factor_of_bends_that_the_points_hardly_determine_is_left_out_of_the_fit():
+    """The fit without it equals that of a line whose bends state the factors of the table."""
+    sure = fit_line(LINE, GUESS, taps())
+    assert "    factor: 2.2" in "\n".join(fit_lines(sure, LINE))
+    points = taps(noise=1e5, parts=(0, 1, 2))
+    unsure = fit_line(LINE, GUESS, points)
+    stated = replace(LINE, parts=tuple(replace(p, factor=library_factor(p)) if p.kind == "bend" else p
+                                       for p in LINE.parts))  # fmt: skip
+    own = fit_line(stated, GUESS, points)
+    assert not unsure.constants[2].fitted and unsure.line(LINE) is LINE
+    assert [x.value for x in unsure.constants[:2]] == pytest.approx([x.value for x in own.constants], rel=1e-9)
+    assert unsure.uncertainty == pytest.approx(own.uncertainty, rel=1e-9)
     text = "\n".join(fit_lines(unsure, LINE))
-    assert f"Leave out the factor of the bends: its band of {low:.3g} to {high:.3g} is wider" in text
+    assert "factor of bends: not determined by these points, so fitted without it" in text
     assert "    factor:" not in text
+
+
+@pytest.mark.parametrize(("flows", "parts", "fitted"), [
+    ((15, 30), (0,), [True, False, False]), ((15,), (0, 3), [True, False, False]),
+    ((15, 30, 45), (0,), [True, True, False]), ((15, 30), (0, 3), [True, True, True]),
+])  # fmt: skip
+def test_each_number_of_points_determines_as_many_constants_as_it_says(flows, parts, fitted):
+    assert [x.fitted for x in fit_line(LINE, TRUE, taps(flows=flows, parts=parts)).constants] == fitted
+
+
+def known(concrete, factor):
+    """Return the concrete with its slip layer at both ends of a band."""
+    return with_layer_factor(concrete, 1 / factor), with_layer_factor(concrete, factor)
+
+
+def test_a_fit_is_never_wider_than_what_was_known_before():
+    """Noisy gauges leave the known band nearly as it was, and exact gauges replace it."""
+    for noise in (0, 1e3, 1e4, 1e5, 2e5):
+        for seed in range(4):
+            fit = fit_line(LINE, TRUE, taps(noise=noise, seed=seed, flows=(15, 45), parts=(0, 1)), known(TRUE, 1.7))
+            assert fit.uncertainty < 0.7 and 0 <= fit.prior_share <= 1
+            band = line_by_theory(fit.line(LINE), fit.concrete(TRUE), 0.01, variants=fit.variants(TRUE), fit=fit).band()
+            before = line_by_theory(LINE, TRUE, 0.01, variants={"slip layer": known(TRUE, 1.7)}).band()
+            assert band.factor < before.factor
+    exact = fit_line(LINE, GUESS, taps(), known(GUESS, 1.7))
+    assert [x.value for x in exact.constants] == pytest.approx([700, 25, 2.2], rel=1e-4)
+
+
+def test_the_weights_of_a_fit_and_of_earlier_knowledge_follow_from_their_bands():
+    """Two equally wide bands give the geometric mean of two plugs' friction, in a band narrower by the root of two."""
+    plug = replace(TRUE, viscosity=1e6, yield_stress=1e9, slip_yield=0.0)
+    flat = line_of({"diameter": "125 mm", "parts": [{"straight": 100}]})
+    points = [Tap(0, 10e5, 0.01, 2), Tap(0, 12e5, 0.01, 3), Tap(0, 11e5, 0.01, 4)]
+    alone = fit_line(flat, plug, points)
+    wide = 1 + alone.uncertainty
+    both = fit_line(flat, plug, points, known(plug, wide))
+    assert both.prior_share == pytest.approx(0.5, rel=1e-6)
+    mean = np.sqrt(plug.slip_viscosity * alone.constants[0].value)
+    assert both.constants[0].value == pytest.approx(mean, rel=1e-4)
+    assert np.log1p(both.uncertainty) == pytest.approx(np.log(wide) / np.sqrt(2), rel=1e-6)
+    assert "known before has a weight of 50 %" in "\n".join(fit_lines(both, flat))
 
 
 def test_pressures_that_grow_along_the_line_are_refused():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,18 @@ from ..core.inputs.limits import check_limit, check_whole
 from ..core.run.files import next_folder, write_json
 from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
+from ..mix.measurements import Layer
 from ..mix.mix import Mix
-from ..studies.lines.fit import fit_line, fit_lines, read_taps
+from ..studies.lines.fit import fit_line
+from ..studies.lines.fit_report import fit_lines
 from ..studies.lines.fittings import is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
+from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
 from ..studies.lines.result import lines_of
+from ..studies.lines.taps import read_taps
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
+from ..theory.pipe import Concrete
 from .exits import CHECK_FAILED, INTERRUPTED
 from .line_inputs import LineInputs, line_inputs
 from .option_amounts import THIXOTROPY_BAND, growth_of, option_amount
@@ -63,7 +69,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         return
     pipes, concrete, layer, fit = given.line, given.concrete, _layer(given.mix, settings), None
     if settings["fit"] is not None:
-        fit = fit_line(pipes, concrete, read_taps(settings["fit"], pipes, given.flow))
+        fit = fit_line(pipes, concrete, read_taps(settings["fit"], pipes, given.flow), _known_layer(given, layer))
         click.echo("\n" + "\n".join(fit_lines(fit, pipes)))
         pipes, layer, concrete = fit.line(pipes), {"variants": fit.variants(concrete)}, fit.concrete(concrete)
         if given.flow is None:
@@ -125,8 +131,21 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:
-        return {"variants": mix.variants}
+        return {"variants": mix.variants, "band_origin": mix.band_origin}
     return {"layer_factor": LAYER_FACTOR if factor is None else factor}
+
+
+def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
+    """Return the concrete with its slip layer at both ends of the band that was known before a fit, or None.
+
+    A layer that the mix states is left out, because it may come from an earlier fit to the same pressures.
+    """
+    if given.mix is not None and given.mix.given.layer != Layer():
+        return None
+    if "variants" in layer:
+        return layer["variants"].get("slip layer")
+    low, high = (with_layer_factor(given.concrete, x) for x in (1 / layer["layer_factor"], layer["layer_factor"]))
+    return low, high
 
 
 def _simulated(
@@ -160,10 +179,22 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
 
 def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]) -> None:
     """Print the verdicts of rules against blocking and, with `--blocking`, the simulated probability of a blockage."""
+    if settings["fit"] is None:
+        _print_other_layers(line, given)
     print_rules(line, given.mix, folder)
     if settings["blocking"] is not None and folder is not None:
         assert given.flow is not None
         importlib.import_module(f"{__package__}.line_blocked").run(line, given.name, given.flow, folder, settings)
+
+
+def _print_other_layers(line: PipeLine, given: LineInputs) -> None:
+    """Print the pressure by theory with each other estimate of the slip layer that the mix allows."""
+    for eta, tau in () if given.mix is None else given.mix.other_layers:
+        assert given.flow is not None
+        concrete = replace(given.concrete, slip_viscosity=eta.value, slip_yield=tau.value)
+        pressure = line_by_theory(line, concrete, given.flow).pressure
+        click.echo(f"\nanother estimate of the slip layer, {eta.value:.3g} Pa s/m from {eta.way}, would give "
+                   f"{pressure / 1e5:.3g} bar; a measured layer decides")  # fmt: skip
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:

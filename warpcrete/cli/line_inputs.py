@@ -16,14 +16,13 @@ from ..geometry.axis import Axis, Line
 from ..geometry.pipe_line import Part, PipeLine
 from ..geometry.pumps import pump_of
 from ..mix.mix import Mix, mix_named, mix_of
+from ..mix.stones import SMALLEST
 from ..mps.common.mixes import concrete_of
 from ..studies.lines.losses import read_line, with_stone
 from ..theory.pipe import Concrete
 
 DENSITY = 2350.0
 """Density [kg/m3] that is assumed for a concrete of which the user states only the slump or the spread."""
-FINEST = 4e-3
-"""Diameter of the smallest coarse aggregate [m] that is assumed if the user states only the largest stone."""
 SHAPE = ("diameter", "length", "rise")
 """Options that describe a straight pump line, for a user who has no file that describes the line."""
 MEASURES = (*SHAPE, "slump", "spread", "stone", "flow", "pump_pressure", "pump_flow", "pump_power")
@@ -120,9 +119,9 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
         raise click.UsageError(f"{next(iter(cones))}: cannot be given together with --concrete; state it in its file")
     entries: dict[str, Any] = {"density": DENSITY, **cones}
     if stone is not None:
-        if stone < 2 * FINEST:
-            refuse("stone", stone, f"must be at least {2 * FINEST:g} m", "leave it out for mortar")
-        entries["sizes"] = [FINEST, stone]
+        if stone < 2 * SMALLEST:
+            refuse("stone", stone, f"must be at least {2 * SMALLEST:g} m", "leave it out for mortar")
+        entries["sizes"] = [SMALLEST, stone]
     return mix_of(entries, name=", ".join(f"{name} {value}" for name, value in cones.items()))
 
 

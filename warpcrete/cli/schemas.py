@@ -237,7 +237,10 @@ def _mix_section() -> Schema:
         "aggregate": {"type": ["number", "string"]},
         "sieve": {"type": "object", "minProperties": 2, "additionalProperties": passing,
                   "propertyNames": {"pattern": text_pattern("m")}},
-        "sizes": {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
+        "sizes": {"anyOf": [
+            quantity("m", "diameter"),
+            {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
+        ]},
         "shape": {"anyOf": [{"enum": list(stones.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
         "concrete": _object(of_concrete | off),
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import between, one_of, positive, refuse
-from ..core.inputs.amounts import amount
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit, warn
 from .axis import Arc, Axis, Line
 from .curves import curve_through, start_tangent
@@ -23,6 +23,7 @@ from .line_entries import (
     HOSE_FACTOR,
     LIMITED_AS,
     MOST_POINTS,
+    PART_HINTS,
     PARTS,
     VALVE_DIAMETERS,
     WAYS,
@@ -68,6 +69,8 @@ class Course:
                                             "part",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
         kind, said = next(iter(entry.items()))
+        if kind in PART_HINTS:
+            refuse(f"part {number}", kind, f"must be one of {', '.join(PARTS)}", PART_HINTS[kind])
         one_of(f"part {number}", kind, PARTS)
         if not isinstance(said, Mapping):
             listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
@@ -116,6 +119,10 @@ class Course:
                 "give the radius of the bend's centreline",
             )
         way = said.get("to")
+        if way is None or bare_number(way) or is_amount(way, "degrees"):
+            angle = said.get("angle", 45) if way is None else way
+            example = f"write the direction, and the angle unless it follows, as in 'bend: {{to: up, angle: {angle}}}'"
+            refuse(f"{field}: to", way, f"must be one of {', '.join(WAYS)}", example)
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)
         towards = {"up": UP, "down": -UP, "left": left, "right": -left, "level": self.heading,

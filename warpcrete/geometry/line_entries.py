@@ -46,6 +46,16 @@ PARTS = {
 }
 """Kinds of pipeline parts, each with its entries, their units and meaning. If a pipeline file has a single value
 instead of the entries of a part, this value is the part's first entry."""
+PART_HINTS = {
+    **dict.fromkeys(("pipe", "level", "horizontal", "length"), "write 'straight: 10 m'"),
+    **dict.fromkeys(("vertical", "riser", "rise", "up"),
+                    "write 'bend: up' and then 'straight: 10 m', or 'begin: up' for a line that starts upwards"),
+    "down": "write 'bend: down' and then 'straight: 10 m'",
+    **dict.fromkeys(("elbow", "curve", "arc"), "write 'bend: up', or 'bend: {to: up, angle: 45}'"),
+    **dict.fromkeys(("taper", "cone", "reduction"), "write 'reducer: {to: 100 mm, length: 1 m}'"),
+    **dict.fromkeys(("rubber", "tip", "end_hose", "flexible"), "write 'hose: 5 m'"),
+}  # fmt: skip
+"""Corrections for words that users write instead of a kind of part."""
 STATED = {
     "factor": ("1", "Friction divided by that of straight pipe of its length, instead of the program's model"),
     "equivalent": ("m", "Length of straight level pipe with the friction of the part, instead of the program's model"),

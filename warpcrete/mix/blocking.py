@@ -19,6 +19,13 @@ from .ingredients import powder_mass, water_mass
 
 VERDICTS = ("fine", "unknown", "risky", "blocks")
 """Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
+ANSWERS = {
+    "fine": "no, by all rules of practice",
+    "unknown": "no rule of practice says so, but not all could be applied",
+    "risky": "perhaps, by rules of practice",
+    "blocks": "yes, by rules of practice",
+}
+"""Answers to the question whether concrete will block a line, by the worst verdict of the rules."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
 """Maximum ratio of stone diameter to bore for which concrete can be pumped: for crushed and for rounded stones (ACI
 304.2R)."""
@@ -257,10 +264,13 @@ def slump(mix: MixEntries) -> RuleVerdict:
     if mix.slump < usual - 1e-9:
         limit = f"; below {1e3 * least:g} mm it cannot be pumped" if mix.slump < least else ""
         return RuleVerdict(name, "risky", words + limit, "raise it with a plasticizer, not with water", source)
+    if mix.slump > largest + 1e-9 and (mix.thickener or mix.plasticizer):
+        cause = "superplasticizer" if mix.plasticizer else "viscosity-modifying admixture"
+        return RuleVerdict(name, "fine", f"{words}, and more with a {cause}, as here", "", source)
     if mix.slump > largest + 1e-9 and not mix.parts:
         words += "; more needs a superplasticizer"
         return RuleVerdict(name, "unknown", words, "add parts to the mix, with its superplasticizer", source)
-    if mix.slump > largest + 1e-9 and not (mix.thickener or mix.plasticizer):
+    if mix.slump > largest + 1e-9:
         return RuleVerdict(name, "risky", words, "reach this slump with a superplasticizer, not with water, and state "
                            "it in parts", source)  # fmt: skip
     return RuleVerdict(name, "fine", words, "", source)
@@ -287,11 +297,11 @@ def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
 
 
 def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
-    """Return a headline and the verdicts of the rules, the worst first, as lines of text."""
+    """Return the answer of the rules in one line, and their verdicts, the worst first, as lines of text."""
     counts = [f"{sum(each.verdict == name for each in verdicts)} {name}" for name in reversed(VERDICTS)
               if any(each.verdict == name for each in verdicts)]  # fmt: skip
     order = sorted(verdicts, key=lambda each: -VERDICTS.index(each.verdict))
-    return [f"will it block? rules of practice{f', {where}' if where else ''}: {', '.join(counts)}",
+    return [f"will it block? {ANSWERS[worst(verdicts)]} ({', '.join(counts)}{f'; {where}' if where else ''})",
             *(line for each in order for line in each.text.splitlines())]  # fmt: skip
 
 

@@ -69,7 +69,7 @@ OTHERS = {
     "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
     "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
     "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
-    "sizes": "Smallest and largest coarse aggregate [m], instead of a sieve curve",
+    "sizes": "Largest coarse aggregate [m], or the smallest and the largest, instead of a sieve curve",
     "shape": "Shape of the coarse aggregate: a word, or the ratio of longest to shortest width",
     "concrete": "Measured properties of the concrete",
     "mortar": "Measured properties of the mortar",
@@ -81,6 +81,8 @@ OTHERS = {
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
+LARGEST_NAMES = ("largest_stone", "largest_size", "size_max", "max_size", "maximum_size", "stone")
+"""Names under which users state the largest stone, instead of the entry `sizes`."""
 PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
@@ -196,6 +198,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         refuse("mix", given, "must consist of 'key: value' lines", "indent them below the name of the section")
     for key in given:
         with errors_located_at(given, key):
+            if key in LARGEST_NAMES:
+                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {given[key]}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")

@@ -20,7 +20,7 @@ DENSITIES = {
                      "basalt", "crushed", "coarse", "fine", "pebbles"), 2650.0),
     **dict.fromkeys(("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture", "admixtures",
                      "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
-                     "sp", "latex", "agent"), 1100.0),
+                     "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer"), 1100.0),
     **dict.fromkeys(("steel", "fibres", "fibers", "fibre", "fiber"), 7850.0),
     **dict.fromkeys(("barite", "baryte"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
@@ -41,13 +41,15 @@ POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag"
 """Words in the names of ingredients that are powder, whose grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
-           "sp", "latex", "agent")  # fmt: skip
+           "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer")  # fmt: skip
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
 ROCKS = ("limestone", "marble", "quartz")
 """Words for rocks. An ingredient with such a word in its name is powder. However, it is aggregate if the name also says
 that the rock is crushed, or states a grain size."""
-PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
-"""Words in the names of ingredients that are plasticizers, which make concrete flow more easily."""
+PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp", "hrwr", "hrwra",
+                "mrwr", "wr", "wra", "wrda")  # fmt: skip
+"""Words in the names of ingredients that are plasticizers, which make concrete flow more easily. The abbreviations
+stand for water reducers, of high range (HRWR) or medium range (MRWR)."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words in the names of ingredients that are viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
@@ -83,7 +85,9 @@ def is_thickener(name: str) -> bool:
 
 def is_plasticizer(name: str) -> bool:
     """Return whether an ingredient is a plasticizer or superplasticizer."""
-    return any(word in PLASTICIZERS for word in _words(name))
+    words = _words(name)
+    reduces_water = "water" in words and any(word.startswith("reduc") for word in words)
+    return reduces_water or any(word in PLASTICIZERS for word in words)
 
 
 def powder_mass(parts: Mapping[str, float]) -> float:

@@ -56,6 +56,8 @@ ASSUMED_ERROR_FACTOR = 3.0
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
 """First words of the text that states the origin of a property that was not measured. ASSUMPTION means that the mix
 contains no information on it. ESTIMATE means that it was estimated from the paste alone."""
+OF_PASTE = "% of powder in the paste"
+"""Last words of the text that states the origin of a slip layer that follows from the paste."""
 Pair = tuple[Figure, Figure]
 
 
@@ -110,7 +112,7 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
     if given.paste_solids is not None:
         value, error = thick * paste_layer(given.paste_solids), blur * PASTE_ERROR_FACTOR
         yield _pair(value, (value / error, value * error), PASTE_YIELD, concrete,
-                    f"{100 * given.paste_solids:.3g} % of powder in the paste",
+                    f"{100 * given.paste_solids:.3g} {OF_PASTE}",
                     f"128 (1 - solids / 0.85)^-2.125, fitted to level lines{more}")  # fmt: skip
     if (
         given.sand_and_stone is not None

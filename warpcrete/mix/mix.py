@@ -15,7 +15,7 @@ from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..theory.pipe import Concrete, scaled
 from .figures import Figure, around, reconciled, short
 from .given import DENSITY_TOLERANCE, MixEntries, read
-from .layer import ASSUMPTION, layers
+from .layer import ASSUMPTION, OF_PASTE, layers
 from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
@@ -36,6 +36,8 @@ assumed to be at the lower ends of their bands together, or at the upper ends.""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
+WEIGHING = 0.01
+"""Relative uncertainty of a density that the mix states."""
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
@@ -50,6 +52,8 @@ class Mix:
     """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
     """Warnings about the mix that are printed with the results."""
+    other_layers: tuple[tuple[Figure, Figure], ...] = ()
+    """Other estimates of the slip layer than the one used, each a pair of viscosity and yield stress."""
     factors: tuple[float, float] = (1.0, 1.0)
     """Factors on yield stresses and on viscosities that account for another age or temperature of the concrete, from
     the section `flow` of the concrete's file."""
@@ -107,6 +111,11 @@ class Mix:
                 low, high = (scaled(replace(self._plain, **end), *self.factors) for end in ends)
                 found[cause] = (low, high)
         return found
+
+    @property
+    def band_origin(self) -> str:
+        """Origin of the band of the slip layer: 'paste' if it holds for nine of ten measured concretes, or 'other'."""
+        return "paste" if self["slip viscosity"].way.endswith(OF_PASTE) else "other"
 
     @property
     def flow(self) -> dict[str, float]:
@@ -219,9 +228,8 @@ def mix_of(
     """
     told = read(given, folder)
     way = "sum of the parts" if told.summed else "density"
-    bulk = {
-        "density": around("density", told.density, DENSITY_TOLERANCE if told.summed else 0.01, "kg/m3", way, "as given")
-    }
+    error = DENSITY_TOLERANCE if told.summed else WEIGHING
+    bulk = {"density": around("density", told.density, error, "kg/m3", way, "as given")}
     bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
     laws = _laws(told, bulk)
     thickens = {key: laws[name].value for key, name in LAWS.items() if name in laws}
@@ -249,12 +257,12 @@ def mix_of(
     )  # fmt: skip
     first, *others = layers(told, fluid, bulk["viscosity"])
     slip = {figure.name: figure for figure in first} | bulk
-    remarks += [f"another estimate of the slip viscosity: {each.span} from {each.way}" for each, _ in others
-                if each.way != ASSUMPTION]  # fmt: skip
+    others = tuple(pair for pair in others if pair[0].way != ASSUMPTION)
+    remarks += [f"another estimate of the slip viscosity: {each.span} from {each.way}" for each, _ in others]
     figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
     if told.sieve is None and told.sizes is None:
         remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")
-    return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks))
+    return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks), others)
 
 
 def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:

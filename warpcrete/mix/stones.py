@@ -13,6 +13,8 @@ SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crush
 """Words that a mix may use for the shape of stones, each mapped to the name of a shape in scenes of discrete elements.
 Instead of a word, a mix may state the ratio of longest to shortest width. The stones are then elongated clumps of
 spheres."""
+SMALLEST = 4e-3
+"""Diameter of the smallest coarse aggregate that is assumed if only the largest is stated [m]."""
 FINEST, COARSEST = 1e-3, 0.3
 """Smallest and largest diameter of coarse aggregate that a mix may state [m]. Finer grains belong to the mortar."""
 
@@ -54,10 +56,16 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
 def read_sizes(given: Any) -> tuple[float, float]:
     """Return the smallest and the largest size of a mix's stones [m].
 
-    Raises :class:`warpcrete.SceneError` if the entry is not a pair of possible sizes.
+    If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. Raises
+    :class:`warpcrete.SceneError` if the entry is neither this nor a pair of possible sizes.
     """
+    if isinstance(given, str | int | float) and not isinstance(given, bool):
+        largest = amount("mix sizes", given, "m")
+        between("largest of mix sizes", largest, 2 * SMALLEST, COARSEST, "m", "write millimetres as in '20 mm'")
+        return SMALLEST, largest
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
-        refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
+        refuse("mix sizes", given, "must be the largest size, or the smallest and the largest",
+               "for example '20 mm' or [5 mm, 20 mm]")  # fmt: skip
     low, high = (amount("mix sizes", each, "m") for each in given)
     between("largest of mix sizes", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
     between(

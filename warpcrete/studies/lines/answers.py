@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from ...core.inputs.amounts import FOOT, INCH, POUND, PSI, YARD
 from ...core.units import quantity
 from ...geometry.pumps import Pump
+from ...mix.layer import PIPE_UNCERTAINTY, TRIBOMETER_RATIO
+from ...mix.mix import WEIGHING
+from ...mix.rheology import RHEOMETER
 from ...theory.bands import Band
 
 EFFICIENCY = 25 / 36
@@ -22,10 +25,6 @@ LEAST_SHARE = 0.1
 """Smallest share in the squared width of the pressure's uncertainty band at which a cause of uncertainty is mentioned.
 The largest cause is always mentioned."""
 ADVICE = {
-    "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
-    "viscosity of the bulk": "measure it with a rheometer, or state t500",
-    "yield stress of the bulk": "measure slump or spread",
-    "density": "weigh a known volume, or state the parts of the mix",
     "bends": "fit their factor to pressures of a trial line with --fit, or state it with 'factor'",
     "reducers": "measure the pressure on both sides of one, and state its 'factor'",
     "hoses": "measure the pressure on both sides of one, and state its 'factor'",
@@ -33,7 +32,34 @@ ADVICE = {
     "bores": "simulate them with --simulate, or state their 'factor'",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
 }
-"""Advice for the user on how to reduce the uncertainty that comes from a cause, by the name of the cause."""
+"""Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""
+WORTHWHILE = 0.95
+"""Largest ratio of the width of a pressure's band after a measurement to the present width at which the measurement is
+recommended."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Measurement of the properties of the concrete that belong to one cause of uncertainty."""
+
+    advice: str
+    """Advice to the user to make this measurement."""
+    factors: tuple[float, float]
+    """Ratios of the lower and the upper end of the band that the measurement leaves to the measured value."""
+
+
+MEASUREMENTS = {
+    "slip layer": (
+        Measurement(
+            "fit it to pressures of a trial line with --fit", (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY)
+        ),
+        Measurement("measure it with a tribometer", TRIBOMETER_RATIO),
+    ),
+    "viscosity of the bulk": (Measurement("measure it with a rheometer", (1 - RHEOMETER, 1 + RHEOMETER)),),
+    "yield stress of the bulk": (Measurement("measure it with a rheometer", (1 - RHEOMETER, 1 + RHEOMETER)),),
+    "density": (Measurement("weigh a known volume", (1 - WEIGHING, 1 + WEIGHING)),),
+}
+"""Measurements that may narrow the band of a pressure, by the cause of uncertainty that they measure."""
 CUSTOMARY_SIZES = {"in": INCH, "ft": FOOT, "yd3": YARD**3, "yd3/h": YARD**3 / 3600, "psi": PSI,
                    "hp": 550 * FOOT * POUND * 9.80665}  # fmt: skip
 """SI values of the customary US units in which answers are given beside metric units."""
@@ -52,11 +78,10 @@ def beside(shown: bool, unit: str, *values: float) -> str:
     return f" ({' to '.join(f'{value / CUSTOMARY_SIZES[unit]:.4g}' for value in values)} {unit})" if shown else ""
 
 
-def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
+def band_sentences(band: Band, advise: Callable[[str], str] = lambda cause: ADVICE.get(cause, "")) -> list[str]:
     """Return sentences on how much each cause contributes to a pressure's uncertainty band, the largest cause first.
 
-    The band is in Pa. Advice on how to reduce the uncertainty follows each cause, except for the causes in
-    `without_advice`, which were measured.
+    The band is in Pa. `advise` returns advice on how to reduce the uncertainty from a cause, or an empty text.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []
@@ -64,7 +89,7 @@ def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str
         if place and share < LEAST_SHARE:
             break
         span = "" if place else f" of the band of {band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
-        advice = None if cause in without_advice else ADVICE.get(cause)
+        advice = advise(cause)
         found.append(
             f"{100 * share:.0f} %{span} {'of it comes' if place else 'comes'} from the {cause}"
             + (f"; {advice}" if advice else "")

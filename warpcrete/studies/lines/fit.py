@@ -7,30 +7,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...core.errors import SceneError, between, positive, refuse
-from ...core.inputs.amounts import PSI, amount
-from ...core.inputs.limits import check_limit, check_velocity
-from ...core.inputs.text_files import read_columns
+from ...core.errors import SceneError, refuse
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
-from .answers import beside
 from .fittings import MODEL_ERRORS, library_factor
 from .losses import GRAVITY, straight_friction, with_layer_factor
+from .taps import Tap
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
-COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
-"""Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
-where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
-before which it sits."""
 SAME_FLOW = 0.02
 """Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
@@ -43,25 +36,16 @@ Below this limit, the measured pressures do not determine all constants, and one
 LEAST = (1e-2, -1.0, 0.0)
 """Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
 friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
+NO_YIELD = "fitted without it, because the points would give a negative one"
+NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
+"""Reasons for the value of a slip yield of zero, and of a factor of bends that was left out of a fit."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
 and friction factor of bends (index 2). Such a constant gets its default value."""
+LAYER_FACTORS, BISECTIONS = (1e-6, 1e6), 60
+"""Smallest and largest factor on a fitted slip layer that is considered, and number of steps of the search for it."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
-
-
-@dataclass(frozen=True)
-class Tap:
-    """Pressure that was measured at one place of a trial line."""
-
-    place: float
-    """Distance along the line from the pump to the place of the measurement [m]."""
-    pressure: float
-    """Measured pressure [Pa]."""
-    flow: float
-    """Volume flow in the line at which the pressure was measured [m3/s]."""
-    row: int
-    """Number of the text line from which the pressure was read in the file of measurements, for messages."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +58,18 @@ class FittedConstant:
     high: float
     unit: str
     fitted: bool
-    """True if the measured pressures determine the constant. Otherwise the constant keeps the value that it had before
-    the fit."""
+    """True if the measured pressures determine the constant. Otherwise `reason` states how it got its value."""
+    reason: str = "not determined by these points, kept"
+    """Explanation of the value of a constant that the measured pressures do not determine."""
 
     @property
     def text(self) -> str:
         """Name, value and confidence interval of the constant as text, or a remark that it was not determined."""
         unit = f" {self.unit}" if self.unit else ""
         if not self.fitted and not self.unit:
-            return f"{self.name}: not determined by these points; each bend keeps the factor of the table"
+            return f"{self.name}: {self.reason}"
         if not self.fitted:
-            return f"{self.name} {self.value:.4g}{unit} (not determined by these points, kept)"
+            return f"{self.name} {self.value:.4g}{unit} ({self.reason})"
         return f"{self.name} {self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
 
 
@@ -101,6 +86,8 @@ class LineFit:
     uncertainty: float
     """Uncertainty of the friction of straight pipe: half the width of its 95 % confidence interval, divided by the
     friction."""
+    prior_share: float = 0.0
+    """Weight in the slip layer of what was known of it before the measurement, between 0 and 1."""
 
     @property
     def scatter(self) -> float:
@@ -145,53 +132,12 @@ class LineFit:
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
                           for x in self.constants},
             "uncertainty": self.uncertainty,
+            "prior_share": self.prior_share,
             "scatter": quantity(self.scatter, "Pa"),
             "taps": [{"place": quantity(tap.place, "m"), "flow": quantity(tap.flow, "m3/s"),
                       "measured": quantity(tap.pressure, "Pa"), "fitted": quantity(fitted, "Pa")}
                      for tap, fitted in zip(self.taps, self.pressures, strict=True)],
         }  # fmt: skip
-
-
-def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
-    """Read pressures measured along a pump line from a CSV file.
-
-    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place of a
-    gauge, the column `part` may give the number of the part before which the gauge sits. Without a column of flows, all
-    pressures belong to the flow rate `flow` [m3/s]. Raises :class:`SceneError` for a missing column or an impossible
-    number.
-    """
-    example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
-    columns, rows = read_columns(path, "fit")
-    for name in columns:
-        if name not in COLUMNS:
-            refuse("fit", str(path), f"has an unknown column {name!r}", example)
-    if ("place" in columns) == ("part" in columns):
-        refuse("fit", str(path), "must have one of the columns 'place' and 'part'", example)
-    for name in ("pressure", *(() if flow is not None else ("flow",))):
-        if name not in columns:
-            refuse("fit", str(path), f"has no column {name!r}", example)
-    starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
-    narrow = min(part.narrow for part in line.parts)
-    found = []
-    for row, cells in rows:
-        values = {"flow": flow or 0.0}
-        for name, (place, unit) in columns.items():
-            field = f"{path.name}, line {row}: {name}"
-            values[name] = amount(field, f"{cells[place].strip()} {unit}".strip(), COLUMNS[name])
-            if name in ("pressure", "flow"):
-                positive(field, values[name], COLUMNS[name], "leave out rows without pressure")
-                check_limit(field, values[name], COLUMNS[name], name)
-        if "part" in values:
-            field, last = f"{path.name}, line {row}: part", len(line.parts)
-            if values["part"] != int(values["part"]) or not 1 <= values["part"] <= last:
-                refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
-            values["place"] = float(starts[int(values["part"]) - 1])
-        field = f"{path.name}, line {row}: place"
-        between(field, values["place"], 0.0, float(np.nextafter(starts[-1], 0.0)), "m",
-                "'place' is the distance from the pump along the line, and must lie before the open end")  # fmt: skip
-        check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
-        found.append(Tap(values["place"], values["pressure"], values["flow"], row))
-    return tuple(found)
 
 
 def _is_free(part: Part) -> bool:
@@ -263,42 +209,81 @@ class _Model:
         return np.array(columns).T
 
 
-def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
+def fit_line(
+    line: PipeLine, concrete: Concrete, taps: Sequence[Tap], prior: tuple[Concrete, Concrete] | None = None
+) -> LineFit:
     """Fit the slip layer and the factor of bends to pressures along a pump line, by least squares.
 
     All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
     It also supplies the fitted constants that the pressures do not determine:
 
-    - The yield stress of the layer, if all pressures were measured at a single flow. Such pressures do not distinguish
-      it from the layer's viscosity.
-    - The factor of bends, if the fraction of pipe behind the gauge that consists of bends is the same for all gauges.
+    - The yield stress of the layer, if all pressures were measured at a single flow, or if there are only two. Such
+      pressures do not distinguish it from the layer's viscosity.
+    - The factor of bends, if its band is as wide as that of published measurements, or if the points are too few. It is
+      then left out of the fit, and each bend has its factor of the table.
+
+    `prior` holds the concrete with the slip layer at the lower and at the upper end of the band that it had before the
+    measurement. With it, the friction of straight pipe becomes the mean of the fitted friction and that of `concrete`,
+    weighted by the inverse squares of their bands, so that the band of a fit is narrower than both.
 
     Raises :class:`SceneError` for too few measured points or an impossible result.
     """
-    model = _Model(line, concrete, taps)
-    measured = np.array([tap.pressure for tap in taps])
-    flows = np.array([tap.flow for tap in taps])
-    for tap, rise in zip(taps, model.rises, strict=True):
+    _check_pressures(line, concrete, taps)
+    fit = None
+    if any(_is_free(part) for part in line.parts):
+        # Errors of the gauges may give an impossible factor, which a fit without the factor does not need.
+        with suppress(SceneError):
+            fit = _fitted(line, concrete, taps, factor=True)
+    if fit is None or not _is_better_than_published(fit.constants[2]):
+        fit = _fitted(line, concrete, taps, factor=False)
+    return fit if prior is None else _combined(fit, line, concrete, prior)
+
+
+def _is_better_than_published(factor: FittedConstant) -> bool:
+    """Return whether a factor of bends was fitted with a narrower band than that of published measurements."""
+    published = MODEL_ERRORS["bend"]
+    return factor.fitted and factor.high - factor.low < published.high - published.low
+
+
+def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
+    """Refuse pressures that are too few, below the weight of the concrete, or that grow along the line."""
+    if len(taps) < 2:
+        counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
+        refuse(
+            "fit",
+            counted,
+            "must be at least 2 to determine the slip viscosity with a band, 3 at two flows for the slip yield, and 4 "
+            "at two places for the bends",
+            "measure at more places, or at other flows",
+        )
+    rises = _Model(line, concrete, taps).rises
+    for tap, rise in zip(taps, rises, strict=True):
         if tap.pressure <= (weight := concrete.density * GRAVITY * rise):
             refuse(
                 f"fit, line {tap.row}: pressure", tap.pressure,
                 f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
                 "check the place of the gauge, its unit and zero point, and the density of the concrete",
             )  # fmt: skip
-    _check_course(taps, measured - concrete.density * GRAVITY * np.array(model.rises))
+    _check_course(taps, np.array([tap.pressure for tap in taps]) - concrete.density * GRAVITY * np.array(rises))
+
+
+def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: bool) -> LineFit:
+    """Return the fit with those constants that the pressures determine; the factor of bends only if `factor`."""
+    model = _Model(line, concrete, taps, bends=factor)
+    measured = np.array([tap.pressure for tap in taps])
+    flows = np.array([tap.flow for tap in taps])
     start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
-    bends = any(_is_free(part) for part in line.parts)
     free = [0]
-    if len(taps) > 1 and np.ptp(flows) > SAME_FLOW * flows.mean():
+    if len(taps) > 2 and np.ptp(flows) > SAME_FLOW * flows.mean():
         free.append(1)
-    if bends and len(taps) > 1:
+    if factor and len(taps) > len(free) + 1:
         free.append(2)
     free = _determined(model.sensitivities(start, free), free)
-    if bends and 2 not in free:
+    if 2 not in free:
         model = _Model(line, concrete, taps, bends=False)
-    _check_count(taps, free)
     found = _least_squares(model, measured, start, free)
-    for place, value in ((2, 1.0), (1, 0.0)):
+    reasons = {2: NO_FACTOR}
+    for place, value in ((2, 1.0), (1, 0.0), (2, 1.0)):
         if place in free and found[place] < NOTHING[place]:
             # The measured pressures cannot distinguish this constant from zero. Give it its default value, and fit the
             # other constants again.
@@ -306,6 +291,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
             start[place] = value
             if place == 2:
                 model = _Model(line, concrete, taps, bends=False)
+            else:
+                reasons[1] = NO_YIELD
             found = _least_squares(model, measured, start, free)
     _check_result(found, free)
     fitted = model.pressures(found)
@@ -313,27 +300,67 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     off = fitted - measured
     count = len(taps) - len(free)
     covariance = float(off @ off) / count * np.linalg.inv(slopes.T @ slopes)
-    factor = student_t(count)
-    widths = dict(zip(free, factor * np.sqrt(np.diag(covariance)), strict=True))
+    student = student_t(count)
+    widths = dict(zip(free, student * np.sqrt(np.diag(covariance)), strict=True))
     constants = []
-    for place in range(3 if bends else 2):
+    for place in range(3 if any(_is_free(part) for part in line.parts) else 2):
         value, wide = float(found[place]), float(widths.get(place, 0.0))
+        reason = {"reason": reasons[place]} if place in reasons else {}
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
-                                        place in widths))  # fmt: skip
+                                        place in widths, **reason))  # fmt: skip
     # The errors of the slip layer's two constants are correlated. Therefore, calculate the error of the friction in
     # straight pipe from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
-    pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
+    pipe = _metre_model(line, concrete, taps)
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
-    wide = factor * math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights))
+    wide = student * math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights))
     wide /= float(pipe.pressures(found)[0])
     return LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide)
 
 
-def _metre(line: PipeLine) -> PipeLine:
-    """Return a line that consists of one metre of level pipe with the first diameter of the given line."""
+def _combined(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
+    """Return a fit whose slip layer also counts what was known of it before the measurement.
+
+    Both pieces of knowledge are bands of the logarithm of the friction in straight pipe at the mean flow. The fitted
+    constants of the layer are multiplied by one factor such that this friction is the weighted mean.
+    """
+    pipe = _metre_model(line, concrete, fit.taps)
+    own = np.array([fit.constants[0].value, fit.constants[1].value, 1.0])
+
+    def friction(constants: np.ndarray) -> float:
+        return float(pipe.pressures(constants)[0])
+
+    def constants_of(each: Concrete) -> np.ndarray:
+        return np.array([each.slip_viscosity, each.slip_yield, 1.0])
+
+    before = friction(constants_of(concrete))
+    wide_before = 0.5 * math.log(friction(constants_of(prior[1])) / friction(constants_of(prior[0])))
+    wide = math.log1p(fit.uncertainty)
+    share = wide**2 / (wide**2 + wide_before**2) if wide_before > 0 else 0.0
+    wanted = friction(own) * (before / friction(own)) ** share
+    low, high = LAYER_FACTORS
+    for _ in range(BISECTIONS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if friction(own * [middle, middle, 1.0]) < wanted else (low, middle)
+    factor = math.sqrt(low * high)
+    narrower = math.sqrt(1 - share)
+    layer = [replace(each, value=factor * each.value,
+                     low=factor * (each.value + narrower * (each.low - each.value)),
+                     high=factor * (each.value + narrower * (each.high - each.value)))
+             for each in fit.constants[:2]]  # fmt: skip
+    constants = (*layer, *fit.constants[2:])
+    bends = constants[2] if len(constants) > 2 else None
+    model = _Model(line, concrete, fit.taps, bends=bends is not None and bends.fitted)
+    at = np.array([layer[0].value, layer[1].value, 1.0 if bends is None else bends.value])
+    return replace(fit, constants=constants, pressures=tuple(model.pressures(at).tolist()),
+                   uncertainty=math.expm1(wide * narrower), prior_share=share)  # fmt: skip
+
+
+def _metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> _Model:
+    """Return a model of one metre of level pipe with the line's first diameter, at the mean flow of the taps."""
     first = line.parts[0].diameter
-    return replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
+    metre = replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
+    return _Model(metre, concrete, [Tap(0.0, 1.0, float(np.mean([tap.flow for tap in taps])), 0)])
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
@@ -349,15 +376,6 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
             break
         slopes, free = slopes[:, :-1], free[:-1]
     return free
-
-
-def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
-    """Refuse measured points that are too few to determine the fitted constants and their uncertainty."""
-    if len(taps) <= len(free):
-        names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
-        counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
-        refuse("fit", counted, f"must be at least {len(free) + 1} to determine {names} with a band",
-               "measure at more places, or at other flows")  # fmt: skip
 
 
 def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
@@ -405,51 +423,3 @@ def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free:
         if change.max() < 1e-9:
             break
     return own
-
-
-def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
-    """Return a report on the fit as lines of Markdown.
-
-    The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
-    the files of the concrete and of the line, and a table of all measured pressures.
-    """
-    eta, tau, *bends = fit.constants
-    off = fit.deviations()
-    worst = int(np.argmax(np.abs(off)))
-    measured = [tap.pressure for tap in fit.taps]
-    found = [
-        f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 %, Student's t)",
-        "",
-        *(f"- {each.text}" for each in fit.constants),
-        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
-        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
-        f"{beside(line.customary, 'psi', measured[worst])} "
-        f"(line {fit.taps[worst].row})",
-        "",
-        "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
-        "30 %, that of other deliveries):",
-        "",
-        f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
-        f"uncertainty: {min(max(100 * fit.uncertainty, 0.1), 90):.2g} %, from: pipe}}",
-        "",
-    ]
-    low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
-    if bends and bends[0].fitted and bends[0].low <= low and bends[0].high >= high:
-        found += [f"Leave out the factor of the bends: its band of {bends[0].low:.3g} to {bends[0].high:.3g} is wider "
-                  f"than the {low:g} to {high:g} that published measurements found. Gauges close to both sides of many "
-                  "bends would determine it.", ""]  # fmt: skip
-    elif bends and bends[0].fitted:
-        found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
-        if not low <= bends[0].value <= high:
-            share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
-            found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
-                      f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
-                      "factor: check the taps before you use it.", ""]  # fmt: skip
-    size, unit = (PSI, "psi") if line.customary else (1e5, "bar")
-    found += [f"| place [m] | flow [m3/h] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
-              "|---|---|---|---|---|"]  # fmt: skip
-    for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
-        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / size:.4g}", f"{fitted / size:.4g}",
-                 f"{each / size:+.2g}")  # fmt: skip
-        found.append(f"| {' | '.join(cells)} |")
-    return found

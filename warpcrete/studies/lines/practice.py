@@ -28,12 +28,12 @@ diameter, the length of level pipe [m] that has the same pressure loss as one me
 includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
 """Rule of the JSCE: lengths of level pipe [m] with the same friction as a bend of 90 degrees, a reducer, and a hose of
-5 to 8 m. JSCE_HOSE_LENGTH is the greatest length of such a hose [m]."""
+5 to 8 m. JSCE_HOSE_LENGTH is the greatest length of such a hose [m]; a longer one counts in proportion."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
 """Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10).
-JGJ_HOSE_LENGTH is the greatest length of such a hose [m]."""
+JGJ_HOSE_LENGTH is the greatest length of such a hose [m]; a longer one counts in proportion."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
         if part.kind == "reducer":
             return per_metre(part) * JSCE_REDUCER
         if part.kind == "hose":
-            return per_metre(part) * JSCE_HOSE * math.ceil(part.length / JSCE_HOSE_LENGTH)
+            return per_metre(part) * JSCE_HOSE * max(1.0, part.length / JSCE_HOSE_LENGTH)
         return per_metre(part) * (rise + _level(part) if part.rise >= 0 else part.length)
 
     def jgj(part: Part) -> float:
         if part.kind == "bend":
             return JGJ_BEND * part.angle / 90
         if part.kind == "hose":
-            return JGJ_HOSE * math.ceil(part.length / JGJ_HOSE_LENGTH)
+            return JGJ_HOSE * max(1.0, part.length / JGJ_HOSE_LENGTH)
         if part.kind == "valve":
             return JGJ_VALVE
         return JGJ_LEVEL * (_level(part) if part.rise >= 0 else part.length) + JGJ_RISE * max(part.rise, 0.0)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from ...geometry.pipe_line import Part, PipeLine
+from ...mix.mix import CAUSES
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .fittings import MODEL_ERRORS, range_of, uncertain_kinds
@@ -131,6 +133,19 @@ class LinePressures:
             for k, value in enumerate(ours.tolist())
         ]
         return places, found
+
+    def measured(self, cause: str, factors: tuple[float, float]) -> Self:
+        """Return a copy for which the properties of one cause of uncertainty were measured, with the present values.
+
+        `factors` are the ratios of the lower and the upper end of the band that the measurement leaves to the value.
+        The cause is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'.
+        """
+        low, high = (
+            with_layer_factor(self.concrete, x) if cause == "slip layer"
+            else replace(self.concrete, **{key: x * getattr(self.concrete, key) for key in CAUSES[cause]})
+            for x in factors
+        )  # fmt: skip
+        return replace(self, variants={**self._variants(), cause: (low, high)})
 
     def restart(self, flow: float = 0.0) -> Band:
         """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,18 @@ from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band
-from .answers import CUSTOMARY_SIZES, EFFICIENCY, PumpMargin, band_sentences, beside, motor_power, pressure_text
+from .answers import (
+    ADVICE,
+    CUSTOMARY_SIZES,
+    EFFICIENCY,
+    MEASUREMENTS,
+    WORTHWHILE,
+    PumpMargin,
+    band_sentences,
+    beside,
+    motor_power,
+    pressure_text,
+)
 from .figure import draw
 from .fit import LineFit
 from .fittings import METHODS_ON_BENDS, is_in_library
@@ -20,6 +32,10 @@ from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures
 
+COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without a known probability"}
+"""Words on how often the band of a pressure contains the measured one, by the origin of the band. For slip layers that
+follow from the paste, 94 % of the measured concretes in straight pipe lie inside in `warpcrete validate`, and two of
+only three measured whole lines."""
 HIGHEST_PUMP = 500e5
 """Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
 (https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
@@ -34,6 +50,9 @@ class LineResult(LinePressures):
     """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
+    band_origin: str = ""
+    """Origin of the band of the slip layer: 'paste' or 'other' (see :attr:`warpcrete.mix.mix.Mix.band_origin`); empty
+    if the user chose its width."""
     fit: LineFit | None = None
     """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
     None if no trial line was given."""
@@ -136,7 +155,43 @@ class LineResult(LinePressures):
     @property
     def band_text(self) -> str:
         """Sentences for the user on how much each cause contributes to the uncertainty of the line's pressure."""
-        return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
+        return "; ".join(self.band_sentences()) or "no uncertainty is stated"
+
+    @property
+    def coverage(self) -> str:
+        """Words on how often the band contains the pressure, to follow the band; empty if the user chose its width."""
+        if self.fit is not None:
+            return " in about 95 % of cases"
+        return COVERAGE.get(self.band_origin, "")
+
+    def band_sentences(self) -> list[str]:
+        """Return sentences on the causes of the pressure's uncertainty, with advice on how to reduce it."""
+        return band_sentences(self.band(), lambda cause: self._advice(cause, lambda each: each.band()))
+
+    def restart_sentences(self) -> list[str]:
+        """Return sentences on the causes of the uncertainty of the pressure that restarts the line at full flow."""
+
+        def full(each: LineResult) -> Band:
+            return each.restart(each.flow)
+
+        return band_sentences(full(self), lambda cause: self._advice(cause, full))
+
+    def _advice(self, cause: str, band_of: Callable[[LineResult], Band]) -> str:
+        """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
+
+        `band_of` returns the band [Pa] of the pressure in question. Only measurements that make this band narrower are
+        recommended, and none of a cause that was fitted to a trial line.
+        """
+        if self.fit is not None and cause in ("slip layer", "bends"):
+            return ""
+        if cause not in MEASUREMENTS:
+            return ADVICE.get(cause, "")
+        now, found = band_of(self), []
+        for each in MEASUREMENTS[cause]:
+            then = band_of(self.measured(cause, each.factors))
+            if then.high - then.low < WORTHWHILE * (now.high - now.low):
+                found.append(f"{each.advice}, which would give {then.low / 1e5:.3g} to {then.high / 1e5:.3g} bar")
+        return ", or ".join(found)
 
     def remarks(self) -> list[str]:
         """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
@@ -209,15 +264,14 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     With `practice`, a further table compares the result with rules of practice.
     """
     band, us = result.band(), result.line.customary
-    fitted = () if result.fit is None else ("slip layer", "bends")
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m{beside(us, 'ft', result.line.length)}, "
         f"{result.line.rise:.4g} m{beside(us, 'ft', result.line.rise)} up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h{beside(us, 'yd3/h', result.flow)}",
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar"
-        f"{beside(us, 'psi', band.low, band.high)}",
-        *(f"- {sentence}" for sentence in band_sentences(band, fitted)),
+        f"{beside(us, 'psi', band.low, band.high)}{result.coverage}",
+        *(f"- {sentence}" for sentence in result.band_sentences()),
         *(
             [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
             if result.simulated or result.theory != result.pressure
@@ -236,7 +290,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         found += [
             f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
             f"(theory), it starts to move at {_span(begins, us)}, and at full flow with {_span(full, us)}",
-            *(f"- restart: {sentence}" for sentence in band_sentences(full)[:1]),
+            *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
     if result.line.recorded is not None:
         found.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")

@@ -40,6 +40,7 @@ def line_by_theory(
     out: Path | None = None,
     layer_factor: float = LAYER_FACTOR,
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None,
+    band_origin: str = "",
     stop: Stop | None = None,
     fit: LineFit | None = None,
 ) -> LineResult:
@@ -52,7 +53,7 @@ def line_by_theory(
 
     - the error of these factors,
     - the concrete: the resistance of the slip layer is multiplied and divided by `layer_factor`, or the pairs of
-      concretes in `variants` are used.
+      concretes in `variants` are used; `band_origin` is then the mix's.
 
     With a `stop`, the result includes the pressures that restart the line. If `line` and `concrete` come from a fit to
     measured pressures, `fit` is this fit, which the report then describes. With a folder `out`, the result is written
@@ -63,7 +64,9 @@ def line_by_theory(
     for part in line.parts:
         theory = friction(part, concrete, flow)
         losses.append(Loss(part, theory * library_factor(part), theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, False, variants, stop, folder=out, fit=fit)
+    result = LineResult(
+        line, concrete, flow, losses, layer_factor, False, variants, stop, folder=out, fit=fit, band_origin=band_origin
+    )
     if out is not None:
         write_result(result, out)
     return result

@@ -1,0 +1,63 @@
+"""Report on a fit to pressures along a trial line, with entries to copy into the files of the concrete and the line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.inputs.amounts import PSI
+from ...geometry.pipe_line import PipeLine
+from .answers import beside
+from .fit import LineFit
+from .fittings import MODEL_ERRORS
+
+NOTICED = 0.01
+"""Smallest weight of the slip layer that was known before a measurement at which the report mentions it."""
+
+
+def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
+    """Return a report on the fit as lines of Markdown.
+
+    The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
+    the files of the concrete and of the line, and a table of all measured pressures.
+    """
+    eta, tau, *bends = fit.constants
+    off = fit.deviations()
+    worst = int(np.argmax(np.abs(off)))
+    measured = [tap.pressure for tap in fit.taps]
+    found = [
+        f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 %, Student's t)",
+        "",
+        *(f"- {each.text}" for each in fit.constants),
+        *(
+            [f"- the slip layer that was known before has a weight of {100 * fit.prior_share:.2g} % in this layer"]
+            if fit.prior_share >= NOTICED
+            else []
+        ),
+        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
+        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
+        f"{beside(line.customary, 'psi', measured[worst])} "
+        f"(line {fit.taps[worst].row})",
+        "",
+        "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
+        "30 %, that of other deliveries):",
+        "",
+        f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
+        f"uncertainty: {min(max(100 * fit.uncertainty, 0.1), 90):.2g} %, from: pipe}}",
+        "",
+    ]
+    low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
+    if bends and bends[0].fitted:
+        found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
+        if not low <= bends[0].value <= high:
+            share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
+            found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
+                      f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
+                      "factor: check the taps before you use it.", ""]  # fmt: skip
+    size, unit = (PSI, "psi") if line.customary else (1e5, "bar")
+    found += [f"| place [m] | flow [m3/h] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
+              "|---|---|---|---|---|"]  # fmt: skip
+    for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
+        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / size:.4g}", f"{fitted / size:.4g}",
+                 f"{each / size:+.2g}")  # fmt: skip
+        found.append(f"| {' | '.join(cells)} |")
+    return found

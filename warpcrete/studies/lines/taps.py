@@ -1,0 +1,76 @@
+"""Pressures that were measured at taps, the places of gauges along a trial line, read from a file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...core.errors import between, positive, refuse
+from ...core.inputs.amounts import amount
+from ...core.inputs.limits import check_limit, check_velocity
+from ...core.inputs.text_files import read_columns
+from ...geometry.pipe_line import PipeLine
+
+COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
+"""Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
+where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
+before which it sits."""
+
+
+@dataclass(frozen=True)
+class Tap:
+    """Pressure that was measured at one place of a trial line."""
+
+    place: float
+    """Distance along the line from the pump to the place of the measurement [m]."""
+    pressure: float
+    """Measured pressure [Pa]."""
+    flow: float
+    """Volume flow in the line at which the pressure was measured [m3/s]."""
+    row: int
+    """Number of the text line from which the pressure was read in the file of measurements, for messages."""
+
+
+def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
+    """Read pressures measured along a pump line from a CSV file.
+
+    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place of a
+    gauge, the column `part` may give the number of the part before which the gauge sits. Without a column of flows, all
+    pressures belong to the flow rate `flow` [m3/s]. Raises :class:`SceneError` for a missing column or an impossible
+    number.
+    """
+    example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
+    columns, rows = read_columns(path, "fit")
+    for name in columns:
+        if name not in COLUMNS:
+            refuse("fit", str(path), f"has an unknown column {name!r}", example)
+    if ("place" in columns) == ("part" in columns):
+        refuse("fit", str(path), "must have one of the columns 'place' and 'part'", example)
+    for name in ("pressure", *(() if flow is not None else ("flow",))):
+        if name not in columns:
+            refuse("fit", str(path), f"has no column {name!r}", example)
+    starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
+    narrow = min(part.narrow for part in line.parts)
+    found = []
+    for row, cells in rows:
+        values = {"flow": flow or 0.0}
+        for name, (place, unit) in columns.items():
+            field = f"{path.name}, line {row}: {name}"
+            values[name] = amount(field, f"{cells[place].strip()} {unit}".strip(), COLUMNS[name])
+            if name in ("pressure", "flow"):
+                positive(field, values[name], COLUMNS[name], "leave out rows without pressure")
+                check_limit(field, values[name], COLUMNS[name], name)
+        if "part" in values:
+            field, last = f"{path.name}, line {row}: part", len(line.parts)
+            if values["part"] != int(values["part"]) or not 1 <= values["part"] <= last:
+                refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
+            values["place"] = float(starts[int(values["part"]) - 1])
+        field = f"{path.name}, line {row}: place"
+        between(field, values["place"], 0.0, float(np.nextafter(starts[-1], 0.0)), "m",
+                "'place' is the distance from the pump along the line, and must lie before the open end")  # fmt: skip
+        check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
+        found.append(Tap(values["place"], values["pressure"], values["flow"], row))
+    return tuple(found)
