@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -48,6 +49,23 @@ def test_a_row_that_means_nothing_stops_the_flow(changes, words):
     with pytest.raises(InstabilityError, match=words) as caught:
         watch(row_of(scene, **changes))
     assert "t = 0.1 s: " in str(caught.value) and "usual cures" in str(caught.value)
+
+
+def test_cures_never_include_ends_that_the_scene_refuses():
+    """Only particles can simulate aggregates, so that a flow on a grid is no cure for a column with aggregates."""
+    one, two = scenes.channel(), scenes.channel(aggregates=True)
+    assert "ends = periodic" in WatchedFlow(one).cures and "periodic" not in WatchedFlow(two).cures
+    assert "without aggregates" in WatchedFlow(two).cures
+    result = dict.fromkeys(
+        ("pressure_error", "slip_velocity_error", "wall_stress_error", "force_balance_error", "volume_error",
+         "profile_error", "simulated_time"), 1.0,
+    ) | {"steady": False}  # fmt: skip
+    for scene, cure in ((one, "--ends periodic"), (two, "without --aggregates")):
+        found = check_flow(SimpleNamespace(scene=scene, result=result))
+        assert cure in found["pressure"][1] and cure in found["wall's stress"][1]
+        assert all("periodic" not in text for _, text in found.values()) or scene is one
+    with pytest.raises(SceneError, match="or leave out 'aggregates'"):
+        scenes.channel(aggregates=True, length=9e3, spacing=2e-3)
 
 
 def test_limits_may_be_others_or_none():

@@ -209,6 +209,28 @@ def test_mortar_is_what_the_mix_is_less_its_gravel():
         assert mortar.yield_stress * np.sqrt((1 - share) * factor) == pytest.approx(concrete.yield_stress)
 
 
+def test_theory_describes_the_concrete_that_a_stated_mortar_makes():
+    """More aggregate in the same mortar makes a thicker concrete, whose pressure by theory is higher."""
+    own = dict(concrete="own", viscosity=30.0, yield_stress=50.0, slip_viscosity=600.0, slip_yield=10.0,
+               density=2350.0, aggregates=True, gravity=0.0)  # fmt: skip
+    stated = dict(mortar_viscosity=15.0, mortar_yield=30.0)
+    made = [scenes.channel(aggregate_fraction=share, **own, **stated) for share in (0.1, 0.2, 0.3)]
+    for share, scene in zip((0.1, 0.2, 0.3), made):
+        factor = (1 - share / 0.82) ** -1.64
+        assert scene.concrete.viscosity == pytest.approx(15 * factor)
+        assert scene.concrete.yield_stress == pytest.approx(30 * np.sqrt((1 - share) * factor))
+        assert scene.concrete.density == 2350.0 and scene.concrete.slip_viscosity == 600.0
+        back = mortar_of(scene.concrete, share, 2630.0, "discs")
+        assert (back.viscosity, back.yield_stress) == pytest.approx((15.0, 30.0))
+    pressures = [scene.theory().pressure for scene in made]
+    assert pressures[0] < pressures[1] < pressures[2]
+    one = scenes.channel(aggregate_fraction=0.2, **own, mortar_viscosity=15.0).concrete
+    assert one.viscosity == made[1].concrete.viscosity and one.yield_stress == 50.0
+    # Without a stated mortar, the mortar follows from the concrete, and theory describes the concrete as stated.
+    whole = scenes.channel(aggregate_fraction=0.2, **own).concrete
+    assert (whole.viscosity, whole.yield_stress) == (30.0, 50.0)
+
+
 def test_pressure_instead_of_flow_gives_the_flow_back(device):
     wanted = FluidSimulation(scenes.channel(spacing=10e-3), device=device).run()
     given = scenes.channel(spacing=10e-3, pressure=wanted.result["pressure_theory"]["value"])

@@ -1,8 +1,10 @@
 """What `explain` foretells, beside the state of a run that begins; no times, which benchmarks compare."""
 
+import importlib
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -247,3 +249,22 @@ def test_the_command(tmp_path):
         done = command("explain", *arguments, "--device", "cpu")
         assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
     assert "beforehand" in command("explain", "--help").stdout
+
+
+def test_who_waits_for_the_measurements_of_an_explanation_is_told(monkeypatch, tmp_path):
+    """Compilation may take minutes; an explanation from the cache takes no time and announces nothing."""
+    module, told = importlib.import_module("warpcrete.studies.tradeoffs.explain"), []
+
+    def forecast(*rest):
+        assert told == [module.MEASURING] and "compiled" in told[0]
+        raise InterruptedError
+
+    monkeypatch.setattr(module, "method_of", lambda scene: SimpleNamespace(forecast=forecast))
+    with pytest.raises(InterruptedError):
+        explain(scenes.channel(), device="cpu", cache=False, announce=told.append)
+    told.clear()
+    monkeypatch.setattr(module, "_cached", lambda *rest: tmp_path / "known.json")
+    monkeypatch.setattr(module, "_read", lambda path: SimpleNamespace())
+    monkeypatch.setattr(module, "_savings", lambda *rest: ((), ""))
+    explain(scenes.channel(), device="cpu", announce=told.append)
+    assert not told

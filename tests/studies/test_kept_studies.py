@@ -267,7 +267,7 @@ def test_every_setting_of_a_study_reaches_its_runs(tmp_path, monkeypatch):
     )
     study.run_study("tube", tube, {"flow": [1e-3, 2e-3]}, base={"diameter": 0.1}, out=tmp_path / "s", **given)
     name, module, cases = got.pop("cases")
-    assert got == given | {"out": tmp_path / "s"} and (name, module) == ("tube", tube)
+    assert got == given | {"out": tmp_path / "s", "units": {}} and (name, module) == ("tube", tube)
     assert [case.varied for case in cases] == [{"flow": 1e-3}, {"flow": 2e-3}]
     assert all(case.parameters["precision"] == "float64" and case.parameters["diameter"] == 0.1 for case in cases)
     seeds = dict(base={"seed": 5, "aggregates": True}, out=tmp_path / "s", repeat=3)

@@ -267,7 +267,7 @@ def test_lines_of_a_study_have_colours_and_quantities_markers_of_their_own_and_f
     axes = figure.axes[0]
     bars = [container.lines[0] for container in axes.containers]
     colours, markers = [line.get_color() for line in bars], [line.get_marker() for line in bars]
-    assert markers == ["o", "s"] * 2 and colours[::2] == colours[1::2] and colours[0] != colours[2]
+    assert markers == ["o", "o", "s", "s"] and colours[:2] == colours[2:] and colours[0] != colours[1]
     (mark,) = [line for line in axes.lines if line.get_label() == "a case failed"]
     assert list(mark.get_xdata()) == [0.5] and figure.get_suptitle() == "pipe, concrete zhan"
 

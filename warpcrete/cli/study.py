@@ -14,7 +14,7 @@ from ..core.inputs.parameters import Alias, CompositeRule, Field
 from ..core.run.files import next_folder, read_record
 from ..core.run.progress import progress_bar
 from ..record.recorders import RECORDERS
-from ..studies.study import resume_study, run_study
+from ..studies.study import resume_study, run_study, written_units
 from ..studies.study_result import Study
 from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
@@ -200,6 +200,7 @@ def _new_study(
         frames=settings.get("frames"),
         checkpoint_every=settings.get("checkpoint-every", 60.0),
         progress=tell,
+        units=written_units(module.scene, {name.replace("-", "_"): words for name, words in options.items()}),
         **{name: settings[name] for name in RECORDER_NAMES},
     )
 

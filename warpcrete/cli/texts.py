@@ -33,9 +33,9 @@ ON_WORKERS = """\
 STUDY_HELP = f"""A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
 
 Every parameter of the scene, as in `warpcrete run SCENE --help-all`, takes one value or several. Every combination of
-the values is a case. On a GPU, cases of discrete elements run side by side in batches, and flows one after another. On
-a CPU, cases run in parallel processes, one per core. The folder holds study.md, study.csv, study.png and a run folder
-for each case.
+the values is a case. On a GPU, cases of discrete elements run in batches, and flows side by side. On a CPU, cases run
+in parallel processes, one per core. The folder holds study.md, study.csv, study.png and a run folder for each case.
+Tables and figures show a parameter in the unit in which its values are given, as in --flow 5m3/h 10m3/h.
 
 \b
   --repeat N             run every case with N seeds                                      [default: 1]

@@ -33,3 +33,8 @@ def shown(unit: str) -> tuple[float, str]:
     A unit without an entry in `DISPLAY_UNITS` is displayed unchanged, with the factor 1.
     """
     return DISPLAY_UNITS.get(unit, (1.0, unit))
+
+
+def rounded(value: float) -> str:
+    """Return a number as text with four significant digits; numbers from 0.0001 to 999,900 have no exponent."""
+    return f"{float(f'{value:.4g}'):g}"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import refuse
+from ..core.inputs.limits import limit_of
 from ..core.inputs.text_files import check_file
 from .axis import Arc, Axis, Line
 from .bores import Bores
@@ -79,6 +80,7 @@ def bore_of(
     # `_measured` compares the size of the mesh with the required length before it follows the bore, because a mesh in a
     # wrong unit of length could not be followed. `_of_length` compares the exact length afterwards.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
+    _check_scale(fields[1], scale, found.ends[0])
     found = _of_length(fields, found, length)
     name = str(file)
     for end, place, which in ((0, 0.0, "begins"), (1, found.axis.length, "ends")):
@@ -92,6 +94,19 @@ def bore_of(
             refuse(fields[0], name, f"is not round and centred where it {which}: its wall is {reach.min():.4g} "
                    f"to {reach.max():.4g} m from the axis", "centre the mesh there, or make its end round")  # fmt: skip
     return found
+
+
+def _check_scale(field: str, scale: float, diameter: float) -> None:
+    """Refuse a `scale` that gives a bore a `diameter` [m] that no pipe has, as in a file with another unit of length.
+
+    `field` is the name of the scale in the message.
+    """
+    limit = limit_of("diameter", "m")
+    if limit is not None and not limit.low <= diameter <= limit.high:
+        option = "--wall-scale" if field == "wall_scale" else f"'{field}'"
+        unit = "0.001 for a file in millimetres" if diameter > limit.high else "1 for a file in metres"
+        refuse(field, scale, f"makes the bore {diameter:.4g} m wide where it begins, but {limit.why}",
+               f"use {option} {unit}")  # fmt: skip
 
 
 def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore:

@@ -17,7 +17,7 @@ from ..core.run.checks import with_cures
 from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
-from ..theory.suspension import SUSPENSIONS, mortar_of
+from ..theory.suspension import SUSPENSIONS, concrete_of_mortar, mortar_of
 from .common.mixes import (
     CONSTANTS,
     FACTORS,
@@ -120,11 +120,15 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         """Return the concrete that these parameters describe."""
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
-    def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:
-        """Return the coarse aggregate and its mortar for a flow with two phases, or None for a flow with one phase."""
+    def phases(self, concrete: Concrete, dimensions: int) -> tuple[Concrete, Aggregates | None]:
+        """Return the concrete as one fluid, and its coarse aggregate with the mortar; None for a flow with one phase.
+
+        `concrete` has the constants that the parameters state. Where they state a constant of the mortar, the constant
+        of the concrete follows from it by homogenisation, so that theory describes the simulated concrete.
+        """
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
-            return None
+            return concrete, None
         if fraction is None:
             if self.concrete not in MIXES:
                 refuse(
@@ -137,9 +141,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
         mortar = mortar_of(concrete, fraction, self.aggregate_density, inclusions)
-        own = {"viscosity": self.mortar_viscosity, "yield_stress": self.mortar_yield}
-        mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
-        return Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
+        stated = {"viscosity": self.mortar_viscosity, "yield_stress": self.mortar_yield}
+        own = {key: value for key, value in stated.items() if value is not None}
+        mortar = replace(mortar, **own)
+        whole = concrete_of_mortar(mortar, fraction, self.aggregate_density, inclusions)
+        concrete = replace(concrete, **{key: getattr(whole, key) for key in own})
+        return concrete, Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
         """Return the volume flow [m3/s]: the parameter `flow`, or the flow that `pressure` drives by theory.
@@ -188,7 +195,7 @@ def column_scene(
     Within(
         0, np.nextafter(given.diameter / 2, 0), "use 0 for no slip layer, or less than the radius of the pipe"
     ).check("slip_thickness", given.slip_thickness, " m")
-    concrete = given.constants()
+    concrete, aggregates = given.phases(given.constants(), dimensions)
     bulk = given.diameter / 2 - given.slip_thickness
     area = np.pi * bulk**2
     flow = given.volume_flow(concrete, bulk, dimensions)
@@ -203,7 +210,7 @@ def column_scene(
         length=given.length,
         velocity=flow / area,
         spacing=given.spacing,
-        aggregates=given.coarse(concrete, dimensions),
+        aggregates=aggregates,
         published=(paper or {}).get(given.concrete, {}) if _is_reference_case(given) else {},
         **settings,
     )
@@ -236,20 +243,31 @@ PROFILE_ACCURACY = 0.01
 """Accepted root mean square deviation of the velocity profile from theory, divided by the mean velocity."""
 
 
+GRID = "--ends periodic where little slips"
+"""Cure for a flow whose shear a column of particles does not represent."""
+ONE_PHASE = "one phase without --aggregates where little slips"
+"""Replacement of the cure GRID for flows with aggregates, which cannot be simulated on a grid."""
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
     "steady": "a larger --steadiness, or a larger --time-step",
-    "pressure": "a smaller --spacing, or --ends periodic where little slips",
-    "wall's stress": "a smaller --spacing, or --ends periodic where little slips",
+    "pressure": f"a smaller --spacing, or {GRID}",
+    "wall's stress": f"a smaller --spacing, or {GRID}",
     "volume": "a smaller --tolerance, or a smaller --time-step",
     "balance of forces": "a smaller --tolerance, or a smaller --time-step",
     "restart": "a smaller --spacing, or a shorter --sample-interval",
-    "slip velocity": "a smaller --spacing, or --ends periodic where little slips",
-    "profile": "a smaller --spacing, or --ends periodic where little slips",
+    "slip velocity": f"a smaller --spacing, or {GRID}",
+    "profile": f"a smaller --spacing, or {GRID}",
 }
 
 
-@with_cures(CURES)
+def _cures(run: Run) -> dict[str, str]:
+    """Return the usual cure of each check, by name, without cures that the scene of the run refuses."""
+    if run.scene.aggregates is None:
+        return CURES
+    return {name: cure.replace(GRID, ONE_PHASE) for name, cure in CURES.items()}
+
+
+@with_cures(_cures)
 def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the acceptance checks of a pipe flow by name: whether each one passed, and the measured value as text."""
     result, scene = run.result, run.scene

@@ -239,7 +239,8 @@ class FluidScene(Parametrised, FlowSettings):
         count = section * self.length / self.spacing**self.dimensions
         if self.ends == "piston" and count > MAX_PARTICLES:
             refuse("length", self.length, f"needs {count:.2g} particles, but at most {MAX_PARTICLES:.2g} are possible",
-                   "reduce 'length', increase 'spacing', or set 'ends' to periodic")  # fmt: skip
+                   "reduce 'length', increase 'spacing', or " + ("set 'ends' to periodic" if self.aggregates is None
+                                                                 else "leave out 'aggregates'"))  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(
                 "time_step", self.time_step, "must be shorter, because the piston moves by more than half a particle "

@@ -11,7 +11,9 @@ from .scene import FluidScene
 FINITE_COLUMNS = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns of the time series in which a value that is not finite stops the run."""
 CURES = "a smaller time step, a finer spacing, precision float64"
-COLUMN_CURES = "; for concrete that shears, ends = periodic"
+COLUMN_CURES = {False: "; for concrete that shears, ends = periodic",
+                True: "; for concrete that shears, one phase without aggregates"}  # fmt: skip
+"""Additional cure for a column of particles on a piston, by whether it contains aggregates, which exclude a grid."""
 
 
 class WatchedFlow:
@@ -19,7 +21,7 @@ class WatchedFlow:
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch
-        self.cures = CURES + (COLUMN_CURES if scene.ends == "piston" else "")
+        self.cures = CURES + (COLUMN_CURES[scene.aggregates is not None] if scene.ends == "piston" else "")
         theory = scene.theory()
         self.pressure = scene.restart().pressure
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])

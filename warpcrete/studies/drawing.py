@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.drawing.style import MEASURED, SERIES, legend_beside, open_frame, rgb
+from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_beside, open_frame, rgb
+from ..core.errors import one_of, refuse
+from ..core.inputs.amounts import UNITS
 from ..core.run.method import Quantity
 from ..core.units import shown
 
@@ -18,33 +20,68 @@ TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
 LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
 ACROSS = 3  # maximum number of panels in a row of the figure
+TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
+MARKS = (("failed", "a case failed", "x", 0.04), ("suspect", "a check failed", "1", 0.1))
+"""Marks at the bottom of a panel: column that counts them, label, marker and height as a fraction of the panel."""
 
 
-def draw(study: Any) -> Any:
+def draw(
+    study: Any, quantity: str | None = None, x: str | None = None, unit: str | None = None, y_unit: str | None = None
+) -> Any:
     """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
     Error bars show the scatter between seeds. Quantities of the same unit share a panel. Each quantity has its own
     marker, and each set of values of the other varied parameters its own colour. Points of a numeric parameter are
-    joined by lines. Marks at the bottom show values of the parameter at which a case or a check failed.
+    joined by lines. Values by theory are dashed grey lines. Marks at the bottom show values of the parameter at which a
+    case or a check failed. `quantity`, `x`, `unit` and `y_unit` are those of
+    :meth:`warpcrete.studies.study_result.Study.plot`.
     """
     from matplotlib.figure import Figure
 
     names = study.varied or ["seed"]
-    units = list(dict.fromkeys(each.unit for each in study.compared))
+    if x is not None:
+        one_of("x", x, names)
+        names = [x]
+    compared = study.compared
+    if quantity is not None:
+        one_of("quantity", quantity, [each.name for each in compared])
+        compared = [each for each in compared if each.name in (quantity, f"{quantity}_theory")]
+    if unit is not None and len(names) > 1:
+        refuse("unit", unit, "needs 'x', because several parameters are varied", f"add, for example, x={names[0]!r}")
+    scales = {name: _scale("unit", unit, study.units.get(name, ""), _unit(study, name)) for name in names}
+    units = list(dict.fromkeys(each.unit for each in compared))
     across = min(len(names), ACROSS)
     down = len(units) * -(-len(names) // ACROSS)
     figure = Figure(figsize=(5.6 * across + 0.6, 3.4 * down), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False)
     rows = study.rows()
-    for block, unit in enumerate(units):
-        drawn = [each for each in study.compared if each.unit == unit]
+    for block, each_unit in enumerate(units):
+        drawn = [each for each in compared if each.unit == each_unit]
+        y_scale = _scale("y_unit", y_unit, each_unit, shown(each_unit))
         for place, name in enumerate(names):
             axes = grid[block * (down // len(units)) + place // ACROSS, place % ACROSS]
-            _panel(axes, study, rows, name, drawn)
+            _panel(axes, study, rows, name, drawn, scales[name], y_scale)
     for axes in grid.ravel():
         axes.set_visible(bool(axes.lines or axes.containers))
     figure.suptitle(", ".join([study.scene, *_common(study)]), fontsize=10)
     return figure
+
+
+def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str]) -> tuple[float, str]:
+    """Return the factor from `unit` to the unit of display, and the name of this unit.
+
+    `wanted` is the unit that the caller states in the argument `called`; without it, the result is `usual`.
+    """
+    if wanted is None:
+        return usual
+    one_of(called, wanted, list(UNITS.get(unit, ())) or [unit])
+    return (1 / UNITS[unit][wanted] if unit in UNITS else 1.0), wanted
+
+
+def _unit(study: Any, name: str) -> tuple[float, str]:
+    """Return the factor and the unit of display of a parameter; flows stated without a unit are drawn in m3/h."""
+    found = study.unit(name)
+    return (3600.0, "m3/h") if found[1] == "m3/s" and name not in study.written else found
 
 
 def _common(study: Any) -> list[str]:
@@ -55,47 +92,103 @@ def _common(study: Any) -> list[str]:
 
 
 def _worded(study: Any, name: str, value: Any) -> str:
-    """Return the name, the value and the physical unit of a parameter as text, such as "yield stress 100 Pa"."""
-    number = f"{value:g}" if isinstance(value, float) else str(value)
-    return f"{name.replace('_', ' ')} {number} {study.units.get(name, '')}".strip()
+    """Return the name, the value and the unit of a parameter as text, such as "yield stress 100 Pa"."""
+    factor, unit = _unit(study, name)
+    return f"{name.replace('_', ' ')} {study.worded(name, value, factor)} {unit}".strip()
 
 
-def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
+def _series(study: Any, rows: list[dict[str, Any]], name: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the rows of each set of values of the varied parameters other than `name`, by the label of the set.
+
+    The sets are sorted by these values, the numbers among them by size.
+    """
+    others = [other for other in study.varied if other != name]
+
+    def place(row: dict[str, Any]) -> list[tuple[bool, float, str]]:
+        return [
+            (isinstance(value, str), 0.0, value) if isinstance(value, str) else (False, float(value or 0), "")
+            for value in (row.get(other) for other in others)
+        ]
+
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in sorted(rows, key=place):
+        found.setdefault(", ".join(_worded(study, n, row[n]) for n in others if n in row), []).append(row)
+    return found
+
+
+def _panel(
+    axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity],
+    x_scale: tuple[float, str], y_scale: tuple[float, str],
+) -> None:  # fmt: skip
     """Draw all quantities of one physical unit, as functions of one parameter, into one panel of the figure."""
     mine = [row for row in rows if name in row] or rows
     values = list(dict.fromkeys(row.get(name, 0) for row in mine))
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    factor, unit = shown(drawn[0].unit)
-    lines: dict[str, list[dict[str, Any]]] = {}
-    for row in mine:
-        label = ", ".join(_worded(study, n, row[n]) for n in study.varied if n != name and n in row)
-        lines.setdefault(label, []).append(row)
-    for (k, (label, part)), colour in zip(enumerate(lines.items()), itertools.cycle(SERIES)):
-        part = sorted(part, key=lambda row: row.get(name, 0)) if numeric else part
-        # Words have positions 0, 1, 2 ... on the axis. A small horizontal offset of each series keeps the error bars of
-        # different series apart.
-        x = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) + 0.08 * k for row in part]
-        for each, marker in zip(drawn, MARKERS):
-            y = np.array([row[each.name] for row in part]) * factor
-            scatter = np.nan_to_num([row[f"{each.name}_scatter"] for row in part]) * factor
-            series = each.title if len(drawn) > 1 or not label else ""
-            axes.errorbar(
-                x, y, scatter, fmt=marker, linestyle="-" if numeric else "none", color=rgb(colour), capsize=3,
-                markersize=5, linewidth=1.4, label=", ".join(filter(None, (series, label))),
-            )  # fmt: skip
-    if not numeric:
-        axes.set_xticks(range(len(values)), [str(v) for v in values])
+    series = list(zip(_series(study, mine, name).items(), itertools.cycle(SERIES)))
+
+    def at(row: dict[str, Any]) -> float:
+        """Return the place of a row on the horizontal axis; words have the places 0, 1, 2 and so on."""
+        return row.get(name, 0) * x_scale[0] if numeric else values.index(row.get(name, 0))
+
+    curves: list[Any] = []
+    theories = {each.name for each in drawn if each.name.endswith("_theory")}
+    for each, marker in zip(drawn, MARKERS):
+        for k, ((label, part), colour) in enumerate(series):
+            part = sorted((row for row in part if np.isfinite(row[each.name])), key=at)
+            if not part:
+                continue
+            # A small horizontal offset of each series keeps the error bars of different series apart.
+            x = [at(row) + (0.0 if numeric else 0.08 * k) for row in part]
+            y = np.array([row[each.name] for row in part]) * y_scale[0]
+            if each.name in theories:
+                line = _draw_theory(axes, x, y, numeric)
+                if not any(curve.get_label() == each.title for curve in curves):
+                    line.set_label(each.title)
+                    curves.append(line)
+                continue
+            scatter = np.nan_to_num([row[f"{each.name}_scatter"] for row in part]) * y_scale[0]
+            title = each.title if len(drawn) > 1 or not label else ""
+            # Where a line by theory joins the points, a second line would hide it.
+            joined = numeric and f"{each.name}_theory" not in theories
+            curves.append(axes.errorbar(
+                x, y, scatter if scatter.any() else None, fmt=marker, linestyle="-" if joined else "none",
+                color=rgb(colour), capsize=3, markersize=5, linewidth=1.4, label=", ".join(filter(None, (title, label))),
+            ))  # fmt: skip
+    if numeric:
+        axes.locator_params(axis="x", nbins=TICKS)
+    else:
+        axes.set_xticks(range(len(values)), [study.worded(name, v, x_scale[0]) for v in values])
         axes.margins(x=0.2)
     titles = textwrap.fill(" and ".join(each.title for each in drawn), LABEL_WIDTH)
-    axes.set(xlabel=study.heading(name).replace("_", " "), ylabel=f"{titles} [{unit}]")
-    lower, upper = axes.get_ylim()
-    if lower > 0:  # let the axis start at zero, unless a quantity has both signs
-        axes.set_ylim(0, upper)
-    for count, label, marker in (("failed", "a case failed", "x"), ("suspect", "a check failed", "1")):
-        at = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) for row in mine if row[count]]
-        if at:
-            axes.plot(at, np.full(len(at), 0.03), marker, color=rgb(MEASURED), markersize=9, markeredgewidth=2,
-                      transform=axes.get_xaxis_transform(), label=label)  # fmt: skip
+    x_title = f"{name} [{x_scale[1]}]" if x_scale[1] else name
+    axes.set(xlabel=x_title.replace("_", " "), ylabel=f"{titles} [{y_scale[1]}]")
+    _set_height(axes)
+    for count, label, marker, height in MARKS:
+        places = [at(row) for row in mine if row[count]]
+        if places:
+            curves += axes.plot(places, np.full(len(places), height), marker, color=rgb(MEASURED), markersize=9,
+                                markeredgewidth=2, transform=axes.get_xaxis_transform(), label=label)  # fmt: skip
     open_frame(axes)
-    if len(axes.get_legend_handles_labels()[1]) > 1:
-        legend_beside(axes)
+    if len(curves) > 1:
+        legend_beside(axes, curves=curves)
+
+
+def _draw_theory(axes: Any, x: list[float], y: np.ndarray, numeric: bool) -> Any:
+    """Draw values by theory in the colour of theory and return the line, which has no label yet.
+
+    All series have the same style: a dashed line under the simulated values, or short dashes where nothing is joined.
+    """
+    (line,) = axes.plot(x, y, "--" if numeric and len(x) > 1 else "_", color=rgb(THEORY), linewidth=1.4, markersize=14,
+                        markeredgewidth=2, zorder=1.5)  # fmt: skip
+    return line
+
+
+def _set_height(axes: Any) -> None:
+    """Leave room for markers at the top and for marks at the bottom; begin at zero if no value is negative."""
+    lower, upper = axes.dataLim.intervaly
+    if not np.isfinite(lower + upper):
+        return
+    if lower > 0:
+        axes.set_ylim(0, 1.06 * upper)
+    else:
+        axes.margins(y=0.15)

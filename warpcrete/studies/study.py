@@ -14,6 +14,7 @@ from typing import Any
 
 from ..core.device.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, quoted, refuse
+from ..core.inputs.amounts import written_unit
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
@@ -50,6 +51,7 @@ def run_study(
     scheduler: str | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    units: Mapping[str, str] | None = None,
     **recorders: bool,
 ) -> Study:
     """Run a study of the scene function `module.scene` and write it to the new folder `out`.
@@ -59,10 +61,12 @@ def run_study(
     them. `processes` is the number of processes on a CPU (default: one per core). `frames` is the number of recorded
     frames per simulated second, and `checkpoint_every` the wall time between checkpoints [s]. `recorders` switches on
     additional recordings (`rerun`, `usd`). With a `scheduler`, the cases run on the `workers` of
-    :func:`warpcrete.studies.cluster.open_cluster`. Raises :class:`SceneError` before anything is written if a case is
+    :func:`warpcrete.studies.cluster.open_cluster`. `units` names units of parameters for the table and the figure;
+    parameters given as texts, such as "5 m3/h", have the units of these texts. Raises :class:`SceneError` before anything is written if a case is
     no valid scene.
     """
     check_scheduler(scheduler, workers, processes)
+    units = written_units(module.scene, {n: [v] for n, v in (base or {}).items()} | dict(varied)) | dict(units or {})
     given: dict[str, Any] = module.scene.resolved(base or {})
     varied = _resolved_values(module.scene, varied)
     known = module.scene.fields({**{name: values[0] for name, values in varied.items() if values}, **given})
@@ -88,7 +92,7 @@ def run_study(
     return run_listed(
         scene_name, module, _without_idle_parameters(module.scene, cases), out=out, device=device, precision=precision,
         processes=processes, frames=frames, checkpoint_every=checkpoint_every, scheduler=scheduler, workers=workers,
-        progress=progress, **recorders,
+        progress=progress, units=units, **recorders,
     )  # fmt: skip
 
 
@@ -107,6 +111,7 @@ def run_listed(
     workers: int | None = None,
     progress: Progress | None = None,
     figure: bool = True,
+    units: Mapping[str, str] | None = None,
     **recorders: bool,
 ) -> Study:
     """Run a study of the given cases, with or without figures of the study and of its cases.
@@ -143,6 +148,7 @@ def run_listed(
                     "scene": scene_name,
                     "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
                     "files": files,
+                    "units": dict(units or {}),
                     "device": found,
                     "precision": precision,
                     "figure": figure,
@@ -235,7 +241,7 @@ def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
         ) from error
     method = method_of(module.scene(**cases[0].parameters))
     units = {name: f.unit.strip() for case in cases for name, f in module.scene.fields(case.parameters).items()}
-    return record, Study(folder, record["scene"], cases, method.compared, units)
+    return record, Study(folder, record["scene"], cases, method.compared, units, written=record.get("units", {}))
 
 
 def load_study(folder: Path) -> Study:
@@ -253,6 +259,22 @@ def load_study(folder: Path) -> Study:
     for case in study.cases:
         _store_outcome(study, case, outcome_of(folder / case.name))
     return study
+
+
+def written_units(scene: Any, written: Mapping[str, Sequence[Any]]) -> dict[str, str]:
+    """Return the units in which parameters are written, by the parameter's own name.
+
+    `written` holds the values of each parameter as the user stated them. Parameters without a unit, or with several
+    units, are missing from the result.
+    """
+    fields = {name: field for name, field in scene.fields({}).items() if field.kind is float}
+    found: dict[str, str] = {}
+    for name, values in written.items():
+        if any(isinstance(value, str) for value in values):
+            (own,) = scene.resolved({name: None})
+            unit = written_unit(values, fields[own].units) if own in fields else None
+            found |= {own: unit} if unit else {}
+    return found
 
 
 def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:

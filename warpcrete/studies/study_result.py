@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from ..core.drawing.html import html_table
+from ..core.inputs.amounts import UNITS
+from ..core.inputs.concretes import is_file
 from ..core.run.files import atomic_file
 from ..core.run.method import Quantity
 from ..core.run.run import Run
 from ..core.run.tables import dataframe, dataset
-from ..core.units import number, shown
+from ..core.units import number, rounded, shown
 from ..record.checks import failed_checks
 from ..record.loading import load as load_run
 from .cases import Case
@@ -45,6 +47,8 @@ class Study:
     """Messages of the errors that ended cases, by case name."""
     not_at_fault: set[str] = field(default_factory=set)
     """Names of cases that failed only because their process died or the disk was full."""
+    written: Mapping[str, str] = field(default_factory=dict)
+    """Units in which the user stated parameters, by name; the table and the figure use these units."""
 
     def __repr__(self) -> str:
         return f"<Study of scene {self.scene!r}: {self.progress}, folder '{self.folder}'>"
@@ -89,8 +93,25 @@ class Study:
         return list(dict.fromkeys(key for case in self.cases for key in case.varied))
 
     def heading(self, parameter: str) -> str:
-        """Return the name of a parameter with its unit, as a column heading."""
+        """Return the name of a parameter with its SI unit, as a column heading."""
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
+
+    def unit(self, parameter: str) -> tuple[float, str]:
+        """Return the factor by which a value of a parameter is multiplied for display, and the unit of display.
+
+        The unit is that in which the user stated the parameter. Values without a unit are displayed in SI units.
+        """
+        unit, written = self.units.get(parameter, ""), self.written.get(parameter, "")
+        return (1 / UNITS[unit][written], written) if written in UNITS.get(unit, ()) else (1.0, unit)
+
+    def worded(self, parameter: str, value: Any, factor: float | None = None) -> str:
+        """Return the value of a parameter as text: numbers in the unit of display, files of concretes by their stem.
+
+        `factor` converts a number to the unit of display, if this is not the unit of :meth:`unit`.
+        """
+        if isinstance(value, float):
+            return rounded(value * (self.unit(parameter)[0] if factor is None else factor))
+        return Path(value).stem if isinstance(value, str) and is_file(value) else str(value)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row for each set of varied values: means and standard deviations of quantities over the seeds."""
@@ -138,9 +159,16 @@ class Study:
         columns, units = columns_of(self)
         return dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
 
-    def plot(self) -> Any:
-        """Return a Matplotlib figure of each compared quantity as a function of each varied parameter."""
-        return draw(self)
+    def plot(
+        self, quantity: str | None = None, x: str | None = None, unit: str | None = None, y_unit: str | None = None
+    ) -> Any:
+        """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
+
+        `quantity` selects one quantity, such as "pressure", which is drawn together with its theory. `x` selects the
+        varied parameter on the horizontal axis. `unit` is the unit of this parameter, such as "m3/h", and `y_unit` that
+        of the quantity. Raises :class:`SceneError` for names and units that the study does not have.
+        """
+        return draw(self, quantity, x, unit, y_unit)
 
     def _repr_html_(self) -> str:
         """Return the table of means and scatters as HTML for notebooks."""
@@ -150,10 +178,11 @@ class Study:
     def markdown(self) -> str:
         """Return a Markdown table of means and standard deviations over the seeds, in customary units."""
         titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.compared]
-        head = [*map(self.heading, self.varied), *titles, *COUNTS]
+        named = [f"{name} [{self.unit(name)[1]}]" if self.unit(name)[1] else name for name in self.varied]
+        head = [*named, *titles, *COUNTS]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
         for row in self.rows():
-            cells = [str(row.get(name, "")) for name in self.varied]
+            cells = [self.worded(name, row[name]) if name in row else "" for name in self.varied]
             for each in self.compared:
                 factor = shown(each.unit)[0]
                 mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor

@@ -37,6 +37,14 @@ def _law_text(law: FlowLaw) -> str:
     return f", quadratic {law.quadratic:g}" if law.quadratic else ""
 
 
+def _pipe_text(line: Line) -> str:
+    """Return length, diameter and direction of a pipe as text, and its gravity if this is unusual."""
+    ways = {1.0: "upright", 0.0: "level", -1.0: "downward"}
+    way = ways.get(line.rise, f"rising {line.rise:g} m per m")
+    gravity = "" if line.gravity == Line().gravity else f", gravity {line.gravity:g} m/s2"
+    return f"pipe: {line.length:g} m long, {2e3 * line.radius:.4g} mm wide, {way}{gravity}"
+
+
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
     """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
@@ -48,6 +56,7 @@ def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "
         f"{concrete.yield_stress:g} Pa{_law_text(concrete.bulk_law)}; slip layer {concrete.slip_viscosity:g} Pa s/m, "
         f"{concrete.slip_yield:g} Pa{_law_text(concrete.layer_law)}",
+        _pipe_text(line),
         f"{'form':8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}{'wall stress [Pa]':>18s}{'slip [m/s]':>12s}"
         f"{'plug radius [m]':>17s}",
     ]

@@ -62,3 +62,20 @@ def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: s
         yield_stress=concrete.yield_stress / yield_stress,
         quadratic_viscosity=concrete.quadratic_viscosity / power_thickening(viscosity, fraction, 2.0),
     )
+
+
+def concrete_of_mortar(mortar: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
+    """Return the concrete that results when a volume `fraction` of coarse aggregate is added to `mortar`.
+
+    This is the inverse of :func:`mortar_of`, with the same assumptions. The slip layer remains that of the mortar.
+    """
+    one_of("inclusions", inclusions, SUSPENSIONS)
+    viscosity, yield_stress = thickening(fraction, *SUSPENSIONS[inclusions])
+    return replace(
+        mortar,
+        name=f"{mortar.name} with aggregate",
+        density=(1 - fraction) * mortar.density + fraction * density,
+        viscosity=mortar.viscosity * power_thickening(viscosity, fraction, mortar.flow_index),
+        yield_stress=mortar.yield_stress * yield_stress,
+        quadratic_viscosity=mortar.quadratic_viscosity * power_thickening(viscosity, fraction, 2.0),
+    )

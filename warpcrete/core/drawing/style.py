@@ -49,10 +49,16 @@ def explained(title: str, curves: Sequence[tuple[str, RGB]]) -> str:
     return f"{title}: {', '.join(f'{name} {NAMES[colour]}' for name, colour in curves)}"
 
 
-def legend_beside(axes: Any, fontsize: float = 8, **settings: Any) -> None:
-    """Put the legend to the right of a plot; its entries are sorted by the value at the right end of each curve."""
+def legend_beside(axes: Any, fontsize: float = 8, curves: Sequence[Any] | None = None, **settings: Any) -> None:
+    """Put the legend to the right of a plot.
+
+    Its entries are the `curves` in their order. Without them, the entries are all curves that have a label, sorted by
+    the value at the right end of each curve.
+    """
     handles, labels = axes.get_legend_handles_labels()
-    order = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))
+    order: Sequence[int] = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))
+    if curves is not None:
+        handles, labels, order = curves, [each.get_label() for each in curves], range(len(curves))
     axes.legend(
         [handles[k] for k in order], [labels[k] for k in order], loc="center left", bbox_to_anchor=(1.01, 0.5),
         frameon=False, fontsize=fontsize, **settings,

@@ -205,6 +205,20 @@ def unit_names(unit: str) -> list[str]:
     return list(factors.values())
 
 
+def written_unit(values: Iterable[object], unit: str) -> str | None:
+    """Return the unit in which all `values` are written, or None if they are written without a unit or in several.
+
+    `unit` is the internal unit, a key of :data:`UNITS`. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
+    """
+    found = set()
+    for value in values:
+        text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
+        form = _compiled(unit)[0].fullmatch(text if text.isascii() else _plain_digits(text))
+        found.add(UNITS[unit][form[2]] if form and form[2] else None)
+    factor = found.pop() if len(found) == 1 else None
+    return next((name for name in unit_names(unit) if UNITS[unit][name] == factor), None)
+
+
 def amount(field: str, value: object, unit: str) -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 

@@ -12,17 +12,19 @@ Check = Callable[[Run], dict[str, tuple[bool, str]]]
 text with the finding."""
 
 
-def with_cures(cures: Mapping[str, str]) -> Callable[[Check], Check]:
+def with_cures(cures: Mapping[str, str] | Callable[[Run], Mapping[str, str]]) -> Callable[[Check], Check]:
     """Return a decorator that adds the usual remedy to the message of each failed check.
 
-    `cures` maps the name of a check to the text of the remedy.
+    `cures` maps the name of a check to the text of the remedy. It may be a function of the run, if the remedies depend
+    on the scene.
     """
 
     def decorate(check: Check) -> Check:
         @wraps(check)
         def cured(run: Run) -> dict[str, tuple[bool, str]]:
+            known = cures(run) if callable(cures) else cures
             return {
-                name: (passed, found if passed or name not in cures else f"{found}; usual cure: {cures[name]}")
+                name: (passed, found if passed or name not in known else f"{found}; usual cure: {known[name]}")
                 for name, (passed, found) in check(run).items()
             }
 

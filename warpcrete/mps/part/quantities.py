@@ -40,9 +40,13 @@ class RunData:
         return self.scene.friction(*self.scene.middle)
 
 
+def _weight(scene: PartScene) -> float:
+    """Return the pressure that lifts the concrete from the inlet to the outlet [Pa]; negative if the pipe descends."""
+    return scene.concrete.density * scene.gravity * scene.rise
+
+
 def _pressure_of_theory(k: RunData) -> float:
-    scene = k.scene
-    return scene.friction(0.0, scene.axis.length) + scene.concrete.density * scene.gravity * scene.rise
+    return k.scene.friction(0.0, k.scene.axis.length) + _weight(k.scene)
 
 
 def _gradient_text(name: str):
@@ -58,6 +62,19 @@ def _pressure_text(run: Run) -> str:
     return f"{number(run.result['pressure']) / 1e3:.4g} kPa   (the whole part as straight pipe: {theory / 1e3:.4g})"
 
 
+def _friction_text(run: Run) -> str:
+    theory = number(run.result["pressure_theory"]) - number(run.result["weight"])
+    return f"{number(run.result['friction']) / 1e3:.4g} kPa   (the whole part as straight pipe: {theory / 1e3:.4g})"
+
+
+def _weight_text(run: Run) -> str:
+    added = "" if run.scene.insert is None else ", with the straight pipes before and behind the mesh"
+    return (
+        f"{number(run.result['weight']) / 1e3:.4g} kPa   (rise {run.scene.rise:.3g} m{added}; gravity "
+        f"{run.scene.gravity:g} m/s2)"
+    )
+
+
 def _middle_text(run: Run) -> str:
     found = run.result
     return (
@@ -69,6 +86,8 @@ def _middle_text(run: Run) -> str:
 QUANTITIES = (
     Quantity("pressure", "Pa", lambda k: k.last("pressure"), "pressure", _pressure_text, True),
     Quantity("pressure_theory", "Pa", _pressure_of_theory),
+    Quantity("friction", "Pa", lambda k: k.last("pressure") - _weight(k.scene), "of it friction", _friction_text, True),
+    Quantity("weight", "Pa", lambda k: _weight(k.scene), "of it weight", _weight_text),
     Quantity("upstream_gradient", "Pa/m", lambda k: k.last("upstream_gradient"), "friction upstream",
              _gradient_text("upstream_gradient"), True),
     Quantity("upstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(0.0).pressure),

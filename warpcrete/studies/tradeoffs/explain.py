@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ from .fronts import Error, worst
 from .report import percent
 
 TIMED_FRAMES = 3  # number of frames that are timed for each recorder
+MEASURING = "measuring the first steps; kernels that are not in the cache are compiled before, which can take minutes"
+"""Sentence for users who wait for the measurements."""
 MAX_TIME_RATIO = 0.9
 """Ratio of wall time with a simplification to that without it, below which the simplification is listed."""
 
@@ -67,12 +69,14 @@ def explain(
     threads: int | None = None,
     trade: Path | str | None = None,
     cache: bool = True,
+    announce: Callable[[str], None] | None = None,
 ) -> Explanation:
     """Forecast memory, time step and wall time of a scene on a device, from measurements of a few seconds.
 
     `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
     measured errors are listed with the savings in time. By default, these errors come from the most similar record that
-    is shipped with the package. With `cache`, results are kept in the user's cache folder. Raises the same errors as a
+    is shipped with the package. With `cache`, results are kept in the user's cache folder. `announce` is called with a
+    sentence before measurements, which may take minutes if kernels must be compiled first. Raises the same errors as a
     run of the scene before its first step.
     """
     found = find_device(device)
@@ -80,6 +84,8 @@ def explain(
     path = _cached(scene, found, threads) if cache else None
     forecast = _read(path) if path is not None else None
     if forecast is None:
+        if announce is not None:
+            announce(MEASURING)
         forecast = method_of(scene).forecast(scene, found, scene.precision, threads, _frames)
         words = provenance(found, scene.precision, 0)
         name = words["device_name"] if found.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"

@@ -1,0 +1,79 @@
+"""Figures and tables of studies for papers: theory, order of series, axes, units."""
+
+import importlib
+
+import pytest
+
+from warpcrete.core.drawing.style import THEORY, rgb
+from warpcrete.core.errors import SceneError
+from warpcrete.core.inputs.amounts import written_unit
+from warpcrete.core.run.method import Quantity
+from warpcrete.core.units import rounded
+from warpcrete.studies.cases import Case
+from warpcrete.studies.study import written_units
+from warpcrete.studies.study_result import Study
+
+
+def flows_of(folder, concrete="no1"):
+    """Return a study of three flows and two yield stresses, whose last case failed, with theory beside the pressure."""
+    points = [(flow / 3600, stress) for stress in (100.0, 25.0) for flow in (20.0, 5.0, 10.0)]
+    cases = [Case(f"{k}", {"flow": q, "yield_stress": y}, {"concrete": concrete}) for k, (q, y) in enumerate(points)]
+    quantities = [Quantity(n, "Pa", lambda k: None, compared=True) for n in ("pressure", "pressure_theory")]
+    results = {
+        case.name: {"pressure": {"value": 4e3 + 1e6 * q + y, "unit": "Pa"},
+                    "pressure_theory": {"value": 4.1e3 + 1e6 * q + y, "unit": "Pa"}}
+        for case, (q, y) in zip(cases[:-1], points)
+    }  # fmt: skip
+    return Study(folder, "tube", cases, quantities, {"flow": "m3/s", "yield_stress": "Pa"}, results, {"5": "no"},
+                 written={"flow": "m3/h"})  # fmt: skip
+
+
+def test_theory_is_dashed_and_grey_and_series_are_sorted_without_those_that_failed(tmp_path):
+    study = flows_of(tmp_path, concrete="/some/where/mine.yaml")
+    figure = study.plot("pressure", x="flow")
+    (axes,) = figure.axes
+    assert figure.get_suptitle() == "tube, concrete mine"
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        "pressure, yield stress 25 Pa", "pressure, yield stress 100 Pa", "pressure theory", "a case failed"
+    ]  # fmt: skip
+    dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
+    assert len(dashed) == 2 and all(line.get_color() == rgb(THEORY) for line in dashed)
+    assert all(container.lines[0].get_linestyle() == "None" for container in axes.containers)
+    assert axes.get_ylim()[0] == 0 and axes.get_ylim()[1] > 1.05 * max(max(line.get_ydata()) for line in dashed)
+    lonely = study.plot("pressure", x="yield_stress").axes[0]
+    labels = [text.get_text() for text in lonely.get_legend().get_texts()]
+    assert labels[:3] == [f"pressure, flow {flow} m3/h" for flow in (5, 10, 20)]
+    del study.results["2"]
+    labels = [t.get_text() for t in study.plot("pressure", x="yield_stress").axes[0].get_legend().get_texts()]
+    assert "pressure, flow 10 m3/h" not in labels
+
+
+def test_a_figure_of_a_study_has_the_wanted_axes_and_units(tmp_path):
+    study = flows_of(tmp_path)
+    (axes,) = study.plot("pressure", x="flow", unit="l/min", y_unit="bar").axes
+    assert axes.get_xlabel() == "flow [l/min]" and axes.get_ylabel() == "pressure and pressure theory [bar]"
+    assert max(axes.lines[0].get_xdata()) == pytest.approx(20e3 / 60) and 0 < axes.get_ylim()[1] < 0.12
+    study.written = {}
+    assert [axes.get_xlabel() for axes in study.plot().axes] == ["flow [m3/h]", "yield stress [Pa]"]
+    assert all(len(axes.get_xticks()) <= 6 for axes in study.plot().axes)
+    for given, words in (
+        (("velocity",), "quantity = 'velocity': must be one of pressure, pressure_theory"),
+        ((None, "flw"), "x = 'flw': must be one of flow, yield_stress"),
+        ((None, "flow", "mm"), "unit = 'mm': must be one of m3/s, m3/h"),
+        ((None, None, "m3/h"), "unit = 'm3/h': needs 'x'"),
+        (("pressure", "flow", None, "m"), "y_unit = 'm': must be one of Pa, bar"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            study.plot(*given)
+
+
+def test_the_table_of_a_study_has_the_units_that_the_user_stated(tmp_path):
+    study = flows_of(tmp_path)
+    assert study.markdown().startswith("| flow [m3/h] | yield_stress [Pa] |") and "| 20 | 100 |" in study.markdown()
+    study.written = {}
+    assert "| flow [m3/s] |" in study.markdown() and "| 0.005556 | 100 |" in study.markdown()
+    tube = importlib.import_module("warpcrete.scenes.tube").scene
+    stated = {"flow": ["5 m3/h", "10m³/h"], "radius": ["50 mm"], "length": ["1 m", 2.0], "concrete": ["no1"]}
+    assert written_units(tube, stated) == {"flow": "m3/h", "diameter": "mm"}
+    assert written_unit(["5 m3/h", "3 l/s"], "m3/s") is None and written_unit(["5'"], "m") == "ft"
+    assert [rounded(x) for x in (0.00138888, 20000.0, 5.0, 1e-7)] == ["0.001389", "20000", "5", "1e-07"]
