@@ -122,6 +122,18 @@ def test_a_forecast_tells_the_mean_step():
     assert course.time_step == pytest.approx(run.series["time"][-1] / run.result["steps"], rel=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "spacing"), [("slump", 0.015), ("slump", 0.01), ("funnel", 0.016), ("funnel", 0.0125),
+                                               ("lbox", 0.02), ("lbox", 0.016)])  # fmt: skip
+def test_forecasts_of_vessels_are_right_within_a_third(name, spacing):
+    """Simulated time and number of steps; the mean cost of a step depends on the load of the machine."""
+    scene = getattr(scenes, name)(spacing=spacing)
+    run = Simulation(scene, device="cpu").run()
+    course = course_of(Simulation(scene, device="cpu"))
+    assert course.duration == pytest.approx(run.series["time"][-1], rel=0.3)
+    assert course.duration / course.time_step == pytest.approx(run.result["steps"], rel=0.3)
+
+
 @pytest.mark.parametrize(
     ("given", "text"),
     [({"step_error": -1e-3}, "step_error = -0.001"), ({"step_error": 0.7}, "step_error = 0.7"),

@@ -9,6 +9,7 @@ from ...common.control import HALTED
 from ...common.reductions import keep, total
 from ..structs import mps_types, row_place
 from .cells import (
+    CELLS_PER_SECOND,
     DT,
     FORCE,
     LAST_FORCE,
@@ -24,8 +25,14 @@ from .cells import (
 from .levels import system_structs
 from .places import grid_functions
 
-CORRECTED = 0.1
-"""Fraction of a cell's excess or lack of particles that one step corrects."""
+CORRECTED, CORRECTED_MOVING = 0.1, 0.5
+"""Fraction of a cell's excess or lack of particles that one step corrects: in concrete at rest, and in concrete that
+moves by a cell per step.
+
+Particles crowd together as they move, most of all at the surface. With 0.1 throughout, an L-box and a funnel lost 1.5
+and 4 % of their volume, and now lose 0.8 and 1.2 %. With 0.3 throughout, corrections keep concrete moving that should
+come to rest.
+"""
 
 
 @functools.cache
@@ -178,7 +185,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 excess = wp.where(mesh.fill[number] < scalar(1.0), scalar(0.0), excess + missing(g, mesh, c))
                 excess = wp.min(excess, scalar(0.0))
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
-            excess *= scalar(CORRECTED) * geometry.room[number] * f.cell_volume(g, c) / dt
+            way = scalar(wp.min(mesh.clock[CELLS_PER_SECOND] * mesh.clock[DT], wp.float64(1.0)))
+            part = scalar(CORRECTED) + scalar(wp.static(CORRECTED_MOVING - CORRECTED)) * way
+            excess *= part * geometry.room[number] * f.cell_volume(g, c) / dt
         projection.residual[number] = g.density / dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -35,6 +35,8 @@ class Course:
     time_step: float
     """Mean time step [s]."""
     remarks: Sequence[str] = ()
+    slowdown: float = 1.0
+    """Mean wall time of a step, divided by that of the first steps."""
 
 
 def flow_forecast(
@@ -88,7 +90,7 @@ def flow_forecast(
         parts={
             "placing": placing,
             "graphs": max(first - count * step, 0.0),
-            "steps": steps * step,
+            "steps": steps * step * course.slowdown,
             "samples": samples * median_time(simulation.measure, flow.device),
         },
         frame=probe(simulation),

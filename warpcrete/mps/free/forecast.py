@@ -6,13 +6,15 @@ measured in the first steps of the flow itself.
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ...core.run.forecast import Forecast, Probe
-from ..common.forecast import Course, coarser_run, flow_forecast, law_features
+from ...core.run.forecast import Forecast, Probe, median_time
+from ...core.run.run import Run
+from ...core.units import number
+from ..common.forecast import Course, coarser_run, flow_forecast, law_features, step_time
 from .quantities import expected
 from .scene import FreeScene
 from .simulation import FreeSimulation
@@ -25,6 +27,10 @@ Simulations gave ratios from 1.0 to 1.3.
 """
 COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
+MAX_SPEEDUP = 3.0
+"""Largest wall time of the first steps over the mean of all steps. Steps get cheaper as a funnel empties."""
+CELLS_ACROSS = 4
+"""Minimum number of cells of the coarser copy across the concrete, and across each dimension of the vessel."""
 
 
 def forecast(
@@ -53,29 +59,44 @@ def forecast(
 
 
 def course_of(simulation: FreeSimulation) -> Course:
-    """Return the expected duration and mean time step of a run until the concrete rests or a funnel is empty."""
+    """Return the expected duration, mean time step and mean cost of a step, from a run of a coarser copy.
+
+    The run ends when the concrete rests or a funnel is empty.
+    """
     scene = simulation.scene
-    # A step must not carry concrete farther than about one cell. Estimate the mean step as the time in which concrete
-    # crosses a cell at the speed that it has after falling by its initial height.
-    height = scene.extent[1, 1]
-    swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
-    mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
-    if scene.test and scene.test.outflow:
-        estimate = expected(scene).get(scene.test.outflow.time)
-        if estimate is None:
-            return Course(scene.duration, mean, ["the yield stress may hold the concrete in the funnel"])
-        return Course(min(DURATION_FACTOR * estimate, scene.duration), mean)
-    if scene.depth:
-        # Do not predict the duration by a coarser copy of this flow, because coarse cells would not resolve the
-        # obstacles that the concrete must pass.
-        remark = "the time until the concrete rests is not predicted; the longest allowed time is assumed"
-        return Course(scene.duration, mean, [remark])
-    spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
-    run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
-    if run is not None and scene.step_error:
-        # With adaptive steps, two limits apply: the error of a step, and the time in which concrete crosses a cell. The
-        # first limit is the same in the coarser copy and in the flow itself. The second limit is stricter in the flow
-        # itself, whose cells are smaller, so the flow may need more steps than the copy.
-        passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
-        mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
-    return Course(reached, mean, remarks)
+    outflow = scene.test.outflow if scene.test else None
+    estimate = expected(scene).get(outflow.time) if outflow else None
+    if outflow and estimate is None:
+        return Course(scene.duration, scene.time_step, ["the yield stress may hold the concrete in the funnel"])
+    across = (*np.ptp(scene.extent, axis=0), *scene.dimensions.values())
+    spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)
+    coarse = {"spacing": max(spacing, scene.spacing)}
+    run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", **coarse)
+    if outflow and run is not None and outflow.time in run.result:
+        remarks = []
+    if run is None:
+        return Course(reached, scene.time_step, remarks)
+    duration = min(DURATION_FACTOR * estimate, scene.duration) if estimate else reached
+    # The flow of the scene has the same error per step as the flow of the coarser copy. However, concrete crosses the
+    # scene's smaller cells in less time, so the Courant number limits the steps to shorter ones.
+    steps = np.diff(run.series["steps"])
+    if scene.step_error:
+        steps = np.maximum(steps, np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing)
+    return Course(duration, reached / float(steps.sum()), remarks, _slowdown(simulation, run, coarse))
+
+
+def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
+    """Return the mean wall time of a step of a coarser copy's finished `run`, divided by that of its first steps.
+
+    The first steps are shorter than later ones, so their solves need fewer iterations. `changes` are the attributes of
+    the scene in which the copy differs.
+    """
+    start = type(simulation)(
+        replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,
+        threads=simulation.threads,
+    )  # fmt: skip
+    start.prepare()
+    first, sample = step_time(start), median_time(start.measure, start.device)
+    start.release()
+    spent = number(run.result["speed"]["wall_time"]) - sample * len(run.series["time"])
+    return max(spent / run.result["steps"] / first, 1 / MAX_SPEEDUP)
