@@ -30,7 +30,8 @@ CORRECTED, CORRECTED_MOVING = 0.1, 0.5
 moves by a cell per step.
 
 Particles crowd together as they move, most of all at the surface. With 0.1 throughout, an L-box and a funnel lost 1.5
-and 4 % of their volume, and now lose 0.8 and 1.2 %. With 0.3 throughout, corrections keep concrete moving that should come to rest.
+and 4 % of their volume, and now lose 0.8 and 1.2 %. With 0.3 throughout, corrections keep concrete moving that should
+come to rest.
 """
 
 
