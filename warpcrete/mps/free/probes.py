@@ -173,7 +173,9 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     through an open side is not counted as lost.
     """
     concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout, flow.scene.about_axis)
-    row = dict.fromkeys([name for name in UNITS if name != MOST], 0.0)
+    test = flow.scene.test
+    most = test.slow_share if test else 1.0
+    row = dict.fromkeys([name for name in UNITS if name != MOST or most < 1], 0.0)
     row |= {"top": concrete.top(0.0), "spread": concrete.spread(), "inside": concrete.inside}
     if flow.steps:
         speed, outcomes = speeds(flow), flow.outcomes()
@@ -187,7 +189,6 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
             "time_step": flow.next_step,
             "steps": float(flow.steps),
         }
-    test = flow.scene.test
-    if test and test.slow_share < 1:
-        row[MOST] = float(np.quantile(speed, test.slow_share)) if flow.steps and len(speed) else 0.0
+        if most < 1 and len(speed):
+            row[MOST] = float(np.quantile(speed, most))
     return row | test.measure(concrete, flow.scene.dimensions) if test else row
