@@ -31,6 +31,7 @@ def test_a_slump_and_a_straight_pipe_suffice(tmp_path):
     assert record["pressure_low"]["value"] < record["pressure"]["value"] / 1.4
     assert "slump 180mm at 30 m3/h" in done.output and "20 mm in 125 mm is 0.16" in done.output
     assert "bends, reducers and hoses are not counted" in done.output
+    assert "alone says little about the slip layer: the parts of the mix give a better estimate" in done.output
 
 
 def test_us_units_and_a_spread_suffice_as_well():

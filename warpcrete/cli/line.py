@@ -88,6 +88,9 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
             click.echo(
                 "\nbends, reducers and hoses are not counted; to count them, write a file (warpcrete line --help)"
             )
+        if given.guessed and settings["fit"] is None:
+            click.echo("\na slump or spread alone says little about the slip layer: the parts of the mix give a better "
+                       "estimate, which may lie far from this one (warpcrete mix --help)")  # fmt: skip
         _judge_blocking(pipes, given, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
