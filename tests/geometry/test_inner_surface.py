@@ -243,7 +243,10 @@ def test_elements_go_through_a_bent_bore(tmp_path):
     [
         (lambda mesh: mesh.apply_translation((0.2, 0.1, 0)), "has no closed cross-section at its origin"),
         (lambda mesh: mesh.apply_translation((0, 0.01, 0)), r"does not begin at its origin: .* lies 0\.01 m beside"),
-        (lambda mesh: mesh.apply_scale(1e3), r"wall_scale = 1\.0: makes the bore 99\.9\d* m wide .*; use --wall-scale 0\.001 for a file in mill"),
+        (
+            lambda mesh: mesh.apply_scale(1e3),
+            r"wall_scale = 1\.0: makes the bore 99\.9\d* m wide .*; use --wall-scale 0\.001 for a file in mill",
+        ),
     ],
 )
 def test_a_bore_that_cannot_be_followed_says_why_in_one_line(tmp_path, made, words):
