@@ -59,7 +59,7 @@ def test_settings_of_a_study(reached):
         "1e-3",
         "2e-3",
         "--spacing",
-        "0.01",
+        "10mm",
         "--out",
         "here",
         "--repeat",
@@ -95,6 +95,7 @@ def test_settings_of_a_study(reached):
         rerun=False,
         usd=True,
         paraview=False,
+        units={"spacing": "mm"},
     )
     bare = reached("study", "run_study", "study", "channel", "--flow", "1e-3", "2e-3", "--quiet")
     assert bare["checkpoint_every"] == 60.0 and bare["repeat"] == 1 and bare["precision"] == "float32"
@@ -392,6 +393,7 @@ def test_settings_of_answers(reached):
         "x",
     )
     assert got.pop("arguments")[0].spacing == 0.01
+    assert got.pop("announce") is importlib.import_module("warpcrete.cli.explain")._announce
     assert got == {"cache": False, "device": "cpu", "threads": 1, "trade": Path("x")}
 
 

@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import pytest
 from pumping import command_process
 
-from warpcrete.core.run import progress
+from warpcrete import scenes
+from warpcrete.core.run import progress, run_loop
 from warpcrete.core.run.progress import ProgressBar
+from warpcrete.mps.simulation import FluidSimulation
 
 
 @pytest.fixture
@@ -46,6 +48,33 @@ def test_a_resumed_run_counts_what_this_process_does(clock, capsys):
     lines = lines_of(capsys)
     assert lines[0] == "running: 81 %, 01:00 elapsed, about 19:00 left"
     assert "running: 90 %, 10:00 elapsed, about 10:00 left" in lines
+
+
+def test_the_time_left_of_a_run_that_may_end_early_is_an_upper_limit(clock, capsys):
+    bar = ProgressBar()
+    for minute in range(4):
+        clock.time = 100.0 + 60 * minute
+        bar("running", 0.1 + 0.1 * minute, {"steps_per_s": 0.4711, "at_most": 1.0})
+    assert lines_of(capsys)[-1] == "running: 40 %, 03:00 elapsed, at most 06:00 left, steps/s 0.47"
+
+
+def test_the_pace_of_a_run_leaves_out_preparation_and_compilation(monkeypatch):
+    """Two steps between measurements take a second, but a minute more the first time, when kernels are compiled."""
+    now, told = [0.0], []
+    monkeypatch.setattr(run_loop, "wall_clock", SimpleNamespace(perf_counter=lambda: now[0]))
+
+    class Slow(FluidSimulation):
+        def reaching(self, time):
+            now[0] += 1.0 if self.stepper.steps else 61.0
+            yield from super().reaching(time)
+
+    scene = scenes.channel(spacing=20e-3, duration=0.012, sample_interval=4e-3, time_step=2e-3)
+    run = Slow(scene, device="cpu", progress=lambda phase, fraction, figures: told.append((phase, figures))).run()
+    speeds = [figures.get("steps_per_s") for phase, figures in told if phase == "running"]
+    assert run.result["steps"] == 6 and speeds == [None, 2.0, 2.0]
+    assert run.result["speed"]["steps_per_second"]["value"] == 2.0
+    assert run.result["speed"]["wall_time"]["value"] == 63.0
+    assert "at_most" not in told[-1][1] and FluidSimulation(scenes.channel(), device="cpu").may_end_early
 
 
 def test_a_log_of_slow_work_gets_a_line_every_30_seconds(clock, capsys):

@@ -1,4 +1,4 @@
-"""The example of the page on pipes from STL files draws the elbow that it describes, a flow accepts it, and tells its weight."""
+"""The example of the page on pipes from STL files draws an elbow, which a flow accepts; its pressure is told apart."""
 
 import math
 import re

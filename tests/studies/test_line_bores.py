@@ -9,7 +9,10 @@ from warpcrete import SceneError, scenes
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance
 from warpcrete.studies.lines import folder as line_folder
-from warpcrete.studies.lines.losses import line_of, read_line
+from warpcrete.studies.lines.answers import ADVICE
+from warpcrete.studies.lines.losses import friction, line_of, read_line
+from warpcrete.studies.lines.pressures import Loss
+from warpcrete.studies.lines.result import LineResult
 from warpcrete.studies.lines.run import _scene_of_part, run_line
 
 FLOW = 0.0055
@@ -136,6 +139,22 @@ def test_no_place_of_the_joints_lets_concrete_out(tmp_path):
         places = scene.axis.at(s)[0] + np.column_stack([0 * s, radius * np.cos(0.3), radius * np.sin(0.3)])
         found = bore_distance(scene)(Frame(scene).to_grid(places))
         assert np.array_equal(found > 0, np.full(len(s), inside))
+
+
+def test_a_simulated_bore_says_why_its_range_stays(tmp_path):
+    """A fluid contains no stones, so a flow simulation does not exclude the friction that stones add in a bore."""
+    tube(tmp_path / "valve.stl", [0.0625, 0.05], lids=True)
+    said = {"file": "valve.stl", "scale": 0.001, "length": 0.25, "outlet": 0.1}
+    concrete = concrete_of("no1")
+    for more, simulated, tells in (({}, 1.1, True), ({}, 0.0, False), ({}, 1.0, False), ({"factor": 1.2}, 1.1, False)):
+        line = line_of({"diameter": 0.125, "parts": [{"bore": said | more}]}, "it", tmp_path)
+        (part,) = line.parts
+        theory = friction(part, concrete, FLOW)
+        loss = Loss(part, (simulated or 1.0) * theory, theory, 0.0)
+        found = LineResult(line, concrete, FLOW, [loss], 1.5, simulated > 0)
+        assert any("simulated as a fluid without stones" in each for each in found.remarks()) == tells
+        assert loss.range == (None if more else (1.0, 2.0))
+    assert "--simulate" not in ADVICE["bores"]
 
 
 @pytest.mark.thorough

@@ -28,4 +28,9 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         if len(given) > 1:
             refuse(name, ", ".join(map(str, given)), "must be a single value", "give the option once, with one value")
     made = modules[scene].scene(**{name: given[0] for name, given in values.items()})
-    click.echo(str(explain(made, cache=fresh is None, announce=lambda text: click.echo(text, err=True), **settings)))
+    click.echo(str(explain(made, cache=fresh is None, announce=_announce, **settings)))
+
+
+def _announce(text: str) -> None:
+    """Print a note for the user who waits, apart from the answer."""
+    click.echo(text, err=True)

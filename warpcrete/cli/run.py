@@ -16,7 +16,7 @@ from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
 from ..core.run.method import report_of
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import ProgressBar, rate_text
 from ..core.run.run_loop import Recorder, Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.units import number
@@ -210,8 +210,8 @@ def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
         show(label, text)
     speed = result["speed"]
     total = sum(number(speed[key]) for key in ("packing_time", "settling_time", "wall_time") if key in speed)
-    show("time", f"{total:.0f} s for {result['steps']} steps ({number(speed['steps_per_second']):.0f} per second) "
-         f"on {result['provenance']['device']}")  # fmt: skip
+    show("time", f"{total:.0f} s for {result['steps']} steps on {result['provenance']['device']} "
+         f"({rate_text(number(speed['steps_per_second']))} per second without preparation)")  # fmt: skip
     for name, check in result.get("checks", {}).items():
         show("check", f"{'ok  ' if check['passed'] else 'FAIL'} {name}: {check['found']}")
     if not run.finished:

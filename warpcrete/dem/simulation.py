@@ -346,8 +346,8 @@ class ElementSimulation(Simulation):
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self._wall_times.get("packing", 0.0), "s"),
             "settling_time": quantity(self._wall_times.get("settling", 0.0), "s"),
-            "steps_per_second": quantity(steps / max(running, 1e-9), "1/s"),
-            "sphere_steps_per_second": quantity(steps * state.sphere_count / max(running, 1e-9), "1/s"),
+            "steps_per_second": quantity(self.pace, "1/s"),
+            "sphere_steps_per_second": quantity(self.pace * state.sphere_count, "1/s"),
             "memory": quantity(self._memory(), "B"),
         }
         result["state_hash"] = state_hash(state)

@@ -122,6 +122,11 @@ class FluidSimulation(FlowRun):
         """Raise :class:`InstabilityError` if a row of the time series shows that the flow has become unstable."""
         self._watch(row)
 
+    @property
+    def may_end_early(self) -> bool:
+        """True unless the scene states a duration."""
+        return self.scene.duration is None
+
     def ended_early(self) -> bool:
         """Return True if the flow is steady; always False if the scene states a duration."""
         now, part = self._rows[-1], self.scene.steadiness

@@ -150,9 +150,10 @@ def _panel(
             title = each.title if len(drawn) > 1 or not label else ""
             # Where a line by theory joins the points, a second line would hide it.
             joined = numeric and f"{each.name}_theory" not in theories
+            name_of_series = ", ".join(filter(None, (title, label)))
             curves.append(axes.errorbar(
                 x, y, scatter if scatter.any() else None, fmt=marker, linestyle="-" if joined else "none",
-                color=rgb(colour), capsize=3, markersize=5, linewidth=1.4, label=", ".join(filter(None, (title, label))),
+                color=rgb(colour), capsize=3, markersize=5, linewidth=1.4, label=name_of_series,
             ))  # fmt: skip
     if numeric:
         axes.locator_params(axis="x", nbins=TICKS)

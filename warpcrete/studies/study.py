@@ -62,8 +62,8 @@ def run_study(
     frames per simulated second, and `checkpoint_every` the wall time between checkpoints [s]. `recorders` switches on
     additional recordings (`rerun`, `usd`). With a `scheduler`, the cases run on the `workers` of
     :func:`warpcrete.studies.cluster.open_cluster`. `units` names units of parameters for the table and the figure;
-    parameters given as texts, such as "5 m3/h", have the units of these texts. Raises :class:`SceneError` before anything is written if a case is
-    no valid scene.
+    parameters given as texts, such as "5 m3/h", have the units of these texts. Raises :class:`SceneError` before
+    anything is written if a case is no valid scene.
     """
     check_scheduler(scheduler, workers, processes)
     units = written_units(module.scene, {n: [v] for n, v in (base or {}).items()} | dict(varied)) | dict(units or {})

@@ -66,7 +66,9 @@ class ProgressBar:
         self._shown, self._tenths = now, tenths
         elapsed = now - self._start
         done = fraction - self._first
-        left = f"about {_clock(elapsed * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
+        # A run that ends as soon as its flow is steady may need much less time than its longest duration.
+        word = "at most" if figures.get("at_most") else "about"
+        left = f"{word} {_clock(elapsed * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
         parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
         print(f"{self._phase}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
@@ -97,8 +99,13 @@ def _texts(figures: Mapping[str, float]) -> dict[str, str]:
     if "pressure" in figures:
         found["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"
     if "steps_per_s" in figures:
-        found["steps/s"] = f"{figures['steps_per_s']:.0f}"
+        found["steps/s"] = rate_text(figures["steps_per_s"])
     return found
+
+
+def rate_text(rate: float) -> str:
+    """Return a number of steps per second as text; slow rates have two significant digits."""
+    return f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
 
 
 def _clock(seconds: float) -> str:

@@ -175,6 +175,8 @@ class Simulation:
         self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
         # Wall time that a resumed run had taken before its checkpoint was written [s].
         self._time_before_resume = 0.0
+        # Steps taken and wall-clock time [s] at the first and at the last measurement after the start of this process.
+        self._paced: tuple[tuple[int, float], tuple[int, float]] | None = None
         self._samples_taken = 0  # Number of rows in the time series so far, not counting the row at t = 0.
         self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
@@ -262,6 +264,11 @@ class Simulation:
         With constant steps, the run can stop for a frame between two rows of the time series.
         """
         return np.inf
+
+    @property
+    def may_end_early(self) -> bool:
+        """True if the run may end before its longest duration, so that its remaining time is only an upper limit."""
+        return False
 
     def ended_early(self) -> bool:
         """Return whether the run has reached its end before its maximum duration."""
@@ -531,6 +538,8 @@ class Simulation:
             yield from self.reaching(goal)
             self._samples_taken = number
             row = self._sample()
+            now = (stepper.steps, wall_clock.perf_counter())
+            self._paced = (self._paced[0] if self._paced else now, now)
             ended = self.ended_early()
             if self.frames.due(stepper.time) or number == samples or ended:
                 self._frame()
@@ -538,9 +547,12 @@ class Simulation:
                 return True
             if number < samples:
                 self._checkpoint_if_due()
-            pressure = {name: row[name] for name in ("pressure",) if name in row}
-            speed = stepper.steps / max(self._running(), 1e-9)
-            self.tell("running", number / samples, steps_per_s=speed, **pressure)
+            figures = {name: row[name] for name in ("pressure",) if name in row}
+            if self._paced[0] != now:  # Up to the first measurement, compilation would count as slow steps.
+                figures["steps_per_s"] = self.pace
+            if self.may_end_early:
+                figures["at_most"] = 1.0
+            self.tell("running", number / samples, **figures)
         return True
 
     def _sample(self) -> dict[str, float]:
@@ -567,6 +579,17 @@ class Simulation:
     def _checkpoint_if_due(self) -> None:
         if wall_clock.perf_counter() - self._saved_at >= self.checkpoint_every:
             self._checkpoint()
+
+    @property
+    def pace(self) -> float:
+        """Steps per second of wall time from the first to the last measurement in this process.
+
+        Preparation and compilation, which precede the first measurement, are left out, unless there is only one.
+        """
+        if self._paced is not None and self._paced[0] != self._paced[1]:
+            (first, begun), (last, ended) = self._paced
+            return (last - first) / max(ended - begun, 1e-9)
+        return self.stepper.steps / max(self._wall_times.get("running", 0.0), 1e-9)
 
     def _running(self) -> float:
         return self._time_before_resume + (wall_clock.perf_counter() - self._started if self._has_run else 0.0)

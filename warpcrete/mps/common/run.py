@@ -69,6 +69,11 @@ class FlowRun(Simulation):
         """State of the flow, which includes its particles."""
         return self.flow.state
 
+    @property
+    def may_end_early(self) -> bool:
+        """True if the flow ends once it is steady or at rest, which may be long before its longest duration."""
+        return True
+
     def prepare(self) -> None:
         """Place the particles at their initial positions."""
         started = wall_clock.perf_counter()
@@ -140,8 +145,8 @@ class FlowRun(Simulation):
         return {
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self._wall_times.get("packing", 0.0), "s"),
-            "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
-            "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
+            "steps_per_second": quantity(self.pace, "1/s"),
+            "particle_steps_per_second": quantity(self.pace * flow.count, "1/s"),
             "memory": quantity(footprint(flow=flow)["flow"], "B"),
         }
 

@@ -29,7 +29,7 @@ ADVICE = {
     "reducers": "measure the pressure on both sides of one, and state its 'factor'",
     "hoses": "measure the pressure on both sides of one, and state its 'factor'",
     "valves": "ask the manufacturer for their loss, and state it as 'equivalent'",
-    "bores": "simulate them with --simulate, or state their 'factor'",
+    "bores": "measure the pressure on both sides of one, and state its 'factor'",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
 }
 """Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""

@@ -200,6 +200,10 @@ class LineResult(LinePressures):
         found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts of the library of simulated parts; "
                   "--simulate computes it" for x in self.losses
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
+        found += [f"part {x.part.number}: simulated as a fluid without stones, which may add to its friction, so that "
+                  "its range stays; a measured 'factor' narrows it"
+                  for x in self.losses  # A bore that was not simulated has the friction of straight pipe.
+                  if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             found.append(f"no concrete pump is known to deliver more than {HIGHEST_PUMP / 1e5:.0f} bar; use a wider "
                          "pipe, a smaller flow, concrete with less friction, or a second pump on the way")  # fmt: skip
