@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,6 +132,7 @@ def test_vessels_grip_by_what_a_law_has():
     (dict(contact="linear", contact_friction=-1.0), "contact_friction = -1.0: must be finite and at least 0"),
     (dict(contact="rolling", contact_contact_friction=-1.0), "contact_contact_friction = -1.0: must be"),
     (TOY | dict(friction=0.2), "friction = 0.2: has no effect unless 'contact' is left out .its parameters are"),
+    (dict(contact="linear", friction=0.1), "leave out 'friction', or give 'contact_friction' instead$"),
     (TOY | dict(modulus=2e5), "modulus = 200000.0: has no effect unless 'contact'"),
     (TOY | dict(layer_yield=2.0), "layer_yield = 2.0: has no effect unless 'contact'"),
     (dict(wall_contact="linear", wall_friction=0.2), "wall_friction = 0.2: has no effect unless 'wall_contact'"),
@@ -253,11 +255,16 @@ def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
     assert [case["varied"] for case in record["cases"]] == [{"contact_push": 1.0}, {"contact_push": 2.0}]
 
 
+def guide(folder, page, sign, name="sticky.py"):
+    """Save the only block of code in a guide that contains `sign`."""
+    text = (Path(__file__).parents[2] / "notebooks" / "how-to" / page).read_text(encoding="utf-8")
+    (block,) = [each for each in re.findall(r"```python\n(.*?)```", text, re.S) if sign in each]
+    (folder / name).write_text(block, encoding="utf-8")
+
+
 def guide_law(folder):
     """Save the law that the guide shows as it says."""
-    text = (Path(__file__).parents[2] / "notebooks" / "how-to" / "own-contact-law.md").read_text(encoding="utf-8")
-    (block,) = [each for each in re.findall(r"```python\n(.*?)```", text, re.S) if "class Sticky" in each]
-    (folder / "sticky.py").write_text(block, encoding="utf-8")
+    guide(folder, "own-contact-law.md", "class Sticky")
 
 
 def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypatch):
@@ -266,8 +273,20 @@ def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypa
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
     scene = scenes.pipe(contact="sticky:Sticky", contact_pull=0.01)
     assert scene.contact.pull == 0.01 and scene.contact.frictionless().pull == 0.0
-    assert scene.parameters["contact_stiffness"] == 200.0
+    assert scene.parameters["contact_stiffness"] == 1e4
     monkeypatch.delitem(sys.modules, "sticky")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("page", "sign"), [
+    ("own-contact-law.md", "def test_a_stone_rests_on_a_wall"), ("test-in-ci.md", "contact=Sticky"),
+])  # fmt: skip
+def test_the_guides_tests_of_the_law_pass(tmp_path, page, sign):
+    guide_law(tmp_path)
+    guide(tmp_path, page, sign, "test_sticky.py")
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "test_sticky.py"]
+    done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, encoding="utf-8", timeout=600)
+    assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.thorough

@@ -219,13 +219,14 @@ def written_unit(values: Iterable[object], unit: str) -> str | None:
     return next((name for name in unit_names(unit) if UNITS[unit][name] == factor), None)
 
 
-def amount(field: str, value: object, unit: str) -> float:
+def amount(field: str, value: object, unit: str, declared: str = "") -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 
     `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
     as a number in `unit`. Lengths may be fractions of inches ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal
-    comma is accepted if it cannot separate thousands. Raises :class:`SceneError` for an unknown unit, or if `value` is
-    not a finite number.
+    comma is accepted if it cannot separate thousands. If the parameter has a unit that is no key of :data:`UNITS`, pass
+    "1" as `unit` and the parameter's unit as `declared`, which the error message then names. Raises
+    :class:`SceneError` for an unknown unit, or if `value` is not a finite number.
     """
     number, more = math.nan, ""
     if isinstance(value, str):
@@ -237,9 +238,13 @@ def amount(field: str, value: object, unit: str) -> float:
         with suppress(OverflowError):
             number = float(value)
     if not math.isfinite(number):
-        units = f"with one of {', '.join(unit_names(unit))}" if unit != "1" else "without a unit, or with %"
+        if declared:
+            units = "without a unit"
+        else:
+            units = "without a unit, or with %" if unit == "1" else f"with one of {', '.join(unit_names(unit))}"
+        meant = declared or ("" if unit == "1" else unit)
         refuse(field, value, f"must be a number {units}{more and f'; {more}'}",
-               f"a number without a unit is in {unit}" if unit != "1" else "")  # fmt: skip
+               f"a number without a unit is in {meant}" if meant else "")  # fmt: skip
     return number
 
 

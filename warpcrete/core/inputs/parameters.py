@@ -231,7 +231,7 @@ class Field:
     def number(self, value: object, name: str) -> object:
         """Return a text such as "125 mm" as a number in the field's unit; return anything else unchanged."""
         if self.kind is float and isinstance(value, str) and NUMERIC.match(value):
-            return amount(name, value, self.units)
+            return amount(name, value, self.units, "" if self.unit.strip() in UNITS else self.unit.strip())
         return value
 
     def check_limits(self, value: object, name: str) -> None:
@@ -303,5 +303,8 @@ class Declared:
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
                     either = " or ".join(map(repr, (rule.field, *rule.others)))
+                    other = getattr(self, rule.field)
+                    same = isinstance(other, Declared) and name in declared_fields(type(other))
+                    instead = f"give '{rule.field}_{name}' instead" if same else f"change {rule.field!r}"
                     refuse(name, getattr(self, name), f"has no effect unless {either} {rule.words}",
-                           f"leave out {name!r}, or change {rule.field!r}")  # fmt: skip
+                           f"leave out {name!r}, or {instead}")  # fmt: skip

@@ -268,6 +268,10 @@ def no_plateau(run: Run) -> str:
     )
 
 
+def _moved(run: Run) -> str:
+    return "the last stroke" if stroke_start(run.scene, float(run.series["travel"][-1])) > 0 else "the travel"
+
+
 def _restart_words(run: Run) -> str:
     restart = number(run.result["restart_pressure"])
     steady = number(run.result[_steady(run)])
@@ -339,7 +343,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     if words := no_plateau(run):
         end = number(run.result["end_pressure"])
         yield "plateau pressure", words
-        yield "pressure at the end", f"{end / 1e3:.2f} kPa"
+        yield "pressure at the end", f"{end / 1e3:.2f} kPa, mean over the last fifth of {_moved(run)}"
     if run.scene.vessel is not None:
         yield from report_unrest(run, run.scene.vessel.test)
     if run.result.get("blocked"):

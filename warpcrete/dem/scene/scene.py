@@ -241,7 +241,7 @@ class Scene(Parametrised):
 
     @property
     def caption(self) -> str:
-        """Scene, diameter, concrete and flow in words, for titles of figures and recordings.
+        """Scene, diameter, concrete (or contact law) and flow in words, for titles of figures and recordings.
 
         For a scene without a pipe, the text states the sizes of the aggregates instead of diameter and flow. It omits
         the sizes if no parameters state them.
@@ -252,7 +252,11 @@ class Scene(Parametrised):
             stones = f"aggregates {1e3 * sizes[0]:g} to {1e3 * sizes[1]:g} mm" if len(sizes) == 2 else ""
             return ", ".join(filter(None, (self.name, concrete and f"concrete {concrete}", stones)))
         flow = np.pi * self.pipe.radius**2 * self.pipe.velocity
-        return pumping_caption(f"{self.name} {self.pipe.name}", self.pipe.radius, concrete, flow)
+        name = f"{self.name} {self.pipe.name}"
+        if self.parameters.get("contact") is not None:
+            # Another contact law replaces the contact parameters of the concrete.
+            name, concrete = f"{name}, contact law {type(self.contact).__name__}", ""
+        return pumping_caption(name, self.pipe.radius, concrete, flow)
 
     def __post_init__(self) -> None:
         between("duration", self.duration, 0, np.inf, "s")
