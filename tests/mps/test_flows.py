@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import itertools
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from test_theory import FLOW
 import warpcrete
 from warpcrete import scenes
 from warpcrete.core.device.device import find_device
-from warpcrete.core.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
+from warpcrete.core.errors import CapacityError, ConvergenceError, PlausibilityWarning, RunFolderError, SceneError
 from warpcrete.core.run.files import read_json
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.simulation import ElementSimulation
@@ -229,6 +230,19 @@ def test_theory_describes_the_concrete_that_a_stated_mortar_makes():
     # Without a stated mortar, the mortar follows from the concrete, and theory describes the concrete as stated.
     whole = scenes.channel(aggregate_fraction=0.2, **own).concrete
     assert (whole.viscosity, whole.yield_stress) == (30.0, 50.0)
+
+
+def test_aggregates_in_a_flow_that_shears_are_warned_of():
+    """A column on a piston needs slip; a flow with aggregates cannot be put on a grid instead."""
+    sheared = dict(concrete="own", viscosity=30.0, yield_stress=50.0, slip_viscosity=600.0, slip_yield=10.0,
+                   density=2350.0, aggregate_fraction=0.3, flow=6 / 3600)  # fmt: skip
+    with pytest.warns(
+        PlausibilityWarning, match=r"aggregates: slip carries 8\d % of the flow by theory, .* needs 90 %"
+    ):
+        scenes.channel(aggregates=True, **sheared)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scenes.channel(aggregates=True)
 
 
 def test_pressure_instead_of_flow_gives_the_flow_back(device):

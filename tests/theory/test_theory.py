@@ -148,10 +148,13 @@ def test_command():
         return CliRunner().invoke(cli, ["theory", *arguments])
 
     shown = run("--flow", "0.0015", "--flow", "0.001")
-    rows = [line.split() for line in shown.output.splitlines()[2:]]
+    assert shown.output.splitlines()[1] == "pipe: 0.3 m long, 100 mm wide, upright"
+    rows = [line.split() for line in shown.output.splitlines()[3:]]
     assert [row[0] for row in rows] == ["pipe", "plane", "paper", "kaplan"] * 2
     assert float(rows[0][2]) == pytest.approx(11929.3, abs=0.1)
     assert "9000" in run("--pressure", "9000", "--concrete", "no2", "--rise", "0").output
+    assert "pipe: 2 m long, 125 mm wide, rising 0.5 m per m, gravity 0 m/s2" in run(
+        "--length", "2", "--diameter", "0.125", "--rise", "0.5", "--gravity", "0").output  # fmt: skip
     refused = run("--concrete", "no4")
     assert isinstance(refused.exception, SceneError) and "no1, no2, no3" in str(refused.exception)
     assert "viscosity = 0" in str(run("--viscosity", "0").exception)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import positive, refuse
 from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
-from ..core.inputs.limits import check_velocity
+from ..core.inputs.limits import check_velocity, warn
 from ..core.inputs.parameters import Above, Alias, Needs, OneOf, Within
 from ..core.run.checks import with_cures
 from ..core.run.run_loop import Run
@@ -178,9 +178,17 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return "piston"
         if self.rest or self.step_error or self.rebuild_rate:
             return "periodic"
-        line = Line(radius=bulk, length=self.length, gravity=self.gravity)
-        state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
-        return "piston" if state.slip_velocity >= MIN_SLIP_RATIO * flow / (np.pi * bulk**2) else "periodic"
+        return "piston" if _slip_share(concrete, self, bulk, flow, dimensions) >= MIN_SLIP_RATIO else "periodic"
+
+
+def _slip_share(concrete: Concrete, given: FlowParameters, bulk: float, flow: float, dimensions: int) -> float:
+    """Return the slip velocity divided by the mean velocity, by theory.
+
+    `flow` [m3/s] is the volume flow and `bulk` [m] the pipe's radius minus the slip layer.
+    """
+    line = Line(radius=bulk, length=given.length, gravity=given.gravity)
+    state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
+    return state.slip_velocity * np.pi * bulk**2 / flow
 
 
 def column_scene(
@@ -201,6 +209,10 @@ def column_scene(
     flow = given.volume_flow(concrete, bulk, dimensions)
     given = replace(given, ends=given.ends_for(concrete, bulk, flow, dimensions))
     check_velocity("flow", flow, flow / area)
+    if aggregates is not None and (slip := _slip_share(concrete, given, bulk, flow, dimensions)) < MIN_SLIP_RATIO:
+        warn(f"aggregates: slip carries {100 * slip:.0f} % of the flow by theory, but a column of particles needs "
+             f"{100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; simulate one phase without "
+             "aggregates where less slips")  # fmt: skip
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
         name=name,
