@@ -271,7 +271,10 @@ def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypa
     guide_law(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    with pytest.raises(SceneError, match=r"must be a number without a unit; a number without a unit is in N/m\^1\.5$"):
+        scenes.pipe(contact="sticky:Sticky", contact_stiffness="5000 N/m^1.5")
     scene = scenes.pipe(contact="sticky:Sticky", contact_pull=0.01)
+    assert "contact law Sticky" in scene.caption and "concrete" not in scene.caption
     assert scene.contact.pull == 0.01 and scene.contact.frictionless().pull == 0.0
     assert scene.parameters["contact_stiffness"] == 1e4
     monkeypatch.delitem(sys.modules, "sticky")

@@ -1,5 +1,6 @@
 """The pages of the documentation: links, lengths, beginnings and ends, and docstrings of public names."""
 
+import ast
 import importlib
 import inspect
 import pkgutil
@@ -86,6 +87,20 @@ def test_every_page_is_in_a_table_of_contents():
             entries = [line for line in block.splitlines() if line and not line.startswith(":")]
             listed |= {(folder / f"{entry}.md").resolve().relative_to(PAGES).as_posix() for entry in entries}
     assert not set(TEXTS) - listed
+
+
+def test_names_that_guides_import_are_listed_as_stable():
+    stable = {("warpcrete", name) for name in warpcrete.__all__}
+    listed = (PAGES / "reference" / "stability.md").read_text(encoding="utf-8")
+    for module, names in re.findall(r"^\| `(warpcrete\.[\w.]+)` \| (.*) \|$", listed, re.M):
+        stable |= {(module, name) for name in re.findall(r"`(\w+)`", names)}
+    for path in sorted((PAGES / "how-to").glob("*.md")):
+        for block in re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), re.S | re.M):
+            for line in ast.walk(ast.parse(block)):
+                if isinstance(line, ast.ImportFrom) and (line.module or "").startswith("warpcrete"):
+                    assert {(line.module, each.name) for each in line.names} <= stable, f"{path.name}: {line.module}"
+                if isinstance(line, ast.Import):
+                    assert not [each.name for each in line.names if each.name.startswith("warpcrete.")], path.name
 
 
 def public_names() -> list[tuple[str, object]]:

@@ -52,9 +52,11 @@ class ContactLaw(Declared, ABC):
           in the step [J]. The history is any vector that the law needs in the next step. In laws with a shear spring it
           is the shear force.
         - `stiffness(p, touch)` returns the stiffnesses k_n, k_s [N/m] and the dashpots c_n, c_s [N s/m] for the
-          estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows at the
-          present closing speed.
-        - `energy(p, touch, history)` returns the elastic energy [J].
+          estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows. For a
+          normal force k d^n with n > 1 at the overlap d, return the tangent stiffness n k D^(n - 1) at the deepest
+          overlap D of an impact with the present closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 / (2 k), with
+          the reduced mass m.
+        - `energy(p, touch, history)` returns the energy that the force stores [J].
 
         A law that `rolls` has two more functions:
 
