@@ -11,6 +11,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from typing import cast
 
 import numpy as np
 
@@ -186,10 +187,10 @@ def is_amount(value: object, unit: str) -> bool:
 def is_customary(value: object) -> bool:
     """Return whether `value` is, or contains in its lists and mappings, an amount in a customary US unit."""
     if isinstance(value, Mapping):
-        return any(is_customary(each) for each in value.values())
+        return any(map(is_customary, cast("Mapping[object, object]", value).values()))
     if isinstance(value, str):
         return len(value) <= LONGEST and _customary().fullmatch(value.strip()) is not None
-    return isinstance(value, Sequence) and any(is_customary(each) for each in value)
+    return isinstance(value, Sequence) and any(map(is_customary, cast("Sequence[object]", value)))
 
 
 @functools.cache
@@ -210,7 +211,7 @@ def written_unit(values: Iterable[object], unit: str) -> str | None:
 
     `unit` is the internal unit, a key of :data:`UNITS`. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
     """
-    found = set()
+    found: set[float | None] = set()
     for value in values:
         text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
         form = _compiled(unit)[0].fullmatch(text if text.isascii() else _plain_digits(text))
