@@ -37,6 +37,8 @@ SAMPLES_PER_CELL = {2: 8, 3: 4}
 are even, so that the volume is exact for a wall through the centre of the cell."""
 LINES_PER_CELL = 8
 """Number of parallel lines across a face or cell, over whose open parts the open fraction is averaged."""
+ROUNDING = 1e-9
+"""Difference of two distances, divided by the width of a cell, below which both count as the same."""
 AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
 """Pairs of axes, each of which spans a plane of shear."""
 
@@ -217,7 +219,9 @@ def nearest_wall(
         found, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
         for distance, number in everything:
             here = _distances(distance, points)
-            which = np.where(here < found, number, which).astype(np.int32)
+            # Of walls at the same distance, such as an inlet and the pipe around it, the first one counts. Rounding
+            # differs between processors and must not decide.
+            which = np.where(here < found - ROUNDING * min(room.width), number, which).astype(np.int32)
             found = np.minimum(found, here)
         return found, which
 
