@@ -66,8 +66,8 @@ def test_aggregates_leave_with_the_mortar_until_light_is_seen(device):
     series, fraction = run.series, run.result["aggregates"]["fraction"]
     aggregates = series["aggregates_inside"]
     mortar = (series["inside"] - fraction * aggregates) / (1 - fraction)
-    # The last of three aggregates is passing the outlet when light is seen.
-    assert aggregates[0] == 1 and aggregates[-1] < 1 / 3 and np.all(np.diff(aggregates) < 1e-3)
+    # At least two of three aggregates have passed the outlet when light is seen.
+    assert aggregates[0] == 1 and aggregates[-1] < 1 / 3 + 1e-9 and np.all(np.diff(aggregates) < 1e-3)
     assert mortar[0] == pytest.approx(1, abs=1e-6) and np.all(np.diff(mortar) < 1e-3)
     # Measured: 0.53 %.
     assert abs(run.result["volume_error"]) < 0.01
