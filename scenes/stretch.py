@@ -12,7 +12,7 @@ from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
 from warpcrete.suspension.aggregates import MIN_CELLS
-from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters
+from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters, LargestDiameter, SmallestDiameter
 from warpcrete.suspension.stretch.checks import check_stretch
 from warpcrete.suspension.stretch.scene import StretchScene, StretchSettings
 
@@ -40,10 +40,8 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
         "those of the mortar between them",
         Within(0, MAX_FRACTION),
     ] = 0.2
-    aggregate_smallest: Annotated[
-        float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above()
-    ] = 0.016
-    aggregate_largest: Annotated[float, "Largest diameter of the simulated aggregates [m]", Above()] = 0.016
+    aggregate_smallest: SmallestDiameter = 0.016
+    aggregate_largest: LargestDiameter = 0.016
 
 
 @scene_function(StretchParameters)

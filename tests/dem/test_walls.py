@@ -138,7 +138,7 @@ def test_a_convex_body_touches_each_sphere_once(start, by):
         normal = hull.face_normals[meeting].mean(axis=0)
         normals.append(normal / np.linalg.norm(normal))
         places.append(hull.vertices[corner] + by * RADIUS * along / np.linalg.norm(along))
-    # So deep that the corner lies inside the sphere, too, in a direction that is not merged with that of the edge.
+    # The sphere overlaps so far that the corner lies inside it, too, in a direction that is not merged with the edge's.
     places, normals, depth = np.array(places), np.array(normals), 0.2 * RADIUS
     scene = Scene(
         name="hulls", duration=0, gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-6),

@@ -15,6 +15,13 @@ MAX_FRACTION = 0.5
 diameters wide."""
 
 
+SmallestDiameter = Annotated[
+    float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above()
+]
+LargestDiameter = Annotated[float, "Largest diameter of the simulated aggregates [m]", Above()]
+"""Declarations of parameters that several scenes with aggregates have."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SphereFields:
     """Fields of a scene that describe its aggregates."""
@@ -69,10 +76,8 @@ class AggregateParameters(Declared):
         "the constants of the concrete are then those of the mortar between them. 0 simulates concrete as one fluid",
         Within(0, MAX_FRACTION),
     ] = 0.0
-    aggregate_smallest: Annotated[
-        float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above()
-    ] = 0.05
-    aggregate_largest: Annotated[float, "Largest diameter of the simulated aggregates [m]", Above()] = 0.05
+    aggregate_smallest: SmallestDiameter = 0.05
+    aggregate_largest: LargestDiameter = 0.05
     aggregate_density: Annotated[float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000)] = 2650.0
     roughness: Annotated[
         float,

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from ...core.errors import between, positive
+from ...core.inputs.parameters import Within
 
 STEP_ERROR = (
     "Largest error of a step on a grid, as a fraction of the rms speed; it limits each step, and so does the passage "
     "of a cell; 0: all steps equal time_step"
 )
+PressureTolerance = Annotated[
+    float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
+]
+MaximumIterations = Annotated[
+    int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
+]
+"""Declarations of parameters that all flows on a grid have."""
 
 
 def check_interval(scene: Any) -> None:

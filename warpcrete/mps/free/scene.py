@@ -16,7 +16,7 @@ from ...geometry.walls import Wall
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
 from ..common.mixes import ConcreteParameters
-from ..common.settings import STEP_ERROR, check_interval
+from ..common.settings import STEP_ERROR, MaximumIterations, PressureTolerance, check_interval
 from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
@@ -50,12 +50,8 @@ class FreeSettings(Declared):
         "Parameter beta of the regularised flow law [s]; concrete below the yield stress creeps at a rate of 1/beta",
         Above(),
     ] = 1e5
-    tolerance: Annotated[
-        float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
-    ] = 1e-3
-    maximum_iterations: Annotated[
-        int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
-    ] = 5000
+    tolerance: PressureTolerance = 1e-3
+    maximum_iterations: MaximumIterations = 5000
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
     seed: Annotated[int, "Random seed; without effect, because nothing in this flow is random", Within(0)] = 0

@@ -219,8 +219,8 @@ def nearest_wall(
         found, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
         for distance, number in everything:
             here = _distances(distance, points)
-            # Of walls at the same distance, such as an inlet and the pipe around it, the first one counts. Rounding
-            # differs between processors and must not decide.
+            # The first of several walls counts if they are equally far, such as an inlet and the pipe around it.
+            # Rounding must not decide, because it differs between processors.
             which = np.where(here < found - ROUNDING * min(room.width), number, which).astype(np.int32)
             found = np.minimum(found, here)
         return found, which

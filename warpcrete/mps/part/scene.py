@@ -20,7 +20,7 @@ from ...geometry.inner_surface import InnerSurface, equal_radii
 from ...geometry.walls import MeshWall
 from ...theory.pipe import Concrete, Steady, steady
 from ...theory.pipe import Line as Stretch
-from ..common.settings import STEP_ERROR, check_interval
+from ..common.settings import STEP_ERROR, MaximumIterations, PressureTolerance, check_interval
 
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
@@ -47,12 +47,8 @@ class PartSettings(Declared):
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0, 1e4)] = 9.81
     regularisation: Annotated[float, "Parameter beta of the regularised flow law [s]", Above()] = 100.0
-    tolerance: Annotated[
-        float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
-    ] = 1e-3
-    maximum_iterations: Annotated[
-        int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
-    ] = 5000
+    tolerance: PressureTolerance = 1e-3
+    maximum_iterations: MaximumIterations = 5000
     steadiness: Annotated[
         float,
         "Steadiness: largest relative change of the pressure in ten steps, and in the ten before, that counts "

@@ -147,7 +147,7 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    # By default, only the concretes in `HYDRATED` are run with hydrated bonds. If the user named both columns and rows,
+    # Only the concretes in `HYDRATED` are by default run with hydrated bonds. If the user named both columns and rows,
     # run every named concrete with hydrated bonds; the named rows then decide whether there are such cases.
     if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]

@@ -14,6 +14,7 @@ from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
+from ...mps.common.settings import MaximumIterations, PressureTolerance
 from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, velocity
 from ..scene import SphereFields
 
@@ -46,12 +47,8 @@ class StretchSettings(Declared):
         "Parameter beta of the regularised flow law [s]; mortar below the yield stress creeps at a rate of 1/beta",
         Above(),
     ] = 1e3
-    tolerance: Annotated[
-        float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
-    ] = 1e-3
-    maximum_iterations: Annotated[
-        int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
-    ] = 5000
+    tolerance: PressureTolerance = 1e-3
+    maximum_iterations: MaximumIterations = 5000
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
     seed: Annotated[int, "Random seed of the places and sizes of the aggregates", Within(0)] = 0
