@@ -87,4 +87,4 @@ def _knobs(given: StretchParameters) -> Iterator[Knob]:
     yield precisions()
 
 
-trading = Trading(_knobs, quantities=("flow", "relative_viscosity", "slip_velocity"))
+trading = Trading(_knobs, quantities=("flow",))

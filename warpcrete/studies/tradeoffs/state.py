@@ -238,7 +238,7 @@ class Trade:
         if self.cluster is None:
             for point, (seed, *_), _ in self._due(lacking, tell, until):
                 begun = time.perf_counter()
-                self._run(point, seed, self._folder(point, seed))
+                self._run(point, seed, self.folder_of(point, seed))
                 self.spent += time.perf_counter() - begun
         elif lacking:
             self._run_on(self.cluster, self._due(lacking, tell, until))
@@ -247,7 +247,7 @@ class Trade:
         """Read the existing runs of a setting from their folders; return the seeds that still have to run."""
         for seed in seeds:
             if seed not in point.results and not point.failure:
-                found = previous_outcome(self._folder(point, seed))
+                found = previous_outcome(self.folder_of(point, seed))
                 if isinstance(found, dict):
                     point.results[seed] = found
                 elif found is not None:
@@ -288,7 +288,7 @@ class Trade:
         """Return whether a setting has a result for every seed."""
         return not point.failure and all(seed in point.results for seed in seeds)
 
-    def _folder(self, point: Setting, seed: int) -> Path:
+    def folder_of(self, point: Setting, seed: int) -> Path:
         # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
         # `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there as None
         # if its default is None.
@@ -300,11 +300,11 @@ class Trade:
         words = short_name("-".join([*point.variant.split(), words]))
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
-    def _parameters(self, point: Setting, seed: int) -> dict[str, Any]:
+    def parameters_of(self, point: Setting, seed: int) -> dict[str, Any]:
         return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
 
     def _simulation(self, point: Setting, seed: int, **settings: Any) -> Simulation:
-        scene = self.module.scene(**self._parameters(point, seed))
+        scene = self.module.scene(**self.parameters_of(point, seed))
         return Simulation(scene, device=self.device, precision=scene.precision, threads=self.threads, **settings)
 
     def _run(self, point: Setting, seed: int, folder: Path) -> None:
@@ -336,7 +336,7 @@ class Trade:
             for point, seeds, left in due:
                 running += 1
                 self.record = {**self.record, "abreast": max(running, self.record.get("abreast", 1))}
-                cases = [Case(self._folder(point, s).name, {}, self._parameters(point, s)) for s in seeds]
+                cases = [Case(self.folder_of(point, s).name, {}, self.parameters_of(point, s)) for s in seeds]
                 yield (point, seeds), WorkerJob(cases, len(seeds) < MIN_RUNS_FOR_MEDIAN and not point.variant, left)
 
         def store_outcomes(job: tuple[Setting, list[int]], outcomes: Any) -> None:
@@ -360,7 +360,7 @@ class Trade:
             point.results[seed] = outcome
         elif isinstance(outcome, InstabilityError | SceneError):
             point.failures[seed] = f"failed: {outcome}"
-            folder = self._folder(point, seed)
+            folder = self.folder_of(point, seed)
             folder.mkdir(parents=True, exist_ok=True)
             (folder / FAILED).write_text(f"{point.failures[seed]}\n", encoding="utf-8")
         elif isinstance(outcome, WorkerLost):

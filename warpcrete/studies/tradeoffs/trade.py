@@ -229,7 +229,8 @@ def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Te
 
 def _random(scene: Any) -> bool:
     """Return whether a scene's results depend on the random seed."""
-    return getattr(scene, "fill", None) is not None or getattr(scene, "aggregates", None) is not None
+    parts = (getattr(scene, name, None) for name in ("fill", "aggregates", "aggregate_fraction"))
+    return any(part is not None for part in parts)
 
 
 def _measure(trade: Trade, tell: Tell) -> None:
