@@ -112,6 +112,12 @@ PLANS = {
     "funnel-dem": grains("funnel-dem", {}),
     "jring-dem": grains("jring-dem", {}),
 }  # fmt: skip
+WHOLE = {
+    "channel": ("channel", {}, 150),
+    "tube": ("tube", {}, 300),
+    "two-phases": ("channel", {"aggregates": True, "duration": 0.1}, 200),
+}
+"""Scene, parameters and budget [s] of trades whose runs are so short that they are made one at a time on a CPU."""
 
 
 def trade_of(plan: Plan, folder: Path, device: str = "cpu", threads: int = 2, provenance: Any = None) -> Trade:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
-from trade_plans import PLANS, jobs_of, trade_of
+from trade_plans import PLANS, WHOLE, jobs_of, trade_of
 
 THREADS = 2
 """Number of threads of a run on a CPU."""
@@ -79,11 +79,23 @@ def work(mine: list[int], device: str, deadline: float, tiny: bool, queue: Any, 
             return
         begun = time.time()
         try:
-            failed = run_group(group, device, deadline, tiny, warm)
+            failed = run_whole(*group) if isinstance(group, tuple) else run_group(group, device, deadline, tiny, warm)
         except Exception as error:
             failed = {"group": f"{type(error).__name__}: {error}"}
-        names = {Path(job.folder).parts[-3] for job in group}
-        told.put((device, f"{len(group)} of {', '.join(sorted(names))}", begun, time.time(), failed))
+        whole = isinstance(group, tuple)
+        names = group[:1] if whole else sorted({Path(job.folder).parts[-3] for job in group})
+        told.put((device, f"{1 if whole else len(group)} of {', '.join(names)}", begun, time.time(), failed))
+
+
+def run_whole(name: str, out: Path, tiny: bool) -> dict[str, str]:
+    """Make a trade with one run at a time on this process' cores; return nothing."""
+    from warpcrete.scenes import modules
+    from warpcrete.studies.tradeoffs.trade import run_trade
+
+    scene, parameters, budget = WHOLE[name]
+    run_trade(scene, modules()[scene], base=parameters, device="cpu", threads=THREADS, budget=10 if tiny else budget,
+              out=out / "whole" / name)  # fmt: skip
+    return {}
 
 
 def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: set) -> dict[str, str]:
@@ -132,7 +144,7 @@ def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: 
 
 def groups_of(jobs: list[Job]) -> tuple[list, list, list]:
     """Return the groups of jobs for the CPU, for flows on the GPU and for discrete elements on the GPU, in order."""
-    alone = [[job] for job in sorted((j for j in jobs if j.timed), key=lambda job: job.level)]
+    alone: list = [[job] for job in sorted((j for j in jobs if j.timed), key=lambda job: job.level)]
     flows: list[list[Job]] = []
     by_method: dict = {}
     for job in sorted((j for j in jobs if not j.timed and not j.elements), key=lambda job: job.level):
@@ -189,6 +201,7 @@ def write_records(out: Path, seconds: float) -> None:
 
 def found(out: Path) -> Iterator[Path]:
     """Yield the files of all results."""
+    yield from (out / "whole").glob("*/trade.json")
     for kind in ("gpu", "cpu"):
         for name in ("result.json", "failed.txt"):
             yield from (out / kind).glob(f"*/runs/*/{name}")
@@ -198,17 +211,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=400.0, help="wall time until all runs are ended")
-    parser.add_argument("--only", nargs="*", choices=list(PLANS))
+    parser.add_argument("--only", nargs="*", choices=[*PLANS, *WHOLE])
     parser.add_argument("--cpu", action="store_true", help="run on the CPU alone, one process")
     parser.add_argument("--tiny", action="store_true", help="few runs, each a fiftieth of its time")
     given = parser.parse_args()
     started = time.time()
     deadline = started + given.seconds - 15
-    names = list(given.only or PLANS)
-    jobs = all_jobs(names, given.out)
+    names = list(given.only or [*PLANS, *WHOLE])
+    jobs = all_jobs([name for name in names if name in PLANS], given.out)
     if given.tiny:
         jobs = [job for job in jobs if job.folder in few_of(jobs)]
     alone, flows, elements = groups_of(jobs)
+    alone = [(name, given.out, given.tiny) for name in names if name in WHOLE] + alone
     pairs, host = core_sets()
     gpu = "cpu" if given.cpu else "cuda"
     print(f"CPU: {len(alone)} runs on {len(pairs)} x {THREADS} cores {pairs}")
