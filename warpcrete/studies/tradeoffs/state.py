@@ -22,7 +22,7 @@ from ...record.recorders import recorders_of
 from ..cases import Case, name_part, short_name
 from ..cluster import Cluster, WorkerLost
 from ..running import FAILED, previous_outcome
-from .fronts import Error, difference, prediction_bound
+from .fronts import Error, difference, distance_to_limit, prediction_bound
 from .points import CARRIED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
 from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
@@ -428,10 +428,40 @@ class Trade:
             found.append(0.0 if error.within_scatter else error.size)
         return max(found)
 
+    @property
+    def reference_errors(self) -> dict[str, float]:
+        """Estimated relative error of the reference setting's own results, by the name of the quantity.
+
+        The estimate extrapolates the results of all measured widths of cells, or distances of particles, to the width
+        0. It is empty without a reference or without such an accuracy parameter.
+        """
+        knobs = [knob for knob in self.knobs if knob.resolution]
+        if self.reference is None or not knobs:
+            return {}
+        found = {}
+        for each in self.quantities:
+            reference = self.reference.values(each.name, self.seeds)
+            errors = [distance_to_limit(*self._converging(knob, each.name), float(np.mean(reference)))
+                      for knob in knobs if reference]  # fmt: skip
+            found[each.name] = max(errors, default=math.inf)
+        return found
+
+    def _converging(self, knob: Knob, quantity: str) -> tuple[list[float], list[float]]:
+        """Return the values of a knob at its measured levels, and the mean result of a quantity at each of them."""
+        widths, means = [], []
+        for number, level in enumerate(knob.levels):
+            point = self._alone(knob, number)
+            if point is not None and self.complete(point, self.seeds):
+                (width,), values = level.changes.values(), point.values(quantity, self.seeds)
+                if values:
+                    widths.append(float(str(width)))
+                    means.append(float(np.mean(values)))
+        return widths, means
+
     def promised(self, point: Setting) -> float:
         """Return an upper bound for the error of a setting.
 
-        The bound is the larger of two values. The first is the measured error with its confidence interval. The second
+        The bound is the reference's own error plus the larger of two values. The first is the measured error with its confidence interval. The second
         is the sum of the errors that each changed knob (accuracy parameter) causes alone. Errors that cancel in this
         scene need not cancel in another one.
         """
@@ -439,17 +469,17 @@ class Trade:
             return math.inf
         by_name = {knob.name: knob for knob in self.knobs}
         alone = sum(self.shift(by_name[name], k) for name, k in point.levels.items())
-        return max(point.worst.bound, alone)
+        return max(point.worst.bound, alone) + max(self.reference_errors.values(), default=0.0)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
         """Return a bound for the errors of a setting in another scene, estimated from those in `variants` of the scene.
 
         The estimate assumes that the other scene differs from the original one as much as the variants do. For each
         quantity, the errors in the original scene and in its variants give a 95 % prediction interval. The result is
-        the largest bound of these intervals.
+        the largest bound of these intervals, plus the reference's own error.
         """
         found = []
         for each in self.quantities:
             errors = [e for p in (point, *variants) for e in self.errors_of(p, self.seeds) if e.quantity == each.name]
             found.append(prediction_bound([e.shift for e in errors]))
-        return max(found)
+        return max(found) + max(self.reference_errors.values(), default=0.0)

@@ -279,6 +279,14 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     _find_promises(trade, tell)
 
 
+def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
+    """Judge the runs of `settings` that exist already, and find the promises that they allow, without further runs."""
+    trade.budget = 0.0
+    trade.run_all(settings, trade.seeds, lambda phase, fraction, figures: None)
+    trade.judge()
+    _find_promises(trade, lambda phase, fraction, figures: None)
+
+
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
     """Change one accuracy parameter at a time, and run the scene with each of its possible values.
 
