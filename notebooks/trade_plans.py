@@ -63,6 +63,7 @@ SINGLE_GRAINS = (
 )  # fmt: skip
 FINE = {"time step": "x 0.5", "precision": "float64"}
 NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
+HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
 FRESH_PIPES = {"velocity 0.6 m/s": {"velocity": 0.6}, "sizes 8 to 16 mm": {"size_min": 8e-3, "size_max": 16e-3}}
 
 
@@ -105,6 +106,11 @@ PLANS = {
     "pipe-vertical": pipe({}, FRESH_PIPES),
     "pipe-bend": pipe({"unit": "D"}, FRESH_PIPES),
     "pipe-narrow": pipe(NARROW, {"friction 0.15": {"friction": 0.15}}),
+    "pipe-narrow-bend": pipe(NARROW | {"unit": "D", "elbow_radius": 0.3}, {"friction 0.15": {"friction": 0.15}}),
+    "pipe-hydrated": Plan("pipe", FINE, (
+        {"coarse-graining": "x 2", "hydrated stiffness": "x 0.01", "settling": "x 0.2"},
+        {"hydrated stiffness": "x 0.01", "coarse-graining": "x 1.5"}, {"hydrated stiffness": "x 0.01"},
+        {"hydrated stiffness": "x 0.1"}), HYDRATED, (FASTER, *SINGLE), {"velocity 0.6 m/s": {"velocity": 0.6}}, 3, True),
     "part-dem": Plan("part-dem", FINE, ELEMENTS, {}, SINGLE, {
         "1.5 times the flow": {"flow": 2.25e-3}, "friction 0.1": {"friction": 0.1}}, 3, True),
     "slump-dem": grains("slump-dem", {}),

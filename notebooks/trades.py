@@ -29,13 +29,7 @@ from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
 PAGES = [HERE / "performance" / name for name in ("trades.md", "trades-more.md", "trades-vessels.md")]
-NARROW_BEND = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3, "unit": "D", "elbow_radius": 0.3}
-HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
-TRADES = {
-    "pipe-hydrated": ("pipe", HYDRATED, "cuda", 110),
-    "pipe-narrow-bend": ("pipe", NARROW_BEND, "cpu", 2100),
-    **{name: (*trade[:2], "cpu", trade[2]) for name, trade in WHOLE.items()},
-}
+TRADES = {name: (*trade[:2], "cpu", trade[2]) for name, trade in WHOLE.items()}
 """Scene, parameters, device and budget [s] of trades that make one run at a time."""
 
 
