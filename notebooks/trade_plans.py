@@ -64,6 +64,7 @@ SINGLE_GRAINS = (
 FINE = {"time step": "x 0.5", "precision": "float64"}
 NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
 HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
+ROLLING = {"rolling friction 0.15": {"rolling_friction": 0.15}}
 FRESH_PIPES = {"velocity 0.6 m/s": {"velocity": 0.6}, "sizes 8 to 16 mm": {"size_min": 8e-3, "size_max": 16e-3}}
 
 
@@ -110,13 +111,15 @@ PLANS = {
     "pipe-hydrated": Plan("pipe", FINE, (
         {"coarse-graining": "x 2", "hydrated stiffness": "x 0.01", "settling": "x 0.2"},
         {"hydrated stiffness": "x 0.01", "coarse-graining": "x 1.5"}, {"hydrated stiffness": "x 0.01"},
-        {"hydrated stiffness": "x 0.1"}), HYDRATED, (FASTER, *SINGLE), {"velocity 0.6 m/s": {"velocity": 0.6}}, 3, True),
+        {"hydrated stiffness": "x 0.1"}), HYDRATED, (FASTER, *SINGLE),
+        {"velocity 0.6 m/s": {"velocity": 0.6}}, 3, True),
     "part-dem": Plan("part-dem", FINE, ELEMENTS, {}, SINGLE, {
         "1.5 times the flow": {"flow": 2.25e-3}, "friction 0.1": {"friction": 0.1}}, 3, True),
-    "slump-dem": grains("slump-dem", {}),
-    "lbox-dem": grains("lbox-dem", {}),
+    "slump-dem": grains("slump-dem", ROLLING),
+    "lbox-dem": grains("lbox-dem", ROLLING),
     "funnel-dem": grains("funnel-dem", {}),
-    "jring-dem": grains("jring-dem", {}),
+    "jring-dem": grains("jring-dem", ROLLING),
+    "lcpc-dem": grains("lcpc-dem", ROLLING),
 }  # fmt: skip
 WHOLE = {
     "channel": ("channel", {}, 150),

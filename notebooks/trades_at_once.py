@@ -38,7 +38,7 @@ Progress = Callable[[str, float, dict], None]
 class Job:
     """One run: parameters of a scene, and the folder of its result."""
 
-    module: str
+    scene: str
     parameters: dict
     folder: str
     timed: bool
@@ -58,8 +58,7 @@ def all_jobs(names: list[str], out: Path) -> list[Job]:
             trade = trade_of(plan, folder)
             for point, seed, level in jobs_of(plan, trade, timed):
                 made = trade.folder_of(point, seed)
-                jobs.append(Job(trade.module.__name__, trade.parameters_of(point, seed), str(made), timed, level,
-                                plan.elements))  # fmt: skip
+                jobs.append(Job(plan.scene, trade.parameters_of(point, seed), str(made), timed, level, plan.elements))
     return jobs
 
 
@@ -98,10 +97,9 @@ def run_whole(name: str, out: Path, tiny: bool) -> dict[str, str]:
 
 def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: set) -> dict[str, str]:
     """Run jobs of one method together; return the errors of those that failed, by folder."""
-    import importlib
-
     from warpcrete.methods import Simulation, method_of
     from warpcrete.record.recorders import recorders_of
+    from warpcrete.scenes import modules
     from warpcrete.studies.tradeoffs.trials import warm_up
 
     simulations, ran, failed = [], [], {}
@@ -115,11 +113,11 @@ def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: 
         return stop_in_time
 
     for job in group:
-        module = importlib.import_module(job.module)
+        module = modules()[job.scene]
         try:
             scene = module.scene(**job.parameters)
             settings = {"device": device, "precision": scene.precision, "threads": THREADS}
-            kind = (job.module, scene.precision)
+            kind = (job.scene, scene.precision)
             if job.timed and kind not in warm:
                 warm_up(Simulation(scene, **settings))
                 warm.add(kind)
@@ -154,7 +152,7 @@ def groups_of(jobs: list[Job]) -> tuple[list, list, list]:
         group.append(job)
     elements: dict = {}
     for job in sorted((j for j in jobs if not j.timed and j.elements), key=lambda job: job.level):
-        elements.setdefault((job.module, Path(job.folder).parts[-3]), []).append(job)
+        elements.setdefault(Path(job.folder).parts[-3], []).append(job)
     return alone, flows, list(elements.values())
 
 
@@ -168,8 +166,7 @@ def few_of(jobs: list[Job]) -> set[str]:
 
 def method_name(job: Job) -> str:
     """Return a word that is the same for scenes that one call can run together."""
-    last = job.module.rsplit(".", 1)[-1]
-    return last if last in ("part", "stretch") else "vessels"
+    return job.scene if job.scene in ("part", "stretch") else "vessels"
 
 
 def core_sets() -> tuple[list[list[int]], list[int]]:
