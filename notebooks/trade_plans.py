@@ -81,7 +81,7 @@ def grains(scene: str, fresh: Mapping[str, Mapping[str, Any]]) -> Plan:
 PLANS = {
     "slump": vessel("slump", ("x 1.6", "x 1.25"), factors=("x 10", "x 3"), fresh={
         "concrete no3": {"concrete": "no3"},
-        "a mould of 0.8 the size": {"top_diameter": 0.08, "base_diameter": 0.16, "mould_height": 0.24}}),
+        "a mould of 1.2 the size": {"top_diameter": 0.12, "base_diameter": 0.24, "mould_height": 0.36}}),
     "lbox": vessel("lbox", ("x 1.4", "x 1.2"), fresh={
         "20 Pa s and 60 Pa": {"viscosity": 20.0, "yield_stress": 60.0},
         "a column of 0.5 m": {"column_height": 0.5}}),
