@@ -29,6 +29,8 @@ SHRINK = 0.95
 """Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
 volume fraction that fits."""
 
+Draw = Callable[[np.random.Generator, int], np.ndarray]
+"""Function that returns a number of random points, shape (n, 3) [m]."""
 Distance = Callable[[np.ndarray], np.ndarray]
 """Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
 
@@ -49,25 +51,27 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
             found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
         return found
 
-    return aggregates_within(scene, layout, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
+    volume = float(np.sum(layout.mass)) * layout.volume
+    return aggregates_within(scene, volume, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
 
 
 def aggregates_within(
-    scene: SphereFields, layout: GridLayout, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
-    periodic: bool = False,
+    scene: SphereFields, volume: float, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> Aggregates:  # fmt: skip
     """Return randomly placed spheres between the corners `low` and `high` of a box [m], as `random_places` does.
 
+    `volume` is the volume of the concrete [m3], of which the spheres fill the fraction that the scene states.
     Raises :class:`warpcrete.SceneError` if not all spheres find a place.
     """
     rng = np.random.default_rng(seed)
-    radii = _radii(scene, layout, rng)
-    centres = random_places(radii, low, high, distance, rng, periodic)
+    radii = _radii(scene, volume, rng)
+    centres = random_places(radii, low, high, distance, rng, periodic, draw)
     if centres is None:
         whole, fewer = float(np.sum(radii**3)), rng.permutation(radii)
         while centres is None and len(fewer) > 1:
             fewer = fewer[: int(SHRINK * len(fewer))]
-            centres = random_places(fewer, low, high, distance, rng, periodic)
+            centres = random_places(fewer, low, high, distance, rng, periodic, draw)
         count, part = (0, 0.0) if centres is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
@@ -79,29 +83,28 @@ def aggregates_within(
 
 def random_places(
     radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator,
-    periodic: bool = False,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> np.ndarray | None:  # fmt: skip
     """Return random centres of spheres without overlaps, shape (n, 3), or None if the spheres do not fit.
 
     The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
     Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis.
+    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis. `draw`
+    draws the places at the start; None draws them evenly between the corners.
     """
     period = high[2] - low[2] if periodic else 0.0
-    centres = _start(radii, low, high, distance, rng)
+    centres = _start(radii, draw or (lambda rng, n: rng.uniform(low, high, (n, 3))), distance, rng)
     if centres is None or not _separate(centres, radii, distance, period):
         return None
     _stir(centres, radii, distance, period, rng)
     return low + np.where([False, False, periodic], (centres - low) % (period or 1.0), centres - low)
 
 
-def _start(
-    radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator
-) -> np.ndarray | None:
+def _start(radii: np.ndarray, draw: Draw, distance: Distance, rng: np.random.Generator) -> np.ndarray | None:
     """Return random centres of spheres that overlap no walls, but may overlap each other."""
     centres, left = np.zeros((len(radii), 3)), np.arange(len(radii))
     for _ in range(ITERATIONS):
-        x = rng.uniform(low, high, (len(left), 3))
+        x = draw(rng, len(left))
         free = distance(x) > (1 + CLEARANCE) * radii[left]
         centres[left[free]] = x[free]
         left = left[~free]
@@ -205,14 +208,14 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
     return i[near], origin[j[near]], d[near]
 
 
-def _radii(scene: SphereFields, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
+def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.ndarray:
     """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires."""
-    wanted = scene.aggregate_fraction * float(np.sum(layout.mass)) * layout.volume
-    radii, volume = [], 0.0
+    wanted = scene.aggregate_fraction * volume
+    radii, filled = [], 0.0
     while True:
         radius = 0.5 * rng.uniform(*scene.aggregate_diameters)
         own = 4 / 3 * np.pi * radius**3
-        if volume + 0.5 * own > wanted and radii:
+        if filled + 0.5 * own > wanted and radii:
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
-        volume += own
+        filled += own
