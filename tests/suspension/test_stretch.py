@@ -177,6 +177,7 @@ def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
         ),
         ({"viscosity": 1e-3}, "gradient = 20000.0: makes the concrete flow at 4e+03 m/s"),
         ({"slip_thickness": 0.002}, "slip_thickness = 0.002: must be 0"),
+        ({"slip_thickness": 0.001, "concrete": "no1"}, "slip_thickness = 0.001: must be 0"),
     ],
 )
 def test_what_a_stretch_refuses(given, words):
