@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -129,7 +129,7 @@ def _check_aggregates(given: SlumpParameters) -> None:
     if given.aggregate_largest > MAX_PART * top:
         refuse("aggregate_largest", given.aggregate_largest,
                f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
-               f"use {MAX_PART * top:.2g} m or less")  # fmt: skip
+               f"use {at_most(MAX_PART * top, 2)} m or less")  # fmt: skip
     if given.lift_time and given.precision == "float32":
         refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
                                              "then hardly deforms, and the solve does not converge",

@@ -57,12 +57,12 @@ def scene(parameters: StretchParameters) -> StretchScene:
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
-    concrete = given.make_concrete(given.surfaces == "slips")
-    if given.surfaces == "sticks":
-        concrete = replace(concrete, **NO_LAYER)
     if given.slip_thickness:
         refuse("slip_thickness", given.slip_thickness, "must be 0, because the cells represent the whole pipe",
                "reduce 'diameter' by twice the thickness instead")  # fmt: skip
+    concrete = given.make_concrete(given.surfaces == "slips")
+    if given.surfaces == "sticks":
+        concrete = replace(concrete, **NO_LAYER)
     stretch = StretchScene(
         name="stretch",
         concrete=concrete,

@@ -56,6 +56,9 @@ def test_the_largest_stone_alone_suffices(tmp_path):
     for name in ("stone", "largest_stone"):
         with pytest.raises(SceneError, match=rf"mix key = '{name}': is the entry 'sizes' of a mix; write 'sizes: 20 m"):
             mix_of(SPREADING | {name: "20 mm"})
+    for value in (None, {"a": 1}, [5, 20], "coarse"):
+        with pytest.raises(SceneError, match=r"is the entry 'sizes' of a mix; write 'sizes: 20 mm'"):
+            mix_of({"density": 2350, "stone": value})
 
 
 def test_the_sieve_curve_that_a_warning_suggests_is_accepted(tmp_path):

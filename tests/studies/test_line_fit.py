@@ -280,6 +280,16 @@ def test_the_weights_of_a_fit_and_of_earlier_knowledge_follow_from_their_bands()
     assert "known before has a weight of 50 %" in "\n".join(fit_lines(both, flat))
 
 
+def test_a_slip_yield_that_earlier_knowledge_changes_does_not_count_as_kept():
+    points = taps(noise=1e5, flows=(30,), parts=(0, 1, 3))
+    alone, both = (fit_line(LINE, GUESS, points, prior) for prior in (None, known(GUESS, 1.2)))
+    assert alone.constants[1].value == GUESS.slip_yield and alone.constants[1].text.endswith("points, kept)")
+    assert both.prior_share > 0.1 and both.constants[1].value != pytest.approx(GUESS.slip_yield, rel=0.01)
+    assert "kept" not in both.constants[1].text and "known before" in both.constants[1].text
+    exact = fit_line(LINE, TRUE, taps(flows=(30,)), known(TRUE, 1e9))
+    assert exact.constants[1].value == pytest.approx(TRUE.slip_yield, rel=1e-6)
+
+
 def test_pressures_that_grow_along_the_line_are_refused():
     """Two gauges are mixed up; gauges at one place, or a little off, are accepted."""
     flat = line_of({"diameter": "125 mm", "parts": [{"straight": 100}]})

@@ -173,10 +173,11 @@ def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
         (
             {"yield_stress": 500.0, "surfaces": "slips", "slip_viscosity": 900.0, "slip_yield": 450.0},
             "gradient = 20000.0: is too small: mortar with a yield stress of 500 Pa and a slip layer of 450 Pa does "
-            "not flow below 2.25e+04 Pa/m; use 3.38e+04 Pa/m or more",
+            "not flow below 2.25e+04 Pa/m; use 33800 Pa/m or more",
         ),
         ({"viscosity": 1e-3}, "gradient = 20000.0: makes the concrete flow at 4e+03 m/s"),
         ({"slip_thickness": 0.002}, "slip_thickness = 0.002: must be 0"),
+        ({"slip_thickness": 0.001, "concrete": "no1"}, "slip_thickness = 0.001: must be 0"),
     ],
 )
 def test_what_a_stretch_refuses(given, words):

@@ -7,6 +7,7 @@ import math
 import sys
 import warnings
 from collections.abc import Iterable
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import NoReturn
 
 import numpy as np
@@ -112,6 +113,20 @@ def warn_in_one_line() -> None:
         shown.add(text)
 
     warnings.showwarning = show
+
+
+def at_least(value: float, digits: int = 3) -> str:
+    """Return a lower limit with few digits, rounded up, for messages: the written number satisfies the limit."""
+    return _rounded(value, digits, ROUND_CEILING)
+
+
+def at_most(value: float, digits: int = 3) -> str:
+    """Return an upper limit with few digits, rounded down, for messages: the written number satisfies the limit."""
+    return _rounded(value, digits, ROUND_FLOOR)
+
+
+def _rounded(value: float, digits: int, way: str) -> str:
+    return f"{float(Context(prec=digits, rounding=way).create_decimal(repr(float(value)))):g}"
 
 
 def refuse(field: str, value: object, allowed: str, hint: str = "") -> NoReturn:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import between, one_of, positive, refuse
+from ..core.errors import at_least, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit, warn
 from .axis import Arc, Axis, Line
@@ -243,7 +243,7 @@ class Course:
         if length < 0.5 * abs(outlet - self.diameter):
             refuse(f"part {number}, reducer: length", length, "is too short: must be at least half of the change of "
                                                               "the diameter",
-                   f"use {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
+                   f"use {at_least(0.5 * abs(outlet - self.diameter))} m or more")  # fmt: skip
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import between, one_of, positive, refuse
-from ..core.inputs.amounts import amount, is_amount
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
     MIN_AMOUNT,
@@ -199,7 +199,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     for key in given:
         with errors_located_at(given, key):
             if key in LARGEST_NAMES:
-                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {given[key]}'")
+                size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
+                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")

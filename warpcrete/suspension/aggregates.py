@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.errors import refuse
+from ..core.errors import at_most, refuse
 from ..kernels.suspension.bodies import body_structs
 from ..kernels.suspension.leaving import PARKED
 from ..kernels.suspension.pairs import CAPACITY, LOOKED_AT, pair_struct
@@ -70,7 +70,7 @@ class BodyState:
         if 2 * radius.min() < MIN_CELLS * width:
             refuse("spacing", width, f"is too coarse: the smallest aggregate, {2 * radius.min():.3g} m, must be at "
                                      f"least {MIN_CELLS:g} cells wide",
-                   f"use {2 * radius.min() / 4:.3g} m or less, or count smaller aggregates as mortar")  # fmt: skip
+                   f"use {at_most(2 * radius.min() / 4)} m or less, or count smaller aggregates as mortar")  # fmt: skip
         volume = 4 / 3 * np.pi * radius**3
         extra = (aggregates.density - density) * volume
         zero = np.zeros((count, 3))

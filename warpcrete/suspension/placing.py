@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from ..core.errors import refuse
+from ..core.errors import at_most, refuse
 from ..mps.free.layout import free_walls, section_distance
 from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
@@ -72,7 +72,8 @@ def aggregates_within(
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
             f"is too large: only {count} of {len(radii)} aggregates found a place",
-            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider box",
+            f"use {at_most(part * scene.aggregate_fraction, 2)} or less" if count
+            else "use smaller aggregates or a wider box",
         )  # fmt: skip
     return Aggregates(centres, radii, scene.aggregate_density)
 

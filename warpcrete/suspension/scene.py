@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from ..core.errors import refuse
+from ..core.errors import at_most, refuse
 from ..core.inputs.parameters import Above, Declared, Within
 from ..mps.free.scene import FreeScene
 from .aggregates import MIN_CELLS
@@ -46,7 +46,7 @@ class SphereFields:
         if smallest < MIN_CELLS * self.spacing:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {smallest:g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
-                   f"use {smallest / 4:.3g} m or less, or count aggregates of this size as mortar")  # fmt: skip
+                   f"use {at_most(smallest / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

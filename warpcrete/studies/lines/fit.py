@@ -39,6 +39,8 @@ friction factor of bends. A fit in which a constant does not exceed its limit is
 NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
 """Reasons for the value of a slip yield of zero, and of a factor of bends that was left out of a fit."""
+SCALED = "not determined by these points; what was known before of the layer changes it like the viscosity"
+"""Reason for the value of a slip yield that a fit kept, but that earlier knowledge of the slip layer then changed."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
 and friction factor of bends (index 2). Such a constant gets its default value."""
@@ -346,7 +348,8 @@ def _combined(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Con
     narrower = math.sqrt(1 - share)
     layer = [replace(each, value=factor * each.value,
                      low=factor * (each.value + narrower * (each.low - each.value)),
-                     high=factor * (each.value + narrower * (each.high - each.value)))
+                     high=factor * (each.value + narrower * (each.high - each.value)),
+                     reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
              for each in fit.constants[:2]]  # fmt: skip
     constants = (*layer, *fit.constants[2:])
     bends = constants[2] if len(constants) > 2 else None

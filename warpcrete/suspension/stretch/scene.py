@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
-from ...core.errors import positive, refuse
+from ...core.errors import at_least, at_most, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...mps.common.settings import MaximumIterations, PressureTolerance
 from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, least_stress, velocity
@@ -90,13 +90,13 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         if self.length < MIN_LENGTH * largest:
             refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
                                           "because the ends of the stretch are connected",
-                   f"use {MIN_LENGTH * largest:.3g} m or more")  # fmt: skip
+                   f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
         if largest > self.radius:
             refuse("aggregate_largest", largest, f"must be at most the radius of the pipe, {self.radius:g} m",
                    "use smaller aggregates or a wider pipe")  # fmt: skip
         if 2 * self.radius < MIN_ACROSS * self.spacing:
             refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the pipe",
-                   f"use {2 * self.radius / MIN_ACROSS:.3g} m or less")  # fmt: skip
+                   f"use {at_most(2 * self.radius / MIN_ACROSS)} m or less")  # fmt: skip
         stress, words = self.concrete.yield_stress, f"a yield stress of {self.concrete.yield_stress:g} Pa"
         if self.slips:
             stress = least_stress(self.concrete, self.line)
@@ -104,7 +104,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         least = 2 * stress / self.radius
         if self.gradient <= least:
             refuse("gradient", self.gradient, f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m",
-                   f"use {1.5 * least:.3g} Pa/m or more")  # fmt: skip
+                   f"use {at_least(1.5 * least)} Pa/m or more")  # fmt: skip
 
     @cached_property
     def mortar_alone(self) -> Steady:
