@@ -88,7 +88,7 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
         part: wp.int32,
         room: wp.vec2i,
         boxes: wp.array2d(dtype=t.vec3),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,

@@ -16,7 +16,7 @@ def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
 
     ``index_spheres`` and ``index_bodies`` store the current array index for each permanent number of a sphere or body.
     After a list rebuild, ``locate_pairs`` and ``locate_bodies`` use these indices to find the stiff pairs and their
-    bodies, and copy their data to `Subcycled`.
+    bodies. They copy the data of these pairs and bodies to the struct `Subcycled`.
     """
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs

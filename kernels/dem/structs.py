@@ -17,7 +17,7 @@ import warp as wp
 from ..common.types import types
 from ..common.walls import wall_struct
 
-# Columns of the double-precision array `clock`, which has one row per scene.
+# The next constants are columns of the double-precision array `clock`, which has one row per scene.
 TIME: int = wp.constant(0)  # column with the simulated time [s]
 DT: int = wp.constant(1)  # column with the coming time step [s]
 # DT_PREVIOUS is the column with the previous time step [s]. It is 0 at the start, so that the first velocity kick has
@@ -110,7 +110,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # Parameters of each scene, and the indices at which the data of the scene begin in arrays that all scenes
         # share, shape (scenes,).
         row: wp.array(dtype=SceneRow)
-        # columns TIME to STABLE: simulated time, time step and others, shape (scenes, CLOCK)
+        # Simulated time [s], time step [s] and other numbers of each scene, shape (scenes, CLOCK). Constants of this
+        # module, such as TIME and DT, are the indices of the columns.
         clock: wp.array2d(dtype=wp.float64)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
         # mean velocity of each scene's spheres when its neighbour lists were built [m/s]
@@ -120,7 +121,8 @@ def array_structs(scalar) -> SimpleNamespace:
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
         scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch
-        shape: wp.array(dtype=wp.int32)  # index of each body's shape in the state's table of clump templates
+        # index of each body's shape in the table of clump templates, which is part of the state
+        shape: wp.array(dtype=wp.int32)
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
         mass: wp.array(dtype=scalar)  # mass of each body [kg]

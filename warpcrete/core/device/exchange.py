@@ -103,7 +103,7 @@ class LaunchAndRead:
 
 
 class Exchange:
-    """Access of the host to arrays of one device; on a GPU by asynchronous copies, on a CPU directly."""
+    """Access of the host to arrays of one device: by asynchronous copies to and from a GPU, directly on a CPU."""
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device
