@@ -244,8 +244,10 @@ def _gradient_words(name: str):
 
 
 def _middle_words(run: Run) -> str:
-    loss, ratio = number(run.result["middle_loss"]) / 1e3, run.result["middle_ratio"]
-    return f"{loss:.3g} kPa, {ratio:.2f} times the loss of an equally long straight pipe next to it"
+    loss = f"{number(run.result['middle_loss']) / 1e3:.3g} kPa"
+    if "middle_ratio" not in run.result:  # The wall did not brake the concrete in the straight pipes on both sides.
+        return loss
+    return f"{loss}, {run.result['middle_ratio']:.2f} times the loss of an equally long straight pipe next to it"
 
 
 def no_plateau(run: Run) -> str:
