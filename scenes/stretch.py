@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
@@ -61,7 +63,7 @@ def scene(parameters: StretchParameters) -> StretchScene:
     if given.slip_thickness:
         refuse("slip_thickness", given.slip_thickness, "must be 0, because the cells represent the whole pipe",
                "reduce 'diameter' by twice the thickness instead")  # fmt: skip
-    return StretchScene(
+    stretch = StretchScene(
         name="stretch",
         concrete=concrete,
         radius=given.diameter / 2,
@@ -73,6 +75,8 @@ def scene(parameters: StretchParameters) -> StretchScene:
         **given.aggregates(),
         **{f.name: getattr(given, f.name) for f in fields(StretchSettings)},
     )
+    check_velocity("gradient", given.gradient, stretch.mortar_alone.flow / (math.pi * stretch.radius**2))
+    return stretch
 
 
 check = check_stretch

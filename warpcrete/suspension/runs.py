@@ -44,7 +44,7 @@ class AggregateRun(FlowRun):
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(
                 f"t = {row['time']:.6g} s: two aggregates, or an aggregate and a wall, overlap by "
-                f"{-row['smallest_gap']:.2g} of a radius; use a smaller 'time_step'"
+                f"{-row['smallest_gap']:.2g} of a radius; {self.cure}"
             )
 
     @property

@@ -15,7 +15,7 @@ from ...core.drawing.html import Parametrised
 from ...core.errors import positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...mps.common.settings import MaximumIterations, PressureTolerance
-from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, velocity
+from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, least_stress, velocity
 from ..scene import SphereFields
 
 MIN_LENGTH = 3.0
@@ -97,10 +97,13 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         if 2 * self.radius < MIN_ACROSS * self.spacing:
             refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the pipe",
                    f"use {2 * self.radius / MIN_ACROSS:.3g} m or less")  # fmt: skip
-        least = 2 * max(self.concrete.yield_stress * (not self.slips), 0.0) / self.radius
+        stress, words = self.concrete.yield_stress, f"a yield stress of {self.concrete.yield_stress:g} Pa"
+        if self.slips:
+            stress = least_stress(self.concrete, self.line)
+            words += f" and a slip layer of {self.concrete.slip_yield:g} Pa"
+        least = 2 * stress / self.radius
         if self.gradient <= least:
-            refuse("gradient", self.gradient, f"is too small: mortar with a yield stress of "
-                                              f"{self.concrete.yield_stress:g} Pa does not flow below {least:.4g} Pa/m",
+            refuse("gradient", self.gradient, f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m",
                    f"use {1.5 * least:.3g} Pa/m or more")  # fmt: skip
 
     @cached_property
