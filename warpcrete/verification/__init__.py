@@ -23,6 +23,7 @@ from . import (
     stability,
     starting,
     suspensions,
+    suspensions_clumps,
     suspensions_many,
     vessels,
 )
@@ -45,6 +46,7 @@ def cases() -> list[Case]:
         vessels,
         spreading,
         suspensions,
+        suspensions_clumps,
         suspensions_many,
     )
     return [case for module in modules for case in module.CASES]
