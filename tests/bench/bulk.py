@@ -152,7 +152,7 @@ class Drum:
             sides = self.radius, self.half - 0.6 * size
             box = np.array([[-sides[0], sides[0]], [-sides[1], sides[1]], [low + size, self.radius]])
             found.append((name, size, lattice(count, size, box, room, random)))
-            low = found[-1][2][:, 2].max()
+            low = found[-1][2][:, 2].max() + 0.5 * size
         return found
 
     def scene(self, spheres: list[tuple[str, float, np.ndarray]], duration: float, step: float | None = None) -> Scene:
