@@ -126,7 +126,10 @@ def surface_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
-    """Return the kernels that count and store the faces within reach (radius plus mesh skin) of each sphere."""
+    """Return the kernels that count and store the faces near each sphere, which it may touch before the next search.
+
+    A face is near if its distance from the sphere's surface is at most the mesh skin, the margin of these lists.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Candidates, Walls = structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls
@@ -174,7 +177,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
                             candidates.face[place + found] = face - scenes.row[s].faces
                         found += 1
             if wp.static(fill):
-                candidates.chosen[i] = t.vec4()  # Invalidate the near candidates of the previous list.
+                candidates.chosen[i] = t.vec4()  # Make the next step choose this sphere's near faces anew.
             else:
                 count[i + s] = found
 

@@ -122,7 +122,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
     @wp.func
     def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, first_load: wp.int32, k: wp.int32):
-        """Copy the bond, bond forces and contact history of a stiff pair back to its entry of the neighbour list."""
+        """Copy bond, bond force and contact history of a stiffly bonded pair back to its entry in the pair list."""
         if pairs.bond[k] > 0:
             pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
         if subcycled.held.bond[p] <= 0:

@@ -273,7 +273,7 @@ class Launcher:
         return [Stage(kernel, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Discard all graphs, because their arrays or the division of the work among the threads have changed."""
+        """Discard all launch graphs, because their arrays or the division of work among the threads have changed."""
         self._graphs.clear()
         self._periodic_launch = None
 
@@ -390,9 +390,10 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch stages on a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
+    """Launch stages (kernel launches) while a GPU's launch graph is captured; some of them run on a side stream.
 
-    The main stream waits for the side stream before each stage with `joins_side_stream`, and after the last stage.
+    These are the stages with `on_side_stream`. The main stream waits for the side stream before each stage with
+    `joins_side_stream`, and after the last stage.
     """
     main, side, apart = device.stream, None, False
     for stage in stages:

@@ -15,7 +15,7 @@ SECOND: RGB = (70, 110, 175)
 THIRD: RGB = (60, 140, 100)
 """Colour of a third simulated quantity in the same plot."""
 THEORY: RGB = (130, 130, 130)
-"""Colour of values by closed-form theory."""
+"""Colour of values that a closed-form solution predicts."""
 MEASURED: RGB = (20, 20, 20)
 """Colour of measured or published values."""
 BEND: RGB = (247, 214, 165)

@@ -1,4 +1,4 @@
-"""Run loop that all simulation methods share: samples, frames, checkpoints, interruptions and recorders.
+"""Run loop that all simulation methods share: it steps the state, measures, records, saves and handles interruptions.
 
 Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
 """
