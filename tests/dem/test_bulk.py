@@ -37,11 +37,12 @@ def test_spheres_do_not_overlap_before_they_are_poured(process):
 
 def test_the_files_of_the_benchmark_are_read(tmp_path):
     file = tmp_path / "25KParticles.txt"
-    file.write_text("Radius[m]\tPosX[m] PosY[m] PosZ[m]\n 0.001 -0.039 0.008 -0.08\n\n 0.002 0 0 1\n 0.01 0 0 0.06\n")
+    file.write_text("Radius[m]\tPosX[m] PosY[m] PosZ[m]\n 0.001 -0.039 0.008 -0.08\n\n 0.002 0 0 1\n 0.01 0 0 0.06\n",
+                    encoding="utf-8")  # fmt: skip
     (small, large) = read(file, Drum())
     assert small[:2] == ("M1", 0.002) and large[:2] == ("M2", 0.004)
     np.testing.assert_array_equal(small[2], [[-0.039, 0.008, -0.08]])
-    file.write_text(" 0.01 0.02 0.03\n")
+    file.write_text(" 0.01 0.02 0.03\n", encoding="utf-8")
     np.testing.assert_array_equal(read(file, Silo(material="M2"))[0][2], [[0.01, 0.02, 0.03]])
 
 
