@@ -107,9 +107,10 @@ def test_factors_of_student(freedom, factor):
 @pytest.mark.parametrize(
     ("points", "says"),
     [
-        (taps()[:1], r"^fit = '1 point': must be at least 2 to determine the slip viscosity with a band, 3 at two "
-         r"flows for the slip yield, and 4 at two places for the bends; measure at more"),
-        ([Tap(0.0, 1e5, 0.01, 2)] * 4, r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
+        (taps()[:1], r"^fit = '1 different point': must be at least 2 to determine the slip viscosity with a band, 3 "
+         r"at two flows for the slip yield, and 4 at two places for the bends; measure at more"),
+        ([Tap(0.0, 1e5, 0.01 * k, 2) for k in (1, 2, 3)],
+         r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
     ],
 )  # fmt: skip
@@ -278,6 +279,15 @@ def test_the_weights_of_a_fit_and_of_earlier_knowledge_follow_from_their_bands()
     assert both.constants[0].value == pytest.approx(mean, rel=1e-4)
     assert np.log1p(both.uncertainty) == pytest.approx(np.log(wide) / np.sqrt(2), rel=1e-6)
     assert "known before has a weight of 50 %" in "\n".join(fit_lines(both, flat))
+
+
+def test_repeated_rows_count_once():
+    """Otherwise the same reading, written twice, would fit with a band of zero width."""
+    once = taps(noise=3e4, flows=(15, 45), parts=(0, 1))
+    fit, again = (fit_line(LINE, TRUE, points) for points in (once, [*once, *once]))
+    assert again == fit
+    with pytest.raises(SceneError, match="fit = '1 different point': must be at least 2"):
+        fit_line(LINE, TRUE, [once[0], replace(once[0], row=9)])
 
 
 def test_a_slip_yield_that_earlier_knowledge_changes_does_not_count_as_kept():

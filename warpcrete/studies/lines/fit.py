@@ -228,8 +228,15 @@ def fit_line(
     measurement. With it, the friction of straight pipe becomes the mean of the fitted friction and that of `concrete`,
     weighted by the inverse squares of their bands, so that the band of a fit is narrower than both.
 
+    Points with the same place, flow and pressure count once, because a repeated row makes the band narrower without a
+    further measurement.
+
     Raises :class:`SceneError` for too few measured points or an impossible result.
     """
+    different: dict[tuple[float, float, float], Tap] = {}
+    for tap in taps:
+        different.setdefault((tap.place, tap.flow, tap.pressure), tap)
+    taps = tuple(different.values())
     _check_pressures(line, concrete, taps)
     fit = None
     if any(_is_free(part) for part in line.parts):
@@ -250,7 +257,7 @@ def _is_better_than_published(factor: FittedConstant) -> bool:
 def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
     """Refuse pressures that are too few, below the weight of the concrete, or that grow along the line."""
     if len(taps) < 2:
-        counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
+        counted = f"{len(taps)} different point{'s' if len(taps) != 1 else ''}"
         refuse(
             "fit",
             counted,
