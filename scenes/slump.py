@@ -126,8 +126,8 @@ def lifted_mould(
 def _check_aggregates(given: SlumpParameters) -> None:
     """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
     top = given.top_diameter / 2
-    if given.aggregate_largest > MAX_PART * top:
-        refuse("aggregate_largest", given.aggregate_largest,
+    if given.coarsest > MAX_PART * top:
+        refuse("aggregate_largest", given.coarsest,
                f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
                f"use {at_most(MAX_PART * top, 2)} m or less")  # fmt: skip
     if given.lift_time and given.precision == "float32":
