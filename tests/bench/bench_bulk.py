@@ -1,8 +1,10 @@
 """Three bulk processes of Dosta et al. 2024 (Computer Physics Communications 296, 109066): results and run times.
 
-    python tests/bench/bench_bulk.py --device cuda --runs impact-25k impact-50k impact-100k silo-large-M1 drum
+    python tests/bench/bench_bulk.py --device cuda --steps paper --total 75 --coordinates coordinates \\
+        --runs impact-25k impact-50k impact-100k --out impact.json
+    python tests/bench/bench_bulk.py --device cuda --total 150 --coordinates coordinates \\
+        --runs silo-large-M1:50 drum:45 silo-small-M1:30 silo-large-M2:30 --out flow.json
     python tests/bench/bench_bulk.py --device cpu --coarse 3 --runs silo-large-M1:60
-    python tests/bench/bench_bulk.py --device cuda --steps paper --coordinates FOLDER --runs impact-25k
 
 A run may have a limit of wall time in seconds after a colon. Every run pours its own bed, unless the folder
 --coordinates holds the file of the benchmark (Zenodo 10.5281/zenodo.8252892): 25KParticles.txt, PartCoordinates.txt for

@@ -5,8 +5,10 @@ import pytest
 from bulk import CONTACTS, Drum, Impact, Silo, measured, poured, read, surface
 
 WHOLE = 100_000
-RATE, TOLERANCE = 24_200.0, 0.15
-"""Discharge rate [1/s] of the silo with the large orifice and M1, by MUSEN, and the allowed error of a coarse silo."""
+RATE, TOLERANCE = 24_200.0, 0.1
+"""Discharge rate [1/s] of the silo with the large orifice and M1, by MUSEN, and the allowed error of a coarse silo.
+
+Two coarse silos came within 3 and 8 %."""
 
 
 def test_materials_and_walls_are_those_of_the_paper():
@@ -58,3 +60,16 @@ def test_a_coarse_silo_empties_as_the_published_rate_predicts(device):
     expected = RATE * ((narrow - 1.4 * size) / (narrow - 1.4 * 0.004)) ** 2.5 * (0.004 / size) ** 3
     assert left[0] == pytest.approx(1500, abs=3)
     assert rate == pytest.approx(expected, rel=TOLERANCE)
+
+
+@pytest.mark.thorough
+def test_a_ball_stops_on_the_floor_where_it_does_in_other_programs(device):
+    """The ball falls freely, and then squeezes the spheres below it against the floor, however deep the bed is."""
+    process = Impact(count=2000)
+    found = measured(process.scene(poured(process, device=device), 0.03), lambda places: places[-1, 2], device)
+    times, height = np.array(found.times), np.array(found.rows)
+    falls = times < 0.02
+    # Single precision rounds what gravity adds to the velocity in a step of microseconds by up to a per cent.
+    np.testing.assert_allclose(height[falls], 0.06 - 5 * times[falls] - 0.5 * 9.81 * times[falls] ** 2, atol=2e-5)
+    # The lowest positions of the ball in 79 runs of eight programs, with beds of 25,000 spheres, lie in this range.
+    assert -0.07893 < height.min() < -0.07803
