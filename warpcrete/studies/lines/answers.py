@@ -11,7 +11,7 @@ from ...core.units import quantity
 from ...geometry.pumps import Pump
 from ...mix.layer import PIPE_UNCERTAINTY, TRIBOMETER_RATIO
 from ...mix.mix import WEIGHING
-from ...mix.rheology import RHEOMETER
+from ...mix.rheology import RHEOMETER, RHEOMETER_OVER_HEAP
 from ...theory.bands import Band
 
 EFFICIENCY = 25 / 36
@@ -56,7 +56,7 @@ MEASUREMENTS = {
         Measurement("measure it with a tribometer", TRIBOMETER_RATIO),
     ),
     "viscosity of the bulk": (Measurement("measure it with a rheometer", (1 - RHEOMETER, 1 + RHEOMETER)),),
-    "yield stress of the bulk": (Measurement("measure it with a rheometer", (1 - RHEOMETER, 1 + RHEOMETER)),),
+    "yield stress of the bulk": (Measurement("measure it with a rheometer", (1 / RHEOMETER_OVER_HEAP, 1 + RHEOMETER)),),
     "density": (Measurement("weigh a known volume", (1 - WEIGHING, 1 + WEIGHING)),),
 }
 """Measurements that may narrow the band of a pressure, by the cause of uncertainty that they measure."""
