@@ -120,10 +120,11 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _noun(name: str) -> str:
-    """Return the word of an ingredient's name that tells what it is, usually the last known one; empty without one.
+    """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
 
-    Limestone sand is sand, silica fume is powder, and limestone that is crushed or has a grain size ("limestone 8/16")
-    is aggregate. "Type" stands for cement only if there is no other known word, as in "Type I/II".
+    The result is empty if no word is known. For example, limestone sand is sand, silica fume is powder, and limestone
+    that is crushed or has a grain size ("limestone 8/16") is aggregate. "Type" stands for cement only if there is no
+    other known word, as in "Type I/II".
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
