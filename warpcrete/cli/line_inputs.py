@@ -38,7 +38,8 @@ class LineInputs:
     name: str
     """Name or file of the concrete; if the user stated only slump or spread, a text such as "slump 180 mm"."""
     mix: Mix | None
-    """Mix of the concrete; None for a concrete without a mix."""
+    """Mix design of the concrete, such as its amounts of cement and water; None if the concrete has only flow
+    properties."""
     flow: float | None
     """Volume flow [m3/s]; None if neither the line nor an option states it."""
 

@@ -34,8 +34,8 @@ ADVICE = {
 }
 """Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""
 WORTHWHILE = 0.95
-"""Largest ratio of the width of a pressure's band after a measurement to the present width at which the measurement is
-recommended."""
+"""Limit for recommending a measurement: width of the pressure's band after the measurement, divided by its present
+width. A measurement that narrows the band less is not recommended."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Measurement:
     advice: str
     """Advice to the user to make this measurement."""
     factors: tuple[float, float]
-    """Ratios of the lower and the upper end of the band that the measurement leaves to the measured value."""
+    """Lower and upper end of the uncertainty band that remains after the measurement, each divided by the measured
+    value."""
 
 
 MEASUREMENTS = {
