@@ -104,7 +104,7 @@ def _knobs(given: FunnelParameters) -> Iterator[Knob]:
     # Put at least four cells across the V-funnel's outlet in both directions.
     coarsest = min(given.outlet_width, given.breadth) / 4
     fall = given.cone_height + given.outlet_height
-    return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
+    return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.7, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("funnel_time",), variants=free_variants)

@@ -154,7 +154,7 @@ check = check_flow(VOLUME)
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
     # The coarsest grid has at least four cells over the radius of the mould's top and over the mould's height.
     coarsest = min(given.top_diameter / 8, given.mould_height / 4)
-    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
+    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.7, 0.5), -3.0)
 
 
 trading = Trading(_knobs, quantities=("slump", "spread"), variants=free_variants)

@@ -387,7 +387,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any
 
 def _knobs(given: FlowParameters, dimensions: int) -> Iterator[Knob]:
     spacings = [f for f in (4.0, 2.0, 1.0, 0.5) if f * given.spacing <= given.diameter / MIN_PARTICLES_ACROSS]
-    yield scaled("spacing", "spacing", given.spacing, spacings, -(dimensions + 0.5), "m")
+    yield scaled("spacing", "spacing", given.spacing, spacings, -(dimensions + 0.5), "m", resolution=True)
     yield scaled("time step", "time_step", given.time_step, (4.0, 2.0, 1.0, 0.5), -0.7, "s")
     tolerances = [f for f in (30.0, 10.0, 1.0, 0.1) if f * given.tolerance <= 0.5]
     yield scaled("tolerance", "tolerance", given.tolerance, tolerances, -0.1)

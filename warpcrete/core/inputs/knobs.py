@@ -43,6 +43,9 @@ class Knob:
     chosen: bool = True
     """True if the program may change this accuracy parameter (knob) in the settings that it recommends. If False, its
     effect is only measured."""
+    resolution: bool = False
+    """True if this accuracy parameter (knob) is a width of cells or a distance of particles. Results then approach a
+    limit as it becomes smaller."""
 
     def level_of(self, key: str) -> Level | None:
         """Return the setting (level) of this accuracy parameter (knob) with the key `key`, or None if it is missing."""
@@ -51,7 +54,7 @@ class Knob:
 
 def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
-    physical: bool = False,
+    physical: bool = False, resolution: bool = False,
 ) -> Knob:  # fmt: skip
     """Return a knob that changes one number, the parameter `parameter` of a scene.
 
@@ -60,7 +63,7 @@ def scaled(
     its factor to the power of `power`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
-    return Knob(name, tuple(levels), physical)
+    return Knob(name, tuple(levels), physical, resolution=resolution)
 
 
 def precisions() -> Knob:
