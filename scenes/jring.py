@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_least, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -100,10 +100,10 @@ def scene(parameters: RingParameters) -> FreeScene:
     if given.bars % 4:
         refuse("bars", given.bars, "must be a multiple of 4, because a quarter of the ring is simulated",
                f"use {4 * max(1, round(given.bars / 4))}")  # fmt: skip
-    mould = max(given.base_diameter, given.top_diameter)
-    if given.ring_diameter - given.bar_diameter < mould:
+    narrowest = max(given.base_diameter, given.top_diameter) + given.bar_diameter
+    if given.ring_diameter < narrowest:
         refuse("ring_diameter", given.ring_diameter, "is too small: the mould must fit between the bars",
-               f"use {mould + given.bar_diameter:.3g} m or more")  # fmt: skip
+               f"use {at_least(narrowest)} m or more")  # fmt: skip
     coarsest = _coarsest(given)
     if given.spacing > coarsest:
         refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm and gaps "
@@ -112,7 +112,7 @@ def scene(parameters: RingParameters) -> FreeScene:
     least = 0.5 * (given.ring_diameter + given.bar_diameter) + BESIDE + AROUND * given.spacing
     if given.plate_radius is not None and given.plate_radius < least:
         refuse("plate_radius", given.plate_radius, "is too small for the ring and the concrete around it",
-               f"use {least:.3g} m or more")  # fmt: skip
+               f"use {at_least(least)} m or more")  # fmt: skip
     # The bars begin two cells below the plate, so that no gap remains there.
     return lifted_mould(given, J_RING, (given.wall(given.bars // 4 + 1, -2 * given.spacing),), least)
 
@@ -129,7 +129,7 @@ check = check_flow(VOLUME)
 
 def _knobs(given: RingParameters) -> Iterator[Knob]:
     coarsest = min(_coarsest(given), given.top_diameter / 8, given.mould_height / 4)
-    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.3, 1.15, 1.0, 0.8, 0.5), -4.0)
+    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.3, 1.15, 1.0, 0.7, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("spread", "blocking_step"), variants=free_variants)

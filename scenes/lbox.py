@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_least, at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -84,19 +84,19 @@ def scene(parameters: BoxParameters) -> FreeScene:
         )
     if given.bars and given.spacing > given.bar_diameter / SEEN:
         refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm",
-               f"use {given.bar_diameter / SEEN:.2g} m or less, or 'bars' = 0 for a box without bars")  # fmt: skip
+               f"use {at_most(given.bar_diameter / SEEN, 2)} m or less, or 'bars' = 0 for no bars")  # fmt: skip
     if given.opening < FEWEST * given.spacing:
-        refuse("opening", given.opening, f"must be at least {FEWEST} cells high", f"use {FEWEST * given.spacing:.2g} m "
-                                                                                  "or more, "
-               "or a smaller 'spacing'")  # fmt: skip
+        refuse("opening", given.opening, f"must be at least {FEWEST} cells high",
+               f"use {at_least(FEWEST * given.spacing, 2)} m or more, or a smaller 'spacing'")  # fmt: skip
     smallest = min(given.column_width, given.width / 2)
     if given.spacing > smallest / 4:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the column and across "
                                          "half the box",
-               f"use {smallest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
     outermost = (given.bars - 1) / 2 * (GAPS[given.bars] + given.bar_diameter) + given.bar_diameter / 2
     if given.bars and outermost > given.width / 2:
-        refuse("width", given.width, f"leaves no room for {given.bars} bars", f"use {2 * outermost:.3g} m or more")
+        refuse("width", given.width, f"leaves no room for {given.bars} bars",
+               f"use {at_least(2 * outermost)} m or more")  # fmt: skip
     gate, opening, top = given.column_width, given.opening, given.column_height
     thick = THICK * given.spacing
     high = top + 3 * given.spacing
@@ -149,7 +149,7 @@ check = check_flow(VOLUME)
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
     # With coarser cells, the grid would miss the bars of the L-box or hardly resolve the opening.
     coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
-    return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
+    return free_knobs(given, given.spacing, given.column_height, coarsest, (1.4, 1.2, 1.0, 0.7, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("passing_ratio",), variants=free_variants)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -21,7 +21,7 @@ from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 from warpcrete.mps.common.settings import STEP_ERROR
 from warpcrete.mps.free.checks import check_flow
-from warpcrete.mps.free.knobs import free_knobs
+from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import ClosedForm, Outcome, Specimen, StandardTest
 from warpcrete.standards.standard_test import Sizes
@@ -142,7 +142,7 @@ def scene(parameters: LongBoxFlow) -> FreeScene:
     if given.spacing > smallest / 4:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the concrete and across "
                                          "half the box",
-               f"use {smallest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
     # Choose the cell size such that the height of the concrete is a whole number of cells, so that the cells hold its
     # full volume.
     gate, top, rows = given.column_length, given.height, round(given.height / given.spacing)
@@ -174,10 +174,10 @@ check = check_flow(VOLUME)
 
 def _knobs(given: LongBoxFlow) -> Iterator[Knob]:
     coarsest = min(given.column_length, given.height, given.width / 2) / 4
-    return free_knobs(given, given.spacing, given.height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
+    return free_knobs(given, given.spacing, given.height, coarsest, (1.6, 1.25, 1.0, 0.7, 0.5), -4.0)
 
 
-trading = Trading(_knobs, quantities=("spread_length", "h0"))
+trading = Trading(_knobs, quantities=("spread_length", "h0"), variants=free_variants)
 
 
 # The following definitions are those of the scene that simulates the LCPC box by discrete elements.
@@ -205,7 +205,7 @@ def scene_dem(parameters: LongBoxElements) -> Scene:
     if given.size_max > narrowest / 4:
         refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the concrete "
                                            "at the start",
-               f"use {narrowest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     shut = rectangle((gate, -width, -given.size_min), (0.0, 2 * width, 0.0), (0.0, 0.0, 2 * top))
     lift = Prescribed(velocity=(0.0, 0.0, top / given.lift_time))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
@@ -55,13 +57,13 @@ def scene(parameters: StretchParameters) -> StretchScene:
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
-    concrete = given.make_concrete(given.surfaces == "slips")
-    if given.surfaces == "sticks":
-        concrete = replace(concrete, **NO_LAYER)
     if given.slip_thickness:
         refuse("slip_thickness", given.slip_thickness, "must be 0, because the cells represent the whole pipe",
                "reduce 'diameter' by twice the thickness instead")  # fmt: skip
-    return StretchScene(
+    concrete = given.make_concrete(given.surfaces == "slips")
+    if given.surfaces == "sticks":
+        concrete = replace(concrete, **NO_LAYER)
+    stretch = StretchScene(
         name="stretch",
         concrete=concrete,
         radius=given.diameter / 2,
@@ -73,6 +75,8 @@ def scene(parameters: StretchParameters) -> StretchScene:
         **given.aggregates(),
         **{f.name: getattr(given, f.name) for f in fields(StretchSettings)},
     )
+    check_velocity("gradient", given.gradient, stretch.mortar_alone.flow / (math.pi * stretch.radius**2))
+    return stretch
 
 
 check = check_stretch
@@ -81,10 +85,10 @@ check = check_stretch
 def _knobs(given: StretchParameters) -> Iterator[Knob]:
     coarsest = min(given.aggregate_smallest / MIN_CELLS, given.diameter / 8)
     factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
-    yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m")
+    yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m", resolution=True)
     yield scaled("courant", "courant", given.courant, [f for f in (2.0, 1.0, 0.5) if f * given.courant <= 1], -0.8)
     yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")
     yield precisions()
 
 
-trading = Trading(_knobs, quantities=("flow", "relative_viscosity", "slip_velocity"))
+trading = Trading(_knobs, quantities=("flow",))

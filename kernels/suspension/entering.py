@@ -14,7 +14,7 @@ from ..common.control import HALTED
 from ..common.types import types
 from ..mps.grid.cells import LIQUID, NOW, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
-from .bodies import body_structs
+from .bodies import BodyKind, body_structs, shape_functions
 from .leaving import PARKED
 from .pairs import pair_struct
 
@@ -37,7 +37,7 @@ def entrance_struct(scalar):
 
 
 @functools.cache
-def entering_kernels(scalar, of: GridKind) -> SimpleNamespace:
+def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels for aggregates that enter, each with one task per aggregate unless stated otherwise.
 
     - `guide` sets position and velocity of the aggregates that are not free yet.
@@ -54,7 +54,7 @@ def entering_kernels(scalar, of: GridKind) -> SimpleNamespace:
     vec3 = types(scalar).vec3
     Grid, fields = grid_parameters_struct(scalar, 3), grid_structs(scalar, 3)
     Fields, Geometry, Cover = fields.Fields, fields.Geometry, body_structs(scalar).Cover
-    places = place_functions(scalar, of)
+    places, shape = place_functions(scalar, of), shape_functions(scalar, kind)
     Bodies, Pairs, Entrance = body_structs(scalar).Bodies, pair_struct(scalar), entrance_struct(scalar)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -91,13 +91,14 @@ def entering_kernels(scalar, of: GridKind) -> SimpleNamespace:
             cover.shared[number] = 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def ignore(flags: wp.array(dtype=wp.int32), mesh: Fields, entrance: Entrance, pairs: Pairs):
+    def ignore(flags: wp.array(dtype=wp.int32), mesh: Fields, entrance: Entrance, bodies: Bodies, pairs: Pairs):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
         if mesh.clock[NOW] < entrance.enters[b]:
-            pairs.count[b] = 0
-            pairs.smallest_gap[b] = scalar(1.0e30)
+            for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+                pairs.count[s] = 0
+                pairs.smallest_gap[s] = scalar(1.0e30)
 
     @wp.kernel(enable_backward=False, module="unique")
     def fix(flags: wp.array(dtype=wp.int32), mesh: Fields, entrance: Entrance, bodies: Bodies):

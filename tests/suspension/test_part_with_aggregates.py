@@ -223,3 +223,19 @@ def test_aggregates_and_their_images_are_drawn(device):
     assert y.min() == pytest.approx(-y.max(), abs=1e-6)
     assert len(display.surface(cut=True).vertices) < len(surface.vertices)
     assert len(np.unique(display.surface_colours(surface)[stones], axis=0)) == 1
+
+
+@pytest.mark.thorough
+def test_clumps_enter_and_leave_like_spheres(device):
+    given = {"aggregate_shapes": "shape-1.5", "aggregate_smallest": 0.03, "aggregate_largest": 0.03, "duration": 0.3}
+    simulation = begun(device, aggregate_fraction=0.15, symmetry="whole", **given)
+    flow, parts, scene = simulation.flow, simulation.flow.aggregates.parts, simulation.scene
+    first, frame = census(simulation), Frame(simulation.scene)
+    flow.take(30)
+    seen, bodies = census(simulation), flow.aggregates.bodies
+    assert seen.entered.sum() > 1 and seen.entered.sum() - seen.left.sum() == seen.free.sum() - first.free.sum()
+    centres = parts.centres(bodies.centre.numpy().astype(float), bodies.turn.numpy().astype(float))
+    free, depth = seen.free[parts.body], scene.axis.along(frame.to_scene(centres))
+    assert np.all(depth[free] > 0.98 * parts.radius[free])
+    assert np.all(bore_distance(scene)(centres[free]) > 0.97 * parts.radius[free])
+    assert abs(simulation.measured()["outflow_error"]) < 1e-3

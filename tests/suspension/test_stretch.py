@@ -151,6 +151,14 @@ def test_aggregates_and_half_of_the_mortar_are_drawn(device):
             assert len(radius) == len(values) == 8
 
 
+def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
+    """The step of a stretch follows from `courant`, and a run lasts for its whole duration."""
+    simulation = stretch("cpu")
+    with pytest.raises(warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; use a smaller 'courant'$"):
+        simulation.watch_row({"time": 1.0, "smallest_gap": -0.4})
+    assert not simulation.may_end_early
+
+
 @pytest.mark.parametrize(
     "given, words",
     [
@@ -162,7 +170,14 @@ def test_aggregates_and_half_of_the_mortar_are_drawn(device):
         ),
         ({"spacing": 0.01}, "spacing = 0.01: is too coarse"),
         ({"yield_stress": 500.0}, "gradient = 20000.0: is too small: mortar with a yield stress of 500 Pa"),
+        (
+            {"yield_stress": 500.0, "surfaces": "slips", "slip_viscosity": 900.0, "slip_yield": 450.0},
+            "gradient = 20000.0: is too small: mortar with a yield stress of 500 Pa and a slip layer of 450 Pa does "
+            "not flow below 2.25e+04 Pa/m; use 33800 Pa/m or more",
+        ),
+        ({"viscosity": 1e-3}, "gradient = 20000.0: makes the concrete flow at 4e+03 m/s"),
         ({"slip_thickness": 0.002}, "slip_thickness = 0.002: must be 0"),
+        ({"slip_thickness": 0.001, "concrete": "no1"}, "slip_thickness = 0.001: must be 0"),
     ],
 )
 def test_what_a_stretch_refuses(given, words):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import between, one_of, positive, refuse
-from ..core.inputs.amounts import amount, is_amount
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
     MIN_AMOUNT,
@@ -114,7 +114,8 @@ class MixEntries:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """True if the mix states no density, so that the density is the sum of the masses of the ingredients."""
+    """True if the mix states no density. The density is then the sum of the masses of the ingredients in a cubic
+    metre."""
     share: float | None
     """Volume fraction of coarse aggregate in the concrete; None if the mix does not state it."""
     aggregate_density: float
@@ -199,7 +200,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     for key in given:
         with errors_located_at(given, key):
             if key in LARGEST_NAMES:
-                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {given[key]}'")
+                size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
+                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")
@@ -336,7 +338,7 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], whether it is the sum of the ingredients, and the ingredients.
+    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients.
 
     The ingredients are a mapping from names to masses in a cubic metre of concrete [kg/m3]; it is empty if the mix
     lists none. `heavy` is the density of the coarse aggregate [kg/m3].

@@ -107,21 +107,21 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 @dataclass(frozen=True)
 class PairForces:
-    """Forces between aggregates, and of walls on aggregates, at the end of the last step.
+    """Forces between the spheres of aggregates, and of walls on them, at the end of the last step.
 
-    All arrays have one entry for each neighbour of an aggregate, so a pair of aggregates occurs twice.
+    All arrays have one entry for each neighbour of a sphere, so a pair of spheres occurs twice.
     """
 
     own: np.ndarray
-    """Index of the aggregate."""
+    """Index of the sphere."""
     other: np.ndarray
     """Index of its neighbour, or WALL."""
     normal: np.ndarray
-    """Unit vector from the aggregate towards the neighbour, shape (n, 3)."""
+    """Unit vector from the sphere towards the neighbour, shape (n, 3)."""
     still: np.ndarray
     """Velocity of a wall along `normal` [m/s]."""
     approach: np.ndarray
-    """Speed at which aggregate and neighbour approach each other [m/s]."""
+    """Speed at which sphere and neighbour approach each other [m/s]."""
     lubrication: np.ndarray
     """Force of lubrication that the grid does not resolve [N]; positive if it pushes both apart."""
     contact: np.ndarray
@@ -130,8 +130,8 @@ class PairForces:
 
 def pair_forces(flow: SuspensionFlow) -> PairForces:
     """Return the forces between aggregates, and of walls on aggregates, at the end of the last step."""
-    pairs = flow.aggregates.pairs
-    number, rows = pairs.count.numpy(), np.arange(flow.aggregates.count)
+    pairs, bodies = flow.aggregates.pairs, flow.aggregates.bodies
+    number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
     own = np.repeat(rows, number)
     places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
     other = pairs.other.numpy()[places]
@@ -140,7 +140,10 @@ def pair_forces(flow: SuspensionFlow) -> PairForces:
         getattr(pairs, name).numpy().astype(float)[places]
         for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
     )
-    velocity = flow.aggregates.bodies.velocity.numpy().astype(float)
+    velocity, body = bodies.velocity.numpy().astype(float), flow.aggregates.parts.body
+    if flow.aggregates.kind.clumps:
+        spin, arm = bodies.spin.numpy().astype(float), bodies.arm.numpy().astype(float)
+        velocity = velocity[body] + np.cross(spin[body], arm)
     relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
     approach = np.sum(relative * normal, 1) - still
     # Contacts that were found only after the last solve exert no force in this step.
@@ -215,17 +218,21 @@ class _Step:
 
         The implicit Euler method damps kinetic energy in a step of finite length.
         """
-        bodies = self.flow.aggregates.bodies
+        bodies, clumps = self.flow.aggregates.bodies, self.flow.aggregates.kind.clumps
         heavy, round = (a.numpy().astype(float)[:, None] for a in (bodies.extra_mass, bodies.extra_inertia))
         kinetic = damping = 0.0
-        for mass, after, before in (
-            (self.mass, self.u, self.start),
-            (heavy, self.after[0], self.before[0]),
-            (round, self.after[1], self.before[1]),
-        ):
-            change = np.where(mass != 0, after - before, 0.0)
-            kinetic += float(np.sum(mass * change * (after - 0.5 * change)))
-            damping += float(np.sum(0.5 * mass * change**2))
+        changes = [
+            np.where(self.mass != 0, self.u - self.start, 0.0),
+            *(b - a for a, b in zip(self.before, self.after, strict=True)),
+        ]
+        gains = [self.mass * changes[0], heavy * changes[1], round * changes[2]]
+        if clumps:
+            gains[2] = np.einsum("nij,nj->ni", bodies.tensor.numpy().astype(float), changes[2])
+            # The gyroscopic torque turns the angular momentum of a clump, and does no work on it.
+            kinetic -= self.dt * float(np.sum(bodies.gyration.numpy().astype(float) * self.after[1]))
+        for gain, change, after in zip(gains, changes, (self.u, *self.after), strict=True):
+            kinetic += float(np.sum(gain * (after - 0.5 * change)))
+            damping += float(np.sum(0.5 * gain * change))
         ends = [
             float(np.sum(self.mass[2] * u[2]) + np.sum(heavy[:, 0] * bodies[:, 2]))
             for u, bodies in ((self.start, self.before[0]), (self.u, self.after[0]))

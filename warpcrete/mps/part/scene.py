@@ -12,7 +12,7 @@ import numpy as np
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.drawing.style import pumping_caption
-from ...core.errors import between, positive, refuse
+from ...core.errors import at_least, at_most, between, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import Bores
@@ -164,7 +164,7 @@ class PartScene(Parametrised, PartSettings):
         if self.spacing > least / MIN_ACROSS:
             refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest "
                                             f"bore, {least:.4g} m",
-                   f"use {least / MIN_ACROSS:.3g} m or less")  # fmt: skip
+                   f"use {at_most(least / MIN_ACROSS)} m or less")  # fmt: skip
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
@@ -173,12 +173,12 @@ class PartScene(Parametrised, PartSettings):
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
-                       f"use {wanted:.3g} m or more")  # fmt: skip
+                       f"use {at_least(wanted)} m or more")  # fmt: skip
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
                                                 "passes through more than one cell per step",
-                   f"use {self.spacing / fastest:.2g} s or less")  # fmt: skip
+                   f"use {at_most(self.spacing / fastest, 2)} s or less")  # fmt: skip
         between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")
         check_interval(self)
 

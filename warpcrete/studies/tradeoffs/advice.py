@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import RunFolderError, refuse
+from ...core.errors import RunFolderError, at_least, refuse
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
@@ -75,7 +75,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a shortened trade.json record, which holds only the entries that are shipped with the package."""
-    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises", "reference_errors")
     of_points = ("setting", "origin", "time", "errors", "suspect")
     points = [{name: point[name] for name in of_points} for point in record["points"]]
     version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}
@@ -119,7 +119,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     if chosen is None:
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
                                                     "best",
-               f"use {100 * best:.2g} % or more, or continue the trade with 'warpcrete trade --resume'")  # fmt: skip
+               f"use {at_least(100 * best, 2)} % or more, or continue the trade with "
+               "'warpcrete trade --resume'")  # fmt: skip
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}

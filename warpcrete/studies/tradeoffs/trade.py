@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.device.device import default_threads, find_device
-from ...core.errors import RunFolderError, between, positive, refuse
+from ...core.errors import RunFolderError, at_least, between, positive, refuse
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.limits import check_limit
 from ...core.inputs.origin import check_files, check_named
@@ -229,7 +229,8 @@ def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Te
 
 def _random(scene: Any) -> bool:
     """Return whether a scene's results depend on the random seed."""
-    return getattr(scene, "fill", None) is not None or getattr(scene, "aggregates", None) is not None
+    parts = (getattr(scene, name, None) for name in ("fill", "aggregates", "aggregate_fraction"))
+    return any(part is not None for part in parts)
 
 
 def _measure(trade: Trade, tell: Tell) -> None:
@@ -257,7 +258,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
-            f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
+            f"one run takes {given.cost:.3g} s; give {at_least(5 * needed, 2)} s or more",
         )  # fmt: skip
     missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
     if missing:
@@ -276,6 +277,14 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     _run_combinations(trade, tell)
     trade.judge()
     _find_promises(trade, tell)
+
+
+def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
+    """Judge the runs of `settings` that exist already, and find the promises that they allow, without further runs."""
+    trade.budget = 0.0
+    trade.run_all(settings, trade.seeds, lambda phase, fraction, figures: None)
+    trade.judge()
+    _find_promises(trade, lambda phase, fraction, figures: None)
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:

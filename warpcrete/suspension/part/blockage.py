@@ -38,7 +38,7 @@ def blocked_place(scene: PartSuspensionScene, s: np.ndarray, friction: np.ndarra
 
     `friction` is the loss from the arc lengths `s` [m] to the end of the part [Pa].
     """
-    half = scene.aggregate_diameters[1] / 2
+    half = scene.diameters[1] / 2
     low, high = np.maximum(s - half, s[0]), np.minimum(s + half, s[-1])
     drop = (np.interp(low, s, friction) - np.interp(high, s, friction)) / (high - low)
     return float(s[np.argmax(drop)])

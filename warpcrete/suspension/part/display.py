@@ -33,8 +33,8 @@ class PartSuspensionDisplay(SphereDisplay, PartDisplay):
         return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
 
     def _with_aggregates(self, mortar: Surface, cut: bool) -> Surface:
-        centres = self.read("aggregates.centre").astype(float)
-        chosen = np.flatnonzero(is_inside(centres))
-        frame, signs = Frame(self._suspension), self._mirror_signs
-        places = np.concatenate([frame.to_scene(centres[chosen] * [1.0, sign, 1.0]) for sign in signs])
+        inside = is_inside(self.read("aggregates.centre").astype(float))
+        chosen = np.flatnonzero(inside[self.simulation.flow.aggregates.parts.body])
+        frame, signs, centres = Frame(self._suspension), self._mirror_signs, self.sphere_centres()[chosen]
+        places = np.concatenate([frame.to_scene(centres * [1.0, sign, 1.0]) for sign in signs])
         return self.with_spheres(mortar, places, np.tile(chosen, len(signs)), self.cut if cut else None)

@@ -6,13 +6,16 @@ together with those in the part, so that the volume fraction is the same on both
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...mps.grid.layout import GridLayout
 from ...mps.part.layout import Frame, bore_distance
-from ..aggregates import Aggregates
+from ..aggregates import Aggregates, Spheres
 from ..entrance import Entrance
-from ..placing import CLEARANCE, aggregates_within
+from ..nearby import CLEARANCE, Distance
+from ..placing import aggregates_within
 from .scene import PartSuspensionScene
 
 MARGIN_CELLS = 2
@@ -27,7 +30,7 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
     Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
     """
     velocity = np.array(layout.inflow)
-    speed, largest = float(np.linalg.norm(velocity)), scene.aggregate_diameters[1] / 2
+    speed, largest = float(np.linalg.norm(velocity)), scene.diameters[1] / 2
     behind = speed * scene.duration + 2 * (1 + CLEARANCE) * largest
     frame, axis, half = Frame(scene), scene.axis, scene.is_half
     bore, way = bore_distance(scene), frame.axes @ axis.at(0.0)[1][0]
@@ -45,27 +48,34 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
     def draw(rng: np.random.Generator, count: int) -> np.ndarray:
         s = np.interp(rng.uniform(0, volume[-1], count), volume, edges)
         middle, _, one, two = axis.frame(s)
-        away, angle = (
-            scene.bore(np.maximum(s, 0.0)) * np.sqrt(rng.uniform(0, 1, count)),
-            rng.uniform(0, 2 * np.pi, count),
-        )
+        away = scene.bore(np.maximum(s, 0.0)) * np.sqrt(rng.uniform(0, 1, count))
+        angle = rng.uniform(0, 2 * np.pi, count)
         aside = (away * np.cos(angle))[:, None] * one + (away * np.sin(angle))[:, None] * two
         x = frame.to_grid(middle + aside)
         return np.where([False, half, False], np.abs(x), x)
 
     corners = np.zeros(3)
     found = aggregates_within(scene, float(volume[-1]), distance, corners, corners, scene.seed, draw=draw)
-    # An aggregate is free as soon as it does not touch the plane any more.
-    depth = axis.along(frame.to_scene(found.centre))
-    clear = (1 + scene.roughness) * found.radius
-    enters = np.where(depth < clear, (clear - depth) / speed, 0.0)
-    appears = np.maximum((-found.radius - MARGIN_CELLS * layout.spacing - depth) / speed, 0.0)
+    enters, appears = _times(found, lambda x: axis.along(frame.to_scene(x)), speed, scene, layout)
     gravity = frame.axes @ [0.0, 0.0, -scene.gravity]
     # All aggregates start with the mean velocity of the flow at their places, so that those behind the plane do not
     # push others.
+    depth = axis.along(frame.to_scene(found.centre))
     fast = speed * (scene.radius / scene.bore(np.maximum(depth, 0.0))) ** 2
     start = fast[:, None] * (axis.at(depth)[1] @ frame.axes.T)
-    return (
-        Aggregates(found.centre, found.radius, found.density, start),
-        Entrance(velocity, np.where(enters > 0, appears, 0.0), enters, gravity),
-    )
+    return replace(found, velocity=start), Entrance(velocity, appears, enters, gravity)
+
+
+def _times(
+    aggregates: Aggregates, along: Distance, speed: float, scene: PartSuspensionScene, layout: GridLayout
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times at which aggregates have entered entirely, and from which they are partly in the box [s].
+
+    `along` gives the arc lengths of points [m], and `speed` is that of the plane [m/s]. An aggregate has entered when
+    it does not touch the plane any more.
+    """
+    parts = Spheres(aggregates)
+    depth = along(parts.centres(aggregates.centre, aggregates.turns))
+    enters = np.maximum.reduceat((1 + scene.roughness) * parts.radius - depth, parts.first[:-1]) / speed
+    appears = np.minimum.reduceat(-parts.radius - depth, parts.first[:-1]) - MARGIN_CELLS * layout.spacing
+    return np.maximum(enters, 0.0), np.maximum(appears / speed, 0.0)

@@ -23,8 +23,8 @@ def forecast(scene: PartSuspensionScene, device: Any, precision: str, threads: i
         lambda simulation: {
             "dimensions": "half of the part, in space" if scene.is_half else "in space",
             "walls": "mesh" if scene.wall is not None else "exact",
-            "aggregates": f"{simulation.flow.aggregates.count} spheres, of which "
-                          f"{int((simulation.entering > 0).sum())} enter during the run",
+            "aggregates": f"{simulation.flow.aggregates.count}, of which {int((simulation.entering > 0).sum())} enter "
+                          "during the run",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
             **law_features(scene.concrete),

@@ -64,7 +64,7 @@ class Census:
 
         Each fraction is that in a stretch of one diameter of the largest aggregate, without what lies outside the part.
         """
-        scene, wide = self.scene, self.scene.aggregate_diameters[1] / 2
+        scene, wide = self.scene, self.scene.diameters[1] / 2
         low, high = np.maximum(s - wide, 0.0), np.minimum(s + wide, scene.axis.length)
         volume = 4 / 3 * np.pi * self.radius**3
         inside = self.ahead(low, volume, self.seen) - self.ahead(high, volume, self.seen)
@@ -92,9 +92,9 @@ class Census:
 
         The force between two aggregates acts on the cross-sections between their centres.
         """
-        found, scene = pair_forces(self.flow), self.scene
+        found, scene, body = pair_forces(self.flow), self.scene, self.flow.aggregates.parts.body
         between = found.other != int(WALL)
-        own, other = found.own[between], found.other[between]
+        own, other = body[found.own[between]], body[found.other[between]]
         ends = np.sort(self.place[np.stack([own, other])], axis=0)
         middle = np.clip(ends.mean(0), 0, scene.axis.length)
         tangent = scene.axis.at(middle)[1] @ self.frame.axes.T

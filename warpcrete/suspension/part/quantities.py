@@ -12,6 +12,7 @@ from ...core.run.run_loop import Run
 from ...core.units import number
 from ...mps.part.quantities import QUANTITIES as PART_QUANTITIES
 from ...mps.part.quantities import RunData, report
+from ..quantities import aggregate_lines
 from .blockage import is_blocked
 from .scene import PartSuspensionScene
 
@@ -89,6 +90,7 @@ that of the mortar alone. Names of blockages are those of discrete elements."""
 def report_part(run: Run) -> Iterator[tuple[str, str]]:
     """Yield further lines of the report: those of a part without aggregates, and whether the part was blocked."""
     yield from report(run)
+    yield from aggregate_lines(run)
     if run.result.get("blocked"):
         at, time, pressure = (number(run.result[f"blocked_{name}"]) for name in ("at", "time", "pressure"))
         yield (

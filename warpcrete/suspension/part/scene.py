@@ -41,11 +41,11 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
             refuse("aggregate_fraction", self.aggregate_fraction, "must be above 0", "use a part without aggregates")
         self.check_aggregates()
         room = self.narrowest if self.is_half else 2 * self.narrowest
-        if self.aggregate_diameters[1] > MAX_PART * room:
+        if self.diameters[1] > MAX_PART * room:
             half = "; symmetry = 'whole' admits twice as large ones" if self.is_half else ""
             refuse(
                 "aggregate_largest",
-                self.aggregate_diameters[1],
+                self.diameters[1],
                 f"is too large: the simulated part of the narrowest bore is {room:.3g} m wide",
                 f"use {MAX_PART * room:.3g} m or less{half}",
             )
@@ -53,12 +53,12 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
     @property
     def density(self) -> float:
         """Density of mortar and aggregates together [kg/m3]."""
-        return self.concrete.density + self.aggregate_fraction * (self.aggregate_density - self.concrete.density)
+        return self.concrete.density + self.simulated_fraction * (self.aggregate_density - self.concrete.density)
 
     @property
     def standing_travel(self) -> float:
         """Travel of the inflow during which part of the aggregates must stand still in a blocked pipe [m]."""
-        return self.blocked_travel or self.aggregate_diameters[1]
+        return self.blocked_travel or self.diameters[1]
 
     @property
     def caption(self) -> str:

@@ -82,8 +82,8 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
 
     @property
     def fraction(self) -> float:
-        """Volume of the aggregates in the part at the start, divided by the volume of the concrete."""
-        return self.scene.aggregate_fraction
+        """Volume of the placed aggregates, in the part and behind its start, over the volume of the concrete there."""
+        return self.scene.simulated_fraction
 
     def sizes(self) -> dict[str, Any]:
         """Return sizes of the model and of the part, such as the number of cells, for the run's result."""

@@ -12,10 +12,10 @@ import numpy as np
 
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
-from ...core.errors import positive, refuse
+from ...core.errors import at_least, at_most, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...mps.common.settings import MaximumIterations, PressureTolerance
-from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, velocity
+from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, least_stress, velocity
 from ..scene import SphereFields
 
 MIN_LENGTH = 3.0
@@ -86,22 +86,30 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
             refuse("aggregate_fraction", self.aggregate_fraction, "must be above 0", "use the scene 'tube' for a flow "
                    "without aggregates")  # fmt: skip
         self.check_aggregates()
-        largest = self.aggregate_diameters[1]
+        largest = self.diameters[1]
         if self.length < MIN_LENGTH * largest:
             refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
                                           "because the ends of the stretch are connected",
-                   f"use {MIN_LENGTH * largest:.3g} m or more")  # fmt: skip
+                   f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
         if largest > self.radius:
             refuse("aggregate_largest", largest, f"must be at most the radius of the pipe, {self.radius:g} m",
                    "use smaller aggregates or a wider pipe")  # fmt: skip
         if 2 * self.radius < MIN_ACROSS * self.spacing:
             refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the pipe",
-                   f"use {2 * self.radius / MIN_ACROSS:.3g} m or less")  # fmt: skip
-        least = 2 * max(self.concrete.yield_stress * (not self.slips), 0.0) / self.radius
+                   f"use {at_most(2 * self.radius / MIN_ACROSS)} m or less")  # fmt: skip
+        stress, words = self.concrete.yield_stress, f"a yield stress of {self.concrete.yield_stress:g} Pa"
+        if self.slips:
+            stress = least_stress(self.concrete, self.line)
+            words += f" and a slip layer of {self.concrete.slip_yield:g} Pa"
+        least = 2 * stress / self.radius
         if self.gradient <= least:
-            refuse("gradient", self.gradient, f"is too small: mortar with a yield stress of "
-                                              f"{self.concrete.yield_stress:g} Pa does not flow below {least:.4g} Pa/m",
-                   f"use {1.5 * least:.3g} Pa/m or more")  # fmt: skip
+            refuse("gradient", self.gradient, f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m",
+                   f"use {at_least(1.5 * least)} Pa/m or more")  # fmt: skip
+
+    @property
+    def cell_width(self) -> float:
+        """Largest width of the cells [m]; a whole number of cells fits into the radius and into the length."""
+        return max(side / round(side / self.spacing) for side in (self.radius, self.length))
 
     @cached_property
     def mortar_alone(self) -> Steady:
@@ -135,7 +143,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         The speed is that of Stokes' law, with the viscosity of the mortar at low shear.
         """
         weight = abs(self.aggregate_density - self.concrete.density) * self.gravity
-        return 2 / 9 * weight * (self.aggregate_diameters[1] / 2) ** 2 / self.concrete.viscosity
+        return 2 / 9 * weight * (self.diameters[1] / 2) ** 2 / self.concrete.viscosity
 
     @property
     def caption(self) -> str:
@@ -148,7 +156,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @property
     def mean_diameter(self) -> float:
         """Mean diameter of the aggregates [m]."""
-        return math.fsum(self.aggregate_diameters) / 2
+        return math.fsum(self.diameters) / 2
 
     def __repr__(self) -> str:
         return (

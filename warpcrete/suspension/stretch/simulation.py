@@ -31,6 +31,11 @@ class StretchSimulation(AggregateRun):
     scene: StretchScene
     cure = "use a smaller 'courant'"
 
+    @property
+    def may_end_early(self) -> bool:
+        """False, because a run always lasts as long as the scene states."""
+        return False
+
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
         return (UNITS | SHARED_UNITS)[column]
