@@ -20,6 +20,7 @@ MAX_FRACTION = 0.5
 diameters wide."""
 
 
+WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
 USUAL_CELLS = 4.0
@@ -140,11 +141,13 @@ class AggregateParameters(Declared):
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
         "meshes. Diameters are those of spheres of equal volume",
         Suggests(lambda: TEMPLATE_SETS),
+        WITH_AGGREGATES,
     ] = "spheres"
     aggregate_sizes: Annotated[
         str,
         "Size distribution: uniform, or a sieve curve 'mm:passing,...' by mass. Of a sieve curve, sizes that the cells "
         "do not resolve count as mortar",
+        WITH_AGGREGATES,
     ] = UNIFORM
     aggregate_density: Annotated[float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000)] = 2650.0
     roughness: Annotated[
