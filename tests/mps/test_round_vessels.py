@@ -96,6 +96,9 @@ def test_the_expected_course_of_a_flow(monkeypatch):
     assert asked[0] == ("the concrete is not at rest", {"spacing": pytest.approx(0.3 / 12)})
     course(dimensions={"opening": 0.06})
     assert asked[-1][1]["spacing"] == pytest.approx(0.06 / 4)
+    # Cells that represent bars would make the copy as fine as the scene.
+    course(dimensions={"opening": 0.15, "bar_diameter": 0.018})
+    assert asked[-1][1]["spacing"] == pytest.approx(0.3 / 12)
     course(spacing=0.05)
     assert asked[-1][1]["spacing"] == 0.05
     stopped = course(run=None)

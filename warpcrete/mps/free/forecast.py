@@ -30,7 +30,8 @@ COARSE_CELLS_HIGH = 12
 MAX_SPEEDUP = 3.0
 """Largest wall time of the first steps over the mean of all steps. Steps get cheaper as a funnel empties."""
 CELLS_ACROSS = 4
-"""Minimum number of cells of the coarser copy across the concrete, and across each dimension of the vessel."""
+"""Minimum number of cells of the coarser copy across the concrete, and across each dimension of the vessel except
+bars."""
 
 
 def forecast(
@@ -68,7 +69,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     estimate = expected(scene).get(outflow.time) if outflow else None
     if outflow and estimate is None:
         return Course(scene.duration, scene.time_step, ["the yield stress may hold the concrete in the funnel"])
-    across = (*np.ptp(scene.extent, axis=0), *scene.dimensions.values())
+    # Bars are thinner than the cells of the coarser copy, which would otherwise be as fine as the scene itself.
+    across = *np.ptp(scene.extent, axis=0), *(x for name, x in scene.dimensions.items() if name != "bar_diameter")
     spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)
     coarse = {"spacing": max(spacing, scene.spacing)}
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", **coarse)
