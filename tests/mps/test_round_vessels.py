@@ -83,6 +83,7 @@ def test_the_expected_course_of_a_flow(monkeypatch):
             duration=8.0, dimensions={"opening": 0.15},
         )  # fmt: skip
         simulation = SimpleNamespace(scene=SimpleNamespace(**settings | given))
+        simulation.scene.fluid = simulation.scene
         monkeypatch.setattr(
             forecast, "coarser_run", lambda *each, **changes: asked.append((each[1], changes)) or (run, 3.0, ["uneven"])
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar
 
 from ..core.errors import at_most, refuse
@@ -22,7 +22,7 @@ LargestDiameter = Annotated[float, "Largest diameter of the simulated aggregates
 """Declarations of parameters that several scenes with aggregates have."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SphereFields:
     """Fields of a scene that describe its aggregates."""
 
@@ -59,6 +59,11 @@ class SuspensionScene(SphereFields, FreeScene):
             refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
                    "use half of the width")  # fmt: skip
         self.check_aggregates()
+
+    @property
+    def fluid(self) -> FreeScene:
+        """This scene with the mortar alone."""
+        return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"

@@ -62,7 +62,8 @@ def forecast(
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the expected duration, mean time step and mean cost of a step, from a run of a coarser copy.
 
-    The run ends when the concrete rests or a funnel is empty.
+    The run ends when the concrete rests or a funnel is empty. The copy of a mortar with aggregates is the mortar alone,
+    because coarser cells would not resolve the aggregates.
     """
     scene = simulation.scene
     outflow = scene.test.outflow if scene.test else None
@@ -72,10 +73,16 @@ def course_of(simulation: FreeSimulation) -> Course:
     # Bars are thinner than the cells of the coarser copy, which would otherwise be as fine as the scene itself.
     across = *np.ptp(scene.extent, axis=0), *(x for name, x in scene.dimensions.items() if name != "bar_diameter")
     spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)
-    coarse = {"spacing": max(spacing, scene.spacing)}
+    coarse = {"spacing": float(max(spacing, scene.spacing))}
+    notes = []
+    if scene.fluid is not scene:
+        simulation = FreeSimulation(scene.fluid, device=str(simulation.device), precision=simulation.precision,
+                                    threads=simulation.threads)  # fmt: skip
+        notes = ["time and steps are those of the mortar alone; aggregates make it slower"]
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", **coarse)
     if outflow and run is not None and outflow.time in run.result:
         remarks = []
+    remarks = [*notes, *remarks]
     if run is None:
         return Course(reached, scene.time_step, remarks)
     duration = min(DURATION_FACTOR * estimate, scene.duration) if estimate else reached
