@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from ..core.errors import at_most, refuse
+from ..core.inputs.limits import warn
 from ..mps.free.layout import free_walls, section_distance
 from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
@@ -25,6 +26,9 @@ ITERATIONS = 1000
 """Maximum number of attempts to place spheres clear of walls, and of iterations that push overlapping spheres apart."""
 SWEEPS = 100
 """Number of times that each sphere is moved at random after overlaps have been removed."""
+MAX_DEVIATION = 0.1
+"""Largest relative difference between the volume of the placed spheres and the volume that the scene's fraction
+requires, above which a warning is given."""
 SHRINK = 0.95
 """Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
 volume fraction that fits."""
@@ -207,13 +211,21 @@ def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.nd
 
 
 def _radii(scene: SphereFields, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
-    """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires."""
+    """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires.
+
+    There is at least one sphere. Warn if the volume of whole spheres differs from the wanted volume by more than
+    `MAX_DEVIATION`.
+    """
     wanted = scene.aggregate_fraction * float(np.sum(layout.mass)) * layout.volume
     radii, volume = [], 0.0
     while True:
         radius = 0.5 * rng.uniform(*scene.aggregate_diameters)
         own = 4 / 3 * np.pi * radius**3
         if volume + 0.5 * own > wanted and radii:
+            if abs(volume / wanted - 1) > MAX_DEVIATION:
+                placed = scene.aggregate_fraction * volume / wanted
+                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: whole aggregates of these sizes, "
+                     f"{len(radii)} of them, have a fraction of {placed:.3g}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
         volume += own
