@@ -27,6 +27,7 @@ def test_limits_are_rounded_to_the_side_that_is_allowed():
                    "aggregate_smallest": 0.03}),
         ("jring", {"plate_radius": 0.1, "ring_diameter": 0.3003}),
         ("jring", {"ring_diameter": 0.2, "bar_diameter": 0.0181234, "bars": 8}),
+        ("jring", {"ring_height": 1e-6}),
         ("jring-dem", {"ring_diameter": 0.2, "bar_diameter": 0.0181234, "bars": 8}),
         ("lbox", {"opening": 0.01, "spacing": 0.01237}),
         ("lbox", {"spacing": 0.02, "bars": 3, "bar_diameter": 0.01237}),
