@@ -1,17 +1,22 @@
-"""Measures the trades of notebooks/performance/trades.md, and puts their tables and figures there and into the package.
+"""Puts the tables and figures of the trades into notebooks/performance, and their records into the package.
 
-python notebooks/trades.py --folder trades [NAME ...]   runs those (default: none), and takes what the folder has
-python notebooks/trades.py --redraw                     draws the figures of the shipped trades again
+python notebooks/trades_at_once.py --out FOLDER          measures them, on a GPU and on CPU cores
+python notebooks/trades.py --folder FOLDER               judges these runs; puts tables, figures and records in place
+python notebooks/trades.py --folder FOLDER --fresh       also tests the promises in scenes that no trade has used
+python notebooks/trades.py --folder FOLDER NAME ...      makes trades with one run at a time, or goes on with them
+python notebooks/trades.py --redraw                      draws the figures of the shipped trades again
 
-A trade made elsewhere counts, too: trade.json and trade.png in a folder of its name are enough.
+A trade made elsewhere counts, too: trade.json in a folder of its name is enough.
 """
 
 import argparse
 import dataclasses
 import json
 import re
-import shutil
 from pathlib import Path
+
+from trade_plans import PLANS, WHOLE
+from trade_results import fresh_promises, judged, unpacked
 
 from warpcrete.core.run.files import read_json, write_json
 from warpcrete.methods import method_of
@@ -23,21 +28,15 @@ from warpcrete.studies.tradeoffs.report import draw
 from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
-PAGES = [HERE / "performance" / name for name in ("trades.md", "trades-more.md")]
-NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
-NARROW_BEND = NARROW | {"unit": "D", "elbow_radius": 0.3}
+PAGES = [HERE / "performance" / name for name in ("trades.md", "trades-more.md", "trades-vessels.md")]
+NARROW_BEND = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3, "unit": "D", "elbow_radius": 0.3}
 HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
 TRADES = {
-    "pipe-vertical": ("pipe", {}, "cuda", 400),
-    "pipe-bend": ("pipe", {"unit": "D"}, "cuda", 200),
     "pipe-hydrated": ("pipe", HYDRATED, "cuda", 110),
-    "pipe-narrow": ("pipe", NARROW, "cpu", 840),
     "pipe-narrow-bend": ("pipe", NARROW_BEND, "cpu", 2100),
-    "channel": ("channel", {}, "cpu", 180),
-    "tube": ("tube", {}, "cpu", 360),
-    "two-phases": ("channel", {"aggregates": True, "duration": 0.1}, "cpu", 240),
+    **{name: (*trade[:2], "cpu", trade[2]) for name, trade in WHOLE.items()},
 }
-"""Scene, parameters, device and budget [s]."""
+"""Scene, parameters, device and budget [s] of trades that make one run at a time."""
 
 
 def measure(name: str, folder: Path) -> None:
@@ -51,12 +50,16 @@ def measure(name: str, folder: Path) -> None:
 
 
 def section(name: str, record: dict) -> str:
-    """Command, figure and table of promises."""
-    scene, parameters, device, budget = TRADES[name]
+    """Command or scene, machine, figure and table of promises."""
+    scene, parameters, *how = TRADES[name] if name in TRADES else (PLANS[name].scene, PLANS[name].base)
     given = [(f"--{key.replace('_', '-')}", "" if value is True else f"{value}") for key, value in parameters.items()]
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
-    command = re.sub(" +", " ", f"warpcrete trade {scene} {options} --budget {budget}s --device {device}")
-    lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](images/trade_{name}.png)", ""]
+    ran = f"trade {scene} {options} --budget {how[1]}s --device {how[0]}" if how else f"run {scene} {options}"
+    command = re.sub(" +", " ", f"warpcrete {ran}").strip()
+    errors = record.get("reference_errors", {})
+    own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})" for quantity, error in errors.items()]
+    lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](../images/trade_{name}.png)", ""]
+    lines += [f"Own error of the finest setting: {', '.join(own)}.", ""] if own else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
               "| worst of other scenes |", "|---|---|---|---|---|---|"]  # fmt: skip
     for promise in record["promises"]:
@@ -126,33 +129,53 @@ class _Knob:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", choices=[*TRADES, []], help="trades to measure")
+    parser.add_argument("names", nargs="*", choices=[*TRADES, []], help="trades to make with one run at a time")
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--fresh", action="store_true", help="test the promises in fresh scenes")
     parser.add_argument("--redraw", action="store_true", help="draw the figures of the shipped trades again")
     given = parser.parse_args()
     if given.redraw:
-        for name in TRADES:
+        for name in (*TRADES, *PLANS):
             draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
         return
     if given.folder is None:
         parser.error("give --folder FOLDER, or --redraw")
     for name in given.names:
         measure(name, given.folder)
+    if (given.folder / "runs.tar.gz").is_file():
+        judge_all(given.folder, given.fresh)
     pages = {path: path.read_text(encoding="utf-8") for path in PAGES}
     SHIPPED.mkdir(exist_ok=True)
-    for name in TRADES:
+    for name in (*TRADES, *PLANS):
         source = given.folder / name
         if (source / "trade.json").is_file():
-            record = json.loads((source / "trade.json").read_text())
+            record = json.loads((source / "trade.json").read_text(encoding="utf-8"))
             path = next(path for path in PAGES if f"<!-- {name} -->" in pages[path])
             before, _, rest = pages[path].partition(f"<!-- {name} -->\n")
             _, _, after = rest.partition(f"<!-- /{name} -->")
             pages[path] = f"{before}<!-- {name} -->\n{section(name, record)}\n<!-- /{name} -->{after}"
-            shutil.copy(source / "trade.png", HERE / "images" / f"trade_{name}.png")
             write_json(SHIPPED / f"{name}.json", compact(record))
+            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
             print(f"{name}: {record['machine']}")
     for path, page in pages.items():
         path.write_text(page, encoding="utf-8")
+
+
+def judge_all(folder: Path, fresh: bool) -> None:
+    """Judge the runs in FOLDER/runs.tar.gz; with `fresh`, print a table that tests the promises in other scenes."""
+    raw = unpacked(folder)
+    rows, kept = (
+        ["| trade | fresh scene | promise | largest error | quantity | kept |", "|---|---|---|---|---|---|"],
+        [],
+    )
+    for name in (*PLANS, *WHOLE):
+        trade = judged(name, raw, folder)
+        for scene, bound, shift, quantity, held in fresh_promises(name, trade) if trade and fresh else ():
+            kept.append(held)
+            rows.append(f"| {name} | {scene} | {100 * bound:.2g} % | {100 * shift:+.2g} % | {quantity} | "
+                        f"{'yes' if held else 'no'} |")  # fmt: skip
+    if kept:
+        print("\n".join([*rows, f"{sum(kept)} of {len(kept)} promises kept"]))
 
 
 if __name__ == "__main__":

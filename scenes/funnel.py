@@ -66,8 +66,8 @@ def scene(parameters: FunnelParameters) -> FreeScene:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the outlet",
                f"use {at_most(min(given.outlet_width, given.breadth) / 4, 2)} m or less")  # fmt: skip
     quarter = min(given.outlet_width, given.breadth) / 2
-    if given.aggregate_fraction and given.aggregate_largest > MAX_PART * quarter:
-        refuse("aggregate_largest", given.aggregate_largest,
+    if given.aggregate_fraction and given.coarsest > MAX_PART * quarter:
+        refuse("aggregate_largest", given.coarsest,
                f"is too large: a quarter of the funnel is simulated, and its outlet is only {quarter:g} m wide",
                f"use {at_most(MAX_PART * quarter, 2)} m or less")  # fmt: skip
     # Choose the cell size such that the height of the V-funnel is a whole number of cells. Two more rows of cells lie
@@ -104,7 +104,7 @@ def _knobs(given: FunnelParameters) -> Iterator[Knob]:
     # Put at least four cells across the V-funnel's outlet in both directions.
     coarsest = min(given.outlet_width, given.breadth) / 4
     fall = given.cone_height + given.outlet_height
-    return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
+    return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.7, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("funnel_time",), variants=free_variants)

@@ -132,7 +132,7 @@ check = check_flow(VOLUME)
 
 def _knobs(given: RingParameters) -> Iterator[Knob]:
     coarsest = min(_coarsest(given), given.top_diameter / 8, given.mould_height / 4)
-    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.3, 1.15, 1.0, 0.8, 0.5), -4.0)
+    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.3, 1.15, 1.0, 0.7, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("spread", "blocking_step"), variants=free_variants)

@@ -149,7 +149,7 @@ check = check_flow(VOLUME)
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
     # With coarser cells, the grid would miss the bars of the L-box or hardly resolve the opening.
     coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
-    return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
+    return free_knobs(given, given.spacing, given.column_height, coarsest, (1.4, 1.2, 1.0, 0.7, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("passing_ratio",), variants=free_variants)

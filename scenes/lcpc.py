@@ -21,7 +21,7 @@ from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 from warpcrete.mps.common.settings import STEP_ERROR
 from warpcrete.mps.free.checks import check_flow
-from warpcrete.mps.free.knobs import free_knobs
+from warpcrete.mps.free.knobs import free_knobs, free_variants
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import ClosedForm, Outcome, Specimen, StandardTest
 from warpcrete.standards.standard_test import Sizes
@@ -174,10 +174,10 @@ check = check_flow(VOLUME)
 
 def _knobs(given: LongBoxFlow) -> Iterator[Knob]:
     coarsest = min(given.column_length, given.height, given.width / 2) / 4
-    return free_knobs(given, given.spacing, given.height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
+    return free_knobs(given, given.spacing, given.height, coarsest, (1.6, 1.25, 1.0, 0.7, 0.5), -4.0)
 
 
-trading = Trading(_knobs, quantities=("spread_length", "h0"))
+trading = Trading(_knobs, quantities=("spread_length", "h0"), variants=free_variants)
 
 
 # The following definitions are those of the scene that simulates the LCPC box by discrete elements.

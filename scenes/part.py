@@ -273,7 +273,7 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
     if given.line is not None:
         narrow = 2 * read_line(given.line).bores.smallest
     spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / MIN_ACROSS]
-    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
+    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m", resolution=True)
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")
     yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")
     yield precisions()

@@ -126,8 +126,8 @@ def lifted_mould(
 def _check_aggregates(given: SlumpParameters) -> None:
     """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
     top = given.top_diameter / 2
-    if given.aggregate_largest > MAX_PART * top:
-        refuse("aggregate_largest", given.aggregate_largest,
+    if given.coarsest > MAX_PART * top:
+        refuse("aggregate_largest", given.coarsest,
                f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
                f"use {at_most(MAX_PART * top, 2)} m or less")  # fmt: skip
     if given.lift_time and given.precision == "float32":
@@ -154,7 +154,7 @@ check = check_flow(VOLUME)
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
     # The coarsest grid has at least four cells over the radius of the mould's top and over the mould's height.
     coarsest = min(given.top_diameter / 8, given.mould_height / 4)
-    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
+    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.7, 0.5), -3.0)
 
 
 trading = Trading(_knobs, quantities=("slump", "spread"), variants=free_variants)

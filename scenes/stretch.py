@@ -85,10 +85,10 @@ check = check_stretch
 def _knobs(given: StretchParameters) -> Iterator[Knob]:
     coarsest = min(given.aggregate_smallest / MIN_CELLS, given.diameter / 8)
     factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
-    yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m")
+    yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m", resolution=True)
     yield scaled("courant", "courant", given.courant, [f for f in (2.0, 1.0, 0.5) if f * given.courant <= 1], -0.8)
     yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")
     yield precisions()
 
 
-trading = Trading(_knobs, quantities=("flow", "relative_viscosity", "slip_velocity"))
+trading = Trading(_knobs, quantities=("flow",))

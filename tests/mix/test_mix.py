@@ -311,6 +311,18 @@ def test_slumps_of_the_literature_fit_the_rheometer(name, slump):
     assert alone.low < own.yield_stress < alone.value
 
 
+def test_a_rheometer_may_read_five_times_the_yield_stress_of_a_heap():
+    """The band of a measured yield stress reaches down to a fifth, unless its uncertainty is stated."""
+    section = {"density": 2350, "concrete": {"yield_stress": "900 Pa", "viscosity": "60 Pa s"}}
+    found = mix_of(section)["yield stress"]
+    assert (found.low, found.value, found.high) == pytest.approx((180, 900, 1080)) and "slumps" in found.source
+    viscosity = mix_of(section)["viscosity"]
+    assert (viscosity.low, viscosity.high) == pytest.approx((48, 72))
+    section["concrete"]["uncertainty"] = "10 %"
+    stated = mix_of(section)["yield stress"]
+    assert (stated.low, stated.high) == pytest.approx((810, 990)) and stated.source == "as given"
+
+
 def test_every_scene_takes_it(tmp_path):
     path = written(tmp_path, SPREADING | STONES)
     mix = read_mix(path)
@@ -420,6 +432,8 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
+        ({"volume": "8 yd3", "parts": {"cement": "4,794 lb", "water": "265 lb"}, "slump": "5 in"},
+         "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),

@@ -193,6 +193,18 @@ def test_the_command_fits_a_trial_line(tmp_path):
         assert refused.exit_code == 2 and says in refused.output
 
 
+def test_taps_of_a_line_in_us_units_are_reported_in_feet_and_psi(tmp_path):
+    """The table repeats places, flows and pressures as the file of taps states them."""
+    (tmp_path / "taps.csv").write_text(
+        "Place (ft),Pressure (psi),Flow (yd3/h)\n5,640,75\n140,455,75\n5,455,45\n140,330,45\n", encoding="utf-8"
+    )
+    call = ["line", "--slump", "6 in", "--diameter", "5 in", "--length", "350 ft"]
+    done = CliRunner().invoke(cli, [*call, "--fit", str(tmp_path / "taps.csv")], catch_exceptions=False)
+    assert done.exit_code == 0 and "| place [ft] | flow [yd3/h] | measured [psi] | fitted [psi] |" in done.output
+    rows = [line.split(" | ")[:3] for line in done.output.splitlines() if line.startswith(("| 5 |", "| 140 |"))]
+    assert rows == [["| 5", "75", "640"], ["| 140", "75", "455"], ["| 5", "45", "455"], ["| 140", "45", "330"]]
+
+
 def test_a_pasted_fit_gives_the_pressure_of_the_fitted_line(tmp_path):
     """Six gauges with errors of a quarter of a bar do not determine the factor of two bends in 107 m."""
     ticket = {"parts": {"cement": 340, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1010, "superplasticizer": 3},

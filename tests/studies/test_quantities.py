@@ -307,3 +307,10 @@ def test_a_pressure_cut_within_the_ramp_blames_the_cut():
     way = np.linspace(0, 0.1, 41)
     run = SimpleNamespace(scene=PIPE, result=results(known_of(way, 1e4 + way)), series={"travel": way})
     assert no_plateau(run) == "none: the run was stopped before the piston had moved steadily for long enough"
+
+
+def test_a_loss_without_a_ratio_is_reported():
+    """The first rows of a run may show a loss in a bend before the walls of the straight pipes brake the concrete."""
+    run = Run(PIPE, {}, {}, {"middle_loss": {"value": 2500.0, "unit": "Pa"}}, True)
+    label = next(each.label for each in QUANTITIES if each.name == "middle_loss")
+    assert dict(report_of(QUANTITIES, run)) == {label: "2.5 kPa"}

@@ -169,6 +169,8 @@ def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
     "given, words",
     [
         ({"aggregate_fraction": 0.0}, "aggregate_fraction = 0.0: must be above 0; use the scene 'tube'"),
+        ({"length": 0.001}, "length = 0.001: must be at least 3 diameters of the largest aggregate"),
+        ({"spacing": 1.0}, "spacing = 1.0: is too coarse: the smallest aggregate, 0.02 m, must be"),
         ({"length": 0.05}, "length = 0.05: must be at least 3 diameters of the largest aggregate"),
         (
             {"aggregate_largest": 0.05, "length": 0.2},

@@ -155,9 +155,9 @@ class Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Let the pipeline continue in the direction `tangent`.
+        """Let the next part of the pipeline start in the direction `tangent`, a unit vector.
 
-        The horizontal heading changes too, unless the new direction is vertical.
+        The horizontal direction `heading` changes too, unless the new direction is vertical.
         """
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)

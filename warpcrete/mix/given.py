@@ -114,7 +114,8 @@ class MixEntries:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """True if the mix states no density, so that the density is the sum of the masses of the ingredients."""
+    """True if the mix states no density. The density is then the sum of the masses of the ingredients in a cubic
+    metre."""
     share: float | None
     """Volume fraction of coarse aggregate in the concrete; None if the mix does not state it."""
     aggregate_density: float
@@ -337,7 +338,7 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], whether it is the sum of the ingredients, and the ingredients.
+    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients.
 
     The ingredients are a mapping from names to masses in a cubic metre of concrete [kg/m3]; it is empty if the mix
     lists none. `heavy` is the density of the coarse aggregate [kg/m3].

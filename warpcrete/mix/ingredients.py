@@ -120,10 +120,11 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _noun(name: str) -> str:
-    """Return the word of an ingredient's name that tells what it is, usually the last known one; empty without one.
+    """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
 
-    Limestone sand is sand, silica fume is powder, and limestone that is crushed or has a grain size ("limestone 8/16")
-    is aggregate. "Type" stands for cement only if there is no other known word, as in "Type I/II".
+    The result is empty if no word is known. For example, limestone sand is sand, silica fume is powder, and limestone
+    that is crushed or has a grain size ("limestone 8/16") is aggregate. "Type" stands for cement only if there is no
+    other known word, as in "Type I/II".
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
@@ -176,6 +177,10 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     if isinstance(value, str) and "cwt" in value:
         refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete",
                "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3")  # fmt: skip
+    if load and not whole and isinstance(value, str) and not is_amount(value, "kg/m3") and value.strip()[-1:].isalpha():
+        units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
+        refuse(field, value, "must be a number with one of {} for the whole load, or with one of {}".format(*units),
+               "leave out separators of thousands" if "," in value else "")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 

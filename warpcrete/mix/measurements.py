@@ -20,8 +20,8 @@ other than Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
-"""Map from the name of a slip layer's constant in a mix to the name of the same constant in the table of permitted
-values, `core.inputs.limits`."""
+"""Names of the slip layer's constants in a mix, each mapped to the name of the same constant in `core.inputs.limits`,
+the table of permitted values."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
 

@@ -22,8 +22,8 @@ LEAST = 12.0
 """Minimum height of a column of concrete, in cubes of the coarse grid, for which the coarse grid is used. Solves for a
 lower column take no longer without it."""
 ABOVE = 1.1
-"""Height of the coarse grid, divided by the height of the column. Particles that rise above the grid are assigned to
-its topmost cubes."""
+"""Height of the coarse grid, divided by the initial height of the column of concrete. Particles that rise above the
+grid are assigned to its topmost cubes."""
 
 
 class CoarseGrid:
@@ -49,9 +49,10 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Return the indices of each cube and its neighbours, -1 if missing, shape (3^axes, cubes).
+        """Return for each cube the index of the cube itself and of all cubes around it, shape (3^axes, cubes).
 
-        The first dimension numbers the offsets from the cube, -1 to 1 along each axis, with the first axis fastest.
+        An index of -1 means that there is no cube at this place. The first dimension runs over the offsets from the
+        cube, from -1 to 1 along each axis, in which the first axis varies fastest.
         """
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)

@@ -171,17 +171,21 @@ class _Step:
 
         The implicit Euler method damps kinetic energy in a step of finite length.
         """
-        bodies = self.flow.aggregates.bodies
+        bodies, clumps = self.flow.aggregates.bodies, self.flow.aggregates.kind.clumps
         heavy, round = (a.numpy().astype(float)[:, None] for a in (bodies.extra_mass, bodies.extra_inertia))
         kinetic = damping = 0.0
-        for mass, after, before in (
-            (self.mass, self.u, self.start),
-            (heavy, self.after[0], self.before[0]),
-            (round, self.after[1], self.before[1]),
-        ):
-            change = np.where(mass != 0, after - before, 0.0)
-            kinetic += float(np.sum(mass * change * (after - 0.5 * change)))
-            damping += float(np.sum(0.5 * mass * change**2))
+        changes = [
+            np.where(self.mass != 0, self.u - self.start, 0.0),
+            *(b - a for a, b in zip(self.before, self.after, strict=True)),
+        ]
+        gains = [self.mass * changes[0], heavy * changes[1], round * changes[2]]
+        if clumps:
+            gains[2] = np.einsum("nij,nj->ni", bodies.tensor.numpy().astype(float), changes[2])
+            # The gyroscopic torque turns the angular momentum of a clump, and does no work on it.
+            kinetic -= self.dt * float(np.sum(bodies.gyration.numpy().astype(float) * self.after[1]))
+        for gain, change, after in zip(gains, changes, (self.u, *self.after), strict=True):
+            kinetic += float(np.sum(gain * (after - 0.5 * change)))
+            damping += float(np.sum(0.5 * gain * change))
         ends = [
             float(np.sum(self.mass[2] * u[2]) + np.sum(heavy[:, 0] * bodies[:, 2]))
             for u, bodies in ((self.start, self.before[0]), (self.u, self.after[0]))
@@ -228,7 +232,7 @@ class _Step:
         The force is that of the walls on the aggregates, as its component along the last axis of the grid.
         """
         flow, pairs = self.flow, self.flow.aggregates.pairs
-        number, rows = pairs.count.numpy(), np.arange(flow.aggregates.count)
+        number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
         own = np.repeat(rows, number)
         places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
         other = pairs.other.numpy()[places]
@@ -237,7 +241,10 @@ class _Step:
             getattr(pairs, name).numpy().astype(float)[places]
             for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
         )
-        velocity = self.after[0]
+        velocity, spheres = self.after[0], flow.aggregates.parts
+        if flow.aggregates.kind.clumps:
+            arm = flow.aggregates.bodies.arm.numpy().astype(float)
+            velocity = velocity[spheres.body] + np.cross(self.after[1][spheres.body], arm)
         relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
         approach = np.sum(relative * normal, 1) - still
         # Contacts that were found only after the last solve exert no force in this step.

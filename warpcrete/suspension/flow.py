@@ -18,7 +18,8 @@ from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension import coupling
 from ..kernels.suspension.blocks import block_kernel
-from ..kernels.suspension.bodies import cover_kernels, motion_kernels, release_kernels
+from ..kernels.suspension.bodies import motion_kernels, pose_kernel
+from ..kernels.suspension.cover import cover_kernels, release_kernels
 from ..kernels.suspension.leaving import leaving_kernels
 from ..kernels.suspension.neighbours import neighbour_kernels
 from ..kernels.suspension.strain import strain_kernels
@@ -53,10 +54,11 @@ class SuspensionStep(GridStep):
         """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
-        cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
+        bodies = flow.aggregates.kind
+        cover, free = cover_kernels(scalar, kind, bodies), release_kernels(scalar, kind)
         motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
-        neighbours = neighbour_kernels(scalar, kind)
-        count = flow.aggregates.count
+        neighbours, leaving = neighbour_kernels(scalar, kind, bodies), leaving_kernels(scalar, bodies)
+        count, spheres = flow.aggregates.count, flow.aggregates.spheres
         return [
             *self._alone(bins.clear, slots),
             *(self._cells(lift_kernel(scalar, kind), slots=slots, after=flow.state.opened)
@@ -67,7 +69,8 @@ class SuspensionStep(GridStep):
             *self._cells(bins.order),
             *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
             *self._cells(gather_kernel(scalar, kind)),
-            *(self._alone(leaving_kernels(scalar, kind).park, count, opens=flow.opens) if flow.opens else []),
+            *(self._alone(pose_kernel(scalar), count) if bodies.clumps else []),
+            *(self._alone(leaving.park, count, opens=flow.opens) if flow.opens else []),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
             *self._alone(free.close, slots),
@@ -76,12 +79,12 @@ class SuspensionStep(GridStep):
             *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
-            *self._alone(neighbours.locate, count, points=flow.aggregates.points),
+            *self._alone(neighbours.locate, spheres, points=flow.aggregates.points),
             flow.aggregates.sort,
-            *self._alone(neighbours.find, count, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
+            *self._alone(neighbours.find, spheres, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
                          sides=flow.sides, mirrors=flow.mirrors,
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
-            *(self._alone(leaving_kernels(scalar, kind).weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
+            *(self._alone(leaving.weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
               if flow.opens else []),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
@@ -105,7 +108,7 @@ class SuspensionStep(GridStep):
 
     def blocks(self) -> list[Any]:
         """Return the stage that inverts the diagonal block of each aggregate in the matrix of the viscous solve."""
-        kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
+        kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind, self.flow.aggregates.kind)
         return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
 
     def after(self) -> list[Any]:

@@ -70,14 +70,15 @@ class CoupledSolve:
         serial = not flow.parallel
         self.tasks, self.checked = (CPU_TASKS, CHECKED["cpu"]) if serial else (GPU_TASKS, CHECKED["gpu"])
         kind = flow.state.layout.kind
-        self.search, self.forces = search_kernels(self.scalar, serial, kind), force_kernels(self.scalar, kind)
+        bodies = flow.aggregates.kind
+        self.search, self.forces = search_kernels(self.scalar, serial, kind, bodies), force_kernels(self.scalar, kind)
         self.updates = update_kernels(self.scalar, serial, kind)
         self.residuals = residual_kernels(self.scalar, serial, kind)
         self.pressures = pressure_kernels(self.scalar, serial, kind)
         self.products = product_kernels(self.scalar, serial, kind)
         self.moves = advance_kernels(self.scalar, serial, kind)
         self.add_faces = add_kernel(self.scalar)
-        self.pairs = pair_kernels(self.scalar, flow.state.layout.kind)
+        self.pairs = pair_kernels(self.scalar, bodies)
         self.add_up = sum_kernel(serial)
         self.count = flow.aggregates.count
         slots = flow.state.slots
@@ -196,7 +197,7 @@ class CoupledSolve:
                      projection=flow.projection.arrays, inflow=self.inflow, again=int(again),
                      residual=self.residual)  # fmt: skip
         self._launch(self.forces.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
-        self._launch(self.pairs.load, self.count, longest=flow.scene.time_step, force=self.residual.linear)
+        self._launch(self.pairs.load, self.count, longest=flow.scene.time_step, forces=self.residual)
         self._launch(self.residuals.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
         if again:
@@ -260,13 +261,13 @@ class CoupledSolve:
         """
         changed, directions = self.flow.aggregates.pairs.changed, self.directions
         changed.zero_()
-        self._launch(self.pairs.touch, self.count, change=self.solution.linear, certain=certain)
+        self._launch(self.pairs.touch, self.count, change=self.solution, certain=certain)
         if not changed.numpy()[0]:
             return False
         if directions.known > self.tolerances.outer:
             directions.known = 0
         for _, count, changes, effects in directions.before(directions.known):
-            self._launch(self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear)
+            self._launch(self.pairs.stiffen, self.count, count=count, change=changes, effect=effects)
         directions.orthogonal = 0
         return True
 

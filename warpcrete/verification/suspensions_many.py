@@ -18,7 +18,8 @@ from ..mps.grid.layout import Motion
 from ..suspension.aggregates import Aggregates
 from ..suspension.balance import Balance, step_with_balance, wall_friction
 from ..suspension.flow import SuspensionFlow
-from ..suspension.placing import close_pairs, random_places
+from ..suspension.nearby import close_pairs
+from ..suspension.placing import random_places
 from ..suspension.solve import Tolerances
 from .case import Case, Row
 from .suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow

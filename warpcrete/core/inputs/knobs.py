@@ -43,6 +43,9 @@ class Knob:
     chosen: bool = True
     """True if the program may change this accuracy parameter (knob) in the settings that it recommends. If False, its
     effect is only measured."""
+    resolution: bool = False
+    """True if this accuracy parameter (knob) is a width of cells or a distance of particles. Results then approach a
+    limit as it becomes smaller."""
 
     def level_of(self, key: str) -> Level | None:
         """Return the setting (level) of this accuracy parameter (knob) with the key `key`, or None if it is missing."""
@@ -51,7 +54,7 @@ class Knob:
 
 def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
-    physical: bool = False,
+    physical: bool = False, resolution: bool = False,
 ) -> Knob:  # fmt: skip
     """Return a knob that changes one number, the parameter `parameter` of a scene.
 
@@ -60,7 +63,7 @@ def scaled(
     its factor to the power of `power`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
-    return Knob(name, tuple(levels), physical)
+    return Knob(name, tuple(levels), physical, resolution=resolution)
 
 
 def precisions() -> Knob:
@@ -74,8 +77,8 @@ def precisions() -> Knob:
 class Trading:
     """Description of a scene for studies that weigh accuracy against computing time.
 
-    It contains the knobs (accuracy parameters with their values), the quantities to compare, and the closed forms. The
-    module of the scene assigns this object to the name `trading`.
+    It contains the knobs (accuracy parameters with their values), the quantities to compare, and a function that tells
+    whether theory is exact. The module of the scene assigns this object to the name `trading`.
     """
 
     knobs: Callable[[Any], Iterator[Knob]]
@@ -83,8 +86,8 @@ class Trading:
     quantities: tuple[str, ...]
     """Names of result quantities whose errors at each setting are computed, unless the user names other quantities."""
     closed_form: Callable[[Any], bool] = lambda given: False
-    """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
-    results have an entry `NAME_error` for each quantity NAME."""
+    """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so, the
+    results of a run contain the error of each quantity NAME, under `NAME_error`."""
     variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
     """Function that takes the scene's parameters and returns changed parameters for each of several similar scenes. The
     key of each entry describes the change in words. Recommended settings are also tested on these scenes."""

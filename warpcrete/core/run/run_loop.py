@@ -1,4 +1,4 @@
-"""Run loop that all simulation methods share: samples, frames, checkpoints, interruptions and recorders.
+"""Run loop that all simulation methods share: it steps the state, measures, records, saves and handles interruptions.
 
 Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
 """
@@ -544,7 +544,7 @@ class Simulation:
             if number < samples:
                 self._checkpoint_if_due()
             figures = {name: row[name] for name in ("pressure",) if name in row}
-            if self._paced[0] != now:  # Up to the first measurement, compilation would count as slow steps.
+            if self._paced[0] != now:  # Before the second new row, the rate would include compilation.
                 figures["steps_per_s"] = self.pace
             if self.may_end_early:
                 figures["at_most"] = 1.0
@@ -578,9 +578,10 @@ class Simulation:
 
     @property
     def pace(self) -> float:
-        """Steps per second of wall time from the first to the last measurement in this process.
+        """Mean number of time steps per second of wall time, in this process.
 
-        Preparation and compilation, which precede the first measurement, are left out, unless there is only one.
+        The mean leaves out the time up to the first new row of the time series, which contains preparation and
+        compilation. If this process has added only one row, the mean is that of all steps.
         """
         if self._paced is not None and self._paced[0] != self._paced[1]:
             (first, begun), (last, ended) = self._paced

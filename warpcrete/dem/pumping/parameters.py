@@ -36,7 +36,8 @@ UPRIGHT = 0.4
 """Smallest thickness of the plug at the front of the concrete, divided by its diameter, at which the plug does not tip
 over behind a bend. At a ratio of 0.13, plugs tipped over in test runs."""
 WIDEST_STONE = 0.4
-"""Ratio of the largest pumpable rounded aggregate to the pipe's diameter (ACI 304.2R; for crushed aggregate, 1/3)."""
+"""Largest diameter of rounded aggregate that can be pumped, divided by the pipe's diameter (ACI 304.2R); 1/3 for
+crushed aggregate."""
 
 
 class ConcreteDefaults:
@@ -47,7 +48,7 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return "elements", the name of a section in a concrete's file, and the parameters allowed in this section."""
+        """Return "elements", the section of a concrete's file that sets parameters, and the names allowed in it."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
@@ -161,7 +162,7 @@ class PipeParameters(
 
     @property
     def each(self) -> float:
-        """Travel of the piston in each stroke [m]."""
+        """Travel of the piston in one stroke [m]."""
         return self.distance / self.strokes
 
     @property
@@ -204,7 +205,7 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the stress scale of the contact law between aggregates [Pa]; for the linear law this is its modulus."""
+    """Return the order of magnitude of the stress in strongly compressed contacts [Pa]: the modulus of a linear law."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 

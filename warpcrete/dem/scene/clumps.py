@@ -11,6 +11,9 @@ import numpy as np
 
 from ...core.errors import SceneError, between, refuse
 
+SHARE_POINTS = 64
+"""Number of points along the longest side of a clump from which the shares of its spheres follow."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClumpTemplate:
@@ -39,10 +42,31 @@ class ClumpTemplate:
         return float(np.max(np.linalg.norm(self.offsets, axis=1) + self.radii))
 
     @property
+    def widths(self) -> np.ndarray:
+        """Sides of the bounding box in principal axes, divided by the diameter of the sphere of equal volume."""
+        return np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
+
+    @property
     def shape_factor(self) -> float:
         """Ratio of the longest to the shortest side of the bounding box in principal axes."""
-        widths = np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
-        return float(widths.max() / widths.min())
+        return float(self.widths.max() / self.widths.min())
+
+    @functools.cached_property
+    def shares(self) -> np.ndarray:
+        """Parts of the volume that are nearest to the surface of each sphere, or deepest in it; shape (k,), sum 1."""
+        if len(self.radii) == 1:
+            return np.ones(1)
+        lower, upper = (self.offsets - self.radii[:, None]).min(0), (self.offsets + self.radii[:, None]).max(0)
+        step = (upper - lower).max() / SHARE_POINTS
+        axes = [np.arange(low + step / 2, high, step) for low, high in zip(lower, upper, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        least, nearest = np.full(len(points), np.inf), np.zeros(len(points), int)
+        for sphere, (centre, radius) in enumerate(zip(self.offsets, self.radii, strict=True)):
+            gap = np.linalg.norm(points - centre, axis=1) - radius
+            nearest[gap < least] = sphere
+            least = np.minimum(least, gap)
+        number = np.bincount(nearest[least < 0], minlength=len(self.radii))
+        return number / number.sum()
 
     def scaled(self, size: float) -> tuple[np.ndarray, np.ndarray]:
         """Return sphere centres, shape (k, 3), and radii, shape (k,), of a body of `size` [m] in its own frame [m]."""

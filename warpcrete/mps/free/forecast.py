@@ -28,10 +28,11 @@ Simulations gave ratios from 1.0 to 1.3.
 COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
 MAX_SPEEDUP = 3.0
-"""Largest wall time of the first steps over the mean of all steps. Steps get cheaper as a funnel empties."""
+"""Maximum factor by which a forecast assumes that steps get faster: mean wall time of the first steps, divided by the
+mean over all steps. Steps get faster as a funnel empties."""
 CELLS_ACROSS = 4
-"""Minimum number of cells of the coarser copy across the concrete, and across each dimension of the vessel except
-bars."""
+"""Minimum number of cells that the coarser copy has along each side of the concrete and along each dimension of the
+vessel except its bars."""
 
 
 def forecast(
@@ -86,8 +87,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     if run is None:
         return Course(reached, scene.time_step, remarks)
     duration = min(DURATION_FACTOR * estimate, scene.duration) if estimate else reached
-    # The flow of the scene has the same error per step as the flow of the coarser copy. However, concrete crosses the
-    # scene's smaller cells in less time, so the Courant number limits the steps to shorter ones.
+    # The flow of the scene and its coarser copy adapt their steps to the same error. A step may also be no longer than
+    # the fastest concrete takes to cross a cell (Courant number), which is a shorter time in the scene's smaller cells.
     steps = np.diff(run.series["steps"])
     if scene.step_error:
         steps = np.maximum(steps, np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing)

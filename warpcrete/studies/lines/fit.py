@@ -38,14 +38,17 @@ LEAST = (1e-2, -1.0, 0.0)
 friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
 NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
-"""Reasons for the value of a slip yield of zero, and of a factor of bends that was left out of a fit."""
+"""Texts that tell why a fit left out a constant: NO_YIELD for a slip yield of zero, NO_FACTOR for the factor of
+bends."""
 SCALED = "not determined by these points; what was known before of the layer changes it like the viscosity"
-"""Reason for the value of a slip yield that a fit kept, but that earlier knowledge of the slip layer then changed."""
+"""Text on a slip yield that the measured pressures do not determine. What was known of the slip layer before the
+measurement changes it in proportion to the slip viscosity."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
 and friction factor of bends (index 2). Such a constant gets its default value."""
 LAYER_FACTORS, BISECTIONS = (1e-6, 1e6), 60
-"""Smallest and largest factor on a fitted slip layer that is considered, and number of steps of the search for it."""
+"""Range of factors, and number of bisection steps, in the search for the factor by which a fitted slip layer is
+multiplied to include what was known before the measurement."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -240,7 +243,8 @@ def fit_line(
     _check_pressures(line, concrete, taps)
     fit = None
     if any(_is_free(part) for part in line.parts):
-        # Errors of the gauges may give an impossible factor, which a fit without the factor does not need.
+        # Errors of the gauges may give an impossible factor of bends, which raises an error. A fit without this factor
+        # may still be possible.
         with suppress(SceneError):
             fit = _fitted(line, concrete, taps, factor=True)
     if fit is None or not _is_better_than_published(fit.constants[2]):
@@ -277,7 +281,10 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
 
 
 def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: bool) -> LineFit:
-    """Return the fit with those constants that the pressures determine; the factor of bends only if `factor`."""
+    """Return the fit of those constants that the measured pressures determine.
+
+    The friction factor of bends is among them only if `factor` is True.
+    """
     model = _Model(line, concrete, taps, bends=factor)
     measured = np.array([tap.pressure for tap in taps])
     flows = np.array([tap.flow for tap in taps])

@@ -75,7 +75,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a shortened trade.json record, which holds only the entries that are shipped with the package."""
-    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises", "reference_errors")
     of_points = ("setting", "origin", "time", "errors", "suspect")
     points = [{name: point[name] for name in of_points} for point in record["points"]]
     version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}

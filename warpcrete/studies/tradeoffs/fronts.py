@@ -90,6 +90,18 @@ def prediction_bound(shifts: Sequence[float]) -> float:
     return abs(float(values.mean())) + student_quantile(len(values) - 1) * spread
 
 
+def distance_to_limit(widths: Sequence[float], values: Sequence[float], value: float) -> float:
+    """Return how far `value` is from the limit of fine cells, divided by this limit.
+
+    A straight line through the `values` at the `widths` of the cells, by least squares, gives the limit at the width 0.
+    Of two widths this is Richardson's extrapolation of first order. The result is infinite for fewer than two widths.
+    """
+    if len(set(widths)) < 2:
+        return math.inf
+    limit = float(np.polyfit(widths, values, 1)[1])
+    return abs(value - limit) / abs(limit) if limit else math.inf
+
+
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the indices of those (cost, error) pairs that lie on the Pareto front, in the order of rising cost."""
     order = sorted(range(len(points)), key=lambda k: points[k])

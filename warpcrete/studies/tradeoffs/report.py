@@ -36,7 +36,7 @@ def table(trade: Trade) -> str:
     head = ["setting", "time [s]", "relative time", "work [million particle-steps]", "memory [MB]"]
     head += [f"{each.title} [{shown(each.unit)[1]}]" for each in trade.quantities]
     head += [f"error of {each.title}" for each in trade.quantities] + ["runs", "remarks"]
-    lines = [f"Errors against {against}.{_beside(trade)}", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines = [f"Errors against {against}.{own_error(trade)}{_beside(trade)}", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for point in sorted(trade.points, key=lambda p: p.cost if math.isfinite(p.cost) else math.inf):
         name = trade.label(point) + (f" ({REFERENCE})" if point.origin == REFERENCE else "")
         cells = [
@@ -56,6 +56,14 @@ def table(trade: Trade) -> str:
         remarks += ["front"] if any(point is one for one in best) else []
         lines.append("| " + " | ".join([*cells, str(len(point.results)), "; ".join(remarks)]) + " |")
     return "\n".join([*lines, "", *promises(trade)])
+
+
+def own_error(trade: Trade) -> str:
+    """Return a sentence on the estimated errors of the finest setting itself; empty if they are not known."""
+    found = [f"{100 * error:.2g} % ({name})" for name, error in trade.reference_errors.items() if math.isfinite(error)]
+    if not found:
+        return ""
+    return f" Its own error, by extrapolation to fine cells, is {', '.join(found)}, and promises contain it."
 
 
 def _beside(trade: Trade) -> str:
@@ -109,6 +117,7 @@ def write(trade: Trade) -> None:
         {
             **trade.record,
             "machine": trade.machine,
+            "reference_errors": trade.reference_errors,
             "points": [_recorded(trade, p) for p in trade.points],
             "promises": [_promised(trade, p) for p in trade.promises],
         },

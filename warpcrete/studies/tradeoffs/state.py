@@ -22,7 +22,7 @@ from ...record.recorders import recorders_of
 from ..cases import Case, name_part, short_name
 from ..cluster import Cluster, WorkerLost
 from ..running import FAILED, previous_outcome
-from .fronts import Error, difference, prediction_bound
+from .fronts import Error, difference, distance_to_limit, prediction_bound
 from .points import CARRIED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
 from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
@@ -238,7 +238,7 @@ class Trade:
         if self.cluster is None:
             for point, (seed, *_), _ in self._due(lacking, tell, until):
                 begun = time.perf_counter()
-                self._run(point, seed, self._folder(point, seed))
+                self._run(point, seed, self.folder_of(point, seed))
                 self.spent += time.perf_counter() - begun
         elif lacking:
             self._run_on(self.cluster, self._due(lacking, tell, until))
@@ -247,7 +247,7 @@ class Trade:
         """Read the existing runs of a setting from their folders; return the seeds that still have to run."""
         for seed in seeds:
             if seed not in point.results and not point.failure:
-                found = previous_outcome(self._folder(point, seed))
+                found = previous_outcome(self.folder_of(point, seed))
                 if isinstance(found, dict):
                     point.results[seed] = found
                 elif found is not None:
@@ -288,7 +288,7 @@ class Trade:
         """Return whether a setting has a result for every seed."""
         return not point.failure and all(seed in point.results for seed in seeds)
 
-    def _folder(self, point: Setting, seed: int) -> Path:
+    def folder_of(self, point: Setting, seed: int) -> Path:
         # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
         # `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there as None
         # if its default is None.
@@ -300,11 +300,11 @@ class Trade:
         words = short_name("-".join([*point.variant.split(), words]))
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
-    def _parameters(self, point: Setting, seed: int) -> dict[str, Any]:
+    def parameters_of(self, point: Setting, seed: int) -> dict[str, Any]:
         return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
 
     def _simulation(self, point: Setting, seed: int, **settings: Any) -> Simulation:
-        scene = self.module.scene(**self._parameters(point, seed))
+        scene = self.module.scene(**self.parameters_of(point, seed))
         return Simulation(scene, device=self.device, precision=scene.precision, threads=self.threads, **settings)
 
     def _run(self, point: Setting, seed: int, folder: Path) -> None:
@@ -336,7 +336,7 @@ class Trade:
             for point, seeds, left in due:
                 running += 1
                 self.record = {**self.record, "abreast": max(running, self.record.get("abreast", 1))}
-                cases = [Case(self._folder(point, s).name, {}, self._parameters(point, s)) for s in seeds]
+                cases = [Case(self.folder_of(point, s).name, {}, self.parameters_of(point, s)) for s in seeds]
                 yield (point, seeds), WorkerJob(cases, len(seeds) < MIN_RUNS_FOR_MEDIAN and not point.variant, left)
 
         def store_outcomes(job: tuple[Setting, list[int]], outcomes: Any) -> None:
@@ -360,7 +360,7 @@ class Trade:
             point.results[seed] = outcome
         elif isinstance(outcome, InstabilityError | SceneError):
             point.failures[seed] = f"failed: {outcome}"
-            folder = self._folder(point, seed)
+            folder = self.folder_of(point, seed)
             folder.mkdir(parents=True, exist_ok=True)
             (folder / FAILED).write_text(f"{point.failures[seed]}\n", encoding="utf-8")
         elif isinstance(outcome, WorkerLost):
@@ -428,10 +428,40 @@ class Trade:
             found.append(0.0 if error.within_scatter else error.size)
         return max(found)
 
+    @property
+    def reference_errors(self) -> dict[str, float]:
+        """Estimated relative error of the reference setting's own results, by the name of the quantity.
+
+        The estimate extrapolates the results of all measured widths of cells, or distances of particles, to the width
+        0. It is empty without a reference or without such an accuracy parameter.
+        """
+        knobs = [knob for knob in self.knobs if knob.resolution]
+        if self.reference is None or not knobs:
+            return {}
+        found = {}
+        for each in self.quantities:
+            reference = self.reference.values(each.name, self.seeds)
+            errors = [distance_to_limit(*self._converging(knob, each.name), float(np.mean(reference)))
+                      for knob in knobs if reference]  # fmt: skip
+            found[each.name] = max(errors, default=math.inf)
+        return found
+
+    def _converging(self, knob: Knob, quantity: str) -> tuple[list[float], list[float]]:
+        """Return the values of a knob at its measured levels, and the mean result of a quantity at each of them."""
+        widths, means = [], []
+        for number, level in enumerate(knob.levels):
+            point = self._alone(knob, number)
+            if point is not None and self.complete(point, self.seeds):
+                (width,), values = level.changes.values(), point.values(quantity, self.seeds)
+                if values:
+                    widths.append(float(str(width)))
+                    means.append(float(np.mean(values)))
+        return widths, means
+
     def promised(self, point: Setting) -> float:
         """Return an upper bound for the error of a setting.
 
-        The bound is the larger of two values. The first is the measured error with its confidence interval. The second
+        The bound is the reference's own error plus the larger of two values. The first is the measured error with its confidence interval. The second
         is the sum of the errors that each changed knob (accuracy parameter) causes alone. Errors that cancel in this
         scene need not cancel in another one.
         """
@@ -439,17 +469,17 @@ class Trade:
             return math.inf
         by_name = {knob.name: knob for knob in self.knobs}
         alone = sum(self.shift(by_name[name], k) for name, k in point.levels.items())
-        return max(point.worst.bound, alone)
+        return max(point.worst.bound, alone) + max(self.reference_errors.values(), default=0.0)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
         """Return a bound for the errors of a setting in another scene, estimated from those in `variants` of the scene.
 
         The estimate assumes that the other scene differs from the original one as much as the variants do. For each
         quantity, the errors in the original scene and in its variants give a 95 % prediction interval. The result is
-        the largest bound of these intervals.
+        the largest bound of these intervals, plus the reference's own error.
         """
         found = []
         for each in self.quantities:
             errors = [e for p in (point, *variants) for e in self.errors_of(p, self.seeds) if e.quantity == each.name]
             found.append(prediction_bound([e.shift for e in errors]))
-        return max(found)
+        return max(found) + max(self.reference_errors.values(), default=0.0)

@@ -229,7 +229,8 @@ def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Te
 
 def _random(scene: Any) -> bool:
     """Return whether a scene's results depend on the random seed."""
-    return getattr(scene, "fill", None) is not None or getattr(scene, "aggregates", None) is not None
+    parts = (getattr(scene, name, None) for name in ("fill", "aggregates", "aggregate_fraction"))
+    return any(part is not None for part in parts)
 
 
 def _measure(trade: Trade, tell: Tell) -> None:
@@ -276,6 +277,14 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     _run_combinations(trade, tell)
     trade.judge()
     _find_promises(trade, tell)
+
+
+def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
+    """Judge the runs of `settings` that exist already, and find the promises that they allow, without further runs."""
+    trade.budget = 0.0
+    trade.run_all(settings, trade.seeds, lambda phase, fraction, figures: None)
+    trade.judge()
+    _find_promises(trade, lambda phase, fraction, figures: None)
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:

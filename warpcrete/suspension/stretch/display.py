@@ -80,7 +80,7 @@ class StretchDisplay(SphereDisplay):
         return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
 
     def _with_aggregates(self, mortar: Surface, cut: bool) -> Surface:
-        centres = self.read("aggregates.centre").astype(float)
+        centres = self.sphere_centres()
         return self.with_spheres(mortar, centres, np.arange(len(centres)), self.cut if cut else None)
 
     def scale(self) -> tuple[str, float, float]:

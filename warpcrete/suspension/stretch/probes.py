@@ -74,12 +74,13 @@ def _along(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
 def fraction_profile(flow: SuspensionFlow) -> np.ndarray:
     """Return the volume fraction of the aggregates in rings one cell wide, counted from the axis."""
     room, scene, count = flow.state.layout.room, flow.scene, _ring_count(flow)
-    centre, radius = flow.aggregates.bodies.centre.numpy().astype(float), flow.aggregates.radius
-    points = _points()
+    bodies, parts = flow.aggregates.bodies, flow.aggregates.parts
+    centre = parts.centres(bodies.centre.numpy().astype(float), bodies.turn.numpy().astype(float))
+    radius, points = parts.radius, _points()
     aside = np.hypot(
         centre[:, 0, None] + radius[:, None] * points[:, 0], centre[:, 1, None] + radius[:, None] * points[:, 1]
     )
-    own = np.repeat(4 / 3 * np.pi * radius**3 / len(points), len(points))
+    own = np.repeat(parts.share / len(points), len(points))
     ring = np.clip((aside.ravel() / room.width[0]).astype(int), 0, count - 1)
     edges = room.width[0] * np.arange(count + 1)
     return np.bincount(ring, own, count) / (np.pi * np.diff(edges**2) * scene.length)

@@ -86,7 +86,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
             refuse("aggregate_fraction", self.aggregate_fraction, "must be above 0", "use the scene 'tube' for a flow "
                    "without aggregates")  # fmt: skip
         self.check_aggregates()
-        largest = self.aggregate_diameters[1]
+        largest = self.diameters[1]
         if self.length < MIN_LENGTH * largest:
             refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
                                           "because the ends of the stretch are connected",
@@ -105,6 +105,11 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         if self.gradient <= least:
             refuse("gradient", self.gradient, f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m",
                    f"use {at_least(1.5 * least)} Pa/m or more")  # fmt: skip
+
+    @property
+    def cell_width(self) -> float:
+        """Largest width of the cells [m]; a whole number of cells fits into the radius and into the length."""
+        return max(side / max(1, round(side / self.spacing)) for side in (self.radius, self.length))
 
     @cached_property
     def mortar_alone(self) -> Steady:
@@ -138,7 +143,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         The speed is that of Stokes' law, with the viscosity of the mortar at low shear.
         """
         weight = abs(self.aggregate_density - self.concrete.density) * self.gravity
-        return 2 / 9 * weight * (self.aggregate_diameters[1] / 2) ** 2 / self.concrete.viscosity
+        return 2 / 9 * weight * (self.diameters[1] / 2) ** 2 / self.concrete.viscosity
 
     @property
     def caption(self) -> str:
@@ -151,7 +156,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @property
     def mean_diameter(self) -> float:
         """Mean diameter of the aggregates [m]."""
-        return math.fsum(self.aggregate_diameters) / 2
+        return math.fsum(self.diameters) / 2
 
     def __repr__(self) -> str:
         return (
