@@ -74,6 +74,10 @@ class Ring:
         return MeshWall(name="bars", vertices=vertices, faces=faces, material="mould")
 
 
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.005, "precision": "float64"}
+"""Parameters that `--method suspension` sets unless they are given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RingParameters(Ring, SlumpParameters):
     """Dimensions of the mould, of the plate and of the ring of bars; defaults follow EN 12350-12."""

@@ -41,7 +41,7 @@ from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Sectio
 from warpcrete.suspension.aggregates import MIN_CELLS
 from warpcrete.suspension.part.checks import check_part as check_with_aggregates
 from warpcrete.suspension.part.scene import BlockageSettings, PartSuspensionScene, part_scene
-from warpcrete.suspension.scene import AggregateParameters, LargestDiameter, SmallestDiameter
+from warpcrete.suspension.scene import AggregateParameters
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
@@ -55,6 +55,8 @@ AGGREGATE_REMARKS = (
 )
 
 
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
+"""Parameters that `--method suspension` sets unless they are given."""
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
 """Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
@@ -99,8 +101,6 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
                     FileIf(is_file)] = None  # fmt: skip
     flow: Annotated[float, "Volume flow [m3/s]", Above()] = FLOW
     spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 0.01
-    aggregate_smallest: SmallestDiameter = 0.016
-    aggregate_largest: LargestDiameter = 0.016
 
 
 @scene_function(PartParameters)
@@ -292,7 +292,7 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
         narrow = 2 * read_line(given.line).bores.smallest
     coarsest = narrow / MIN_ACROSS
     if given.aggregate_fraction:
-        coarsest = min(coarsest, given.aggregate_smallest / MIN_CELLS)
+        coarsest = min(coarsest, given.diameters[0] / MIN_CELLS)
     spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= coarsest]
     yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m", resolution=True)
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")

@@ -21,14 +21,13 @@ def test_limits_are_rounded_to_the_side_that_is_allowed():
 @pytest.mark.parametrize(
     "name, given",
     [
-        ("stretch", {"length": 0.02, "aggregate_largest": THIRD, "aggregate_smallest": THIRD,
-                     "spacing": 0.003}),
-        ("stretch", {"spacing": 0.005, "diameter": 0.03333, "length": 0.1, "gradient": 1e5, "aggregate_fraction": 0.1}),
+        ("stretch", {"length": 0.02, "aggregate_largest": THIRD, "aggregate_smallest": THIRD}),
+        ("stretch", {"spacing": 0.005, "diameter": 0.03333, "length": 0.1, "gradient": 1e5, "aggregate_fraction": 0.1,
+                     "aggregate_smallest": 0.016, "aggregate_largest": 0.016}),
         ("slump", {"aggregate_largest": 0.04, "aggregate_fraction": 0.1, "lift_time": 0.0, "spacing": 0.008,
                    "aggregate_smallest": 0.03}),
         ("jring", {"plate_radius": 0.1, "ring_diameter": 0.3003}),
         ("jring", {"ring_diameter": 0.2, "bar_diameter": 0.0181234, "bars": 8}),
-        ("jring", {"ring_height": 1e-6}),
         ("jring-dem", {"ring_diameter": 0.2, "bar_diameter": 0.0181234, "bars": 8}),
         ("lbox", {"opening": 0.01, "spacing": 0.01237}),
         ("lbox", {"spacing": 0.02, "bars": 3, "bar_diameter": 0.01237}),

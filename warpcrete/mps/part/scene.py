@@ -240,6 +240,11 @@ class PartScene(Parametrised, PartSettings):
         return self.symmetry == "half" and self.wall is None and self.axis.is_plane
 
     @property
+    def rounded_spacing(self) -> float:
+        """Width of the cells [m], which divides the radius at the start of the part."""
+        return self.radius / max(3, round(self.radius / self.spacing))
+
+    @property
     def simulated_share(self) -> float:
         """Share of the part's cross-sections that is simulated: 0.5 if only one half of the part is, otherwise 1."""
         return 0.5 if self.is_half else 1.0

@@ -51,6 +51,11 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
             )
 
     @property
+    def cell_width(self) -> float:
+        """Width of the cells [m]."""
+        return self.rounded_spacing
+
+    @property
     def density(self) -> float:
         """Density of mortar and aggregates together [kg/m3]."""
         return self.concrete.density + self.simulated_fraction * (self.aggregate_density - self.concrete.density)
