@@ -37,8 +37,8 @@ class Balance:
     lubrication: float
     """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
     contacts: float
-    """Power that contacts between aggregates, and of aggregates with walls, dissipate. The power that contacts supply
-    to remove overlaps is subtracted."""
+    """Power that contacts between aggregates, and of aggregates with walls, dissipate, also by friction. The power that
+    contacts supply to remove overlaps is subtracted."""
     kinetic: float
     """Increase of the kinetic energy of mortar and aggregates in the step, divided by the length of the step."""
     damping: float
@@ -241,11 +241,8 @@ class _Step:
             getattr(pairs, name).numpy().astype(float)[places]
             for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
         )
-        velocity, spheres = self.after[0], flow.aggregates.parts
-        if flow.aggregates.kind.clumps:
-            arm = flow.aggregates.bodies.arm.numpy().astype(float)
-            velocity = velocity[spheres.body] + np.cross(self.after[1][spheres.body], arm)
-        relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
+        velocity, friction = self._relative(own, np.where(wall, own, other), normal, gap), flow.aggregates.kind.friction
+        relative = velocity[0] - np.where(wall[:, None], 0.0, velocity[1])
         approach = np.sum(relative * normal, 1) - still
         # Contacts that were found only after the last solve exert no force in this step.
         hold = hold * (touching == 1)
@@ -253,9 +250,30 @@ class _Step:
         share = np.where(wall, 1.0, 0.5)
         apart = hold / flow.scene.time_step * (rough - gap)
         force = -((slow + hold) * approach + apart)
+        forces, moving = force[:, None] * normal, still[:, None] * normal
+        rubbing = 0.0
+        if friction:
+            grip, drift = (getattr(pairs, name).numpy().astype(float)[places] for name in ("grip", "drift"))
+            slides = relative - np.sum(relative * normal, 1)[:, None] * normal - drift
+            forces, moving = forces - grip[:, None] * slides, moving + drift
+            rubbing = float(np.sum(share * grip * np.sum(slides**2, 1)))
         return (
             float(np.sum(share * slow * approach**2)),
-            float(np.sum(share * (hold * approach + apart) * approach)),
-            float(np.sum(np.where(wall, force * still, 0.0))),
-            float(np.sum(np.where(wall, force * normal[:, 2], 0.0))),
+            float(np.sum(share * (hold * approach + apart) * approach)) + rubbing,
+            float(np.sum(forces[wall] * moving[wall])),
+            float(np.sum(forces[wall, 2])),
         )
+
+    def _relative(self, own: np.ndarray, other: np.ndarray, normal: np.ndarray, gap: np.ndarray) -> list[np.ndarray]:
+        """Return the velocities of both spheres of all pairs where they touch [m/s], each of shape (k, 3)."""
+        aggregates = self.flow.aggregates
+        parts, kind, found = aggregates.parts, aggregates.kind, []
+        for sphere, side in ((own, normal), (other, -normal)):
+            lever = np.zeros_like(normal)
+            if kind.clumps:
+                lever += aggregates.bodies.arm.numpy().astype(float)[sphere]
+            if kind.friction:
+                lever += (parts.radius[sphere] + 0.5 * gap)[:, None] * side
+            body = parts.body[sphere]
+            found.append(self.after[0][body] + np.cross(self.after[1][body], lever))
+        return found

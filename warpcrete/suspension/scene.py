@@ -43,6 +43,8 @@ class SphereFields:
     """Density of the aggregates [kg/m3]."""
     roughness: float
     """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
+    friction: float = 0.0
+    """Coefficient of friction of aggregates with each other and with walls."""
     aggregate_shapes: str = "spheres"
     """Shapes of the aggregates: the name of a set of templates, or paths of meshes."""
     aggregate_sizes: str = UNIFORM
@@ -148,6 +150,9 @@ class AggregateParameters(Declared):
         "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
         Within(1e-4, 0.1),
     ] = 0.01
+    friction: Annotated[
+        float, "Coulomb friction coefficient of aggregates with each other and with walls", Within(0, 2)
+    ] = 0.0
 
     @property
     def coarsest(self) -> float:
@@ -162,6 +167,7 @@ class AggregateParameters(Declared):
             "aggregate_diameters": (self.aggregate_smallest, self.aggregate_largest),
             "aggregate_density": self.aggregate_density,
             "roughness": self.roughness,
+            "friction": self.friction,
             "aggregate_shapes": self.aggregate_shapes,
             "aggregate_sizes": self.aggregate_sizes,
         }
