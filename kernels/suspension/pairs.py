@@ -78,21 +78,14 @@ def pair_struct(scalar):
 
 
 @functools.cache
-def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
-    """Build functions for the forces between aggregates and their neighbours.
+def store_functions(scalar) -> SimpleNamespace:
+    """Build functions for the list of a sphere's neighbours.
 
     - `store` stores a neighbour of a sphere.
     - `is_known` tells whether a wall is already stored.
-    - `resistance` returns the force of a pair per speed of approach [N s/m].
-    - `lever` returns the vector from the centre of an aggregate to the point at which a neighbour acts on it.
-    - `relative` returns the velocity of a sphere relative to a neighbour.
-    - `between` returns the force and the torque by which all neighbours of an aggregate oppose the given velocities.
-    - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
-      torque as a function of its own spin.
     """
-    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
-    Grid = grid_parameters_struct(scalar, 3)
-    Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)
+    vec = mps_types(scalar, 3).vec
+    Grid, Pairs = grid_parameters_struct(scalar, 3), pair_struct(scalar)
 
     @wp.func
     def store(
@@ -141,6 +134,23 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
                 if wp.abs(pairs.gap[place] - gap) < scalar(0.1) * radius:
                     return True
         return False
+
+    return SimpleNamespace(store=store, is_known=is_known)
+
+
+@functools.cache
+def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
+    """Build functions for the forces between aggregates and their neighbours.
+
+    - `resistance` returns the force of a pair per speed of approach [N s/m].
+    - `lever` returns the vector from the centre of an aggregate to the point at which a neighbour acts on it.
+    - `relative` returns the velocity of a sphere relative to a neighbour.
+    - `between` returns the force and the torque by which all neighbours of an aggregate oppose the given velocities.
+    - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
+      torque as a function of its own spin.
+    """
+    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
+    Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)
 
     @wp.func
     def resistance(pairs: Pairs, place: wp.int32) -> scalar:
@@ -227,9 +237,8 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
         return whole, round
 
     return SimpleNamespace(
-        store=store, is_known=is_known, resistance=resistance, lever=lever, relative=relative, along=along,
-        between=between, blocks=blocks,
-    )  # fmt: skip
+        resistance=resistance, lever=lever, relative=relative, along=along, between=between, blocks=blocks
+    )
 
 
 @functools.cache

@@ -67,9 +67,14 @@ class SphereFields:
         return self.spacing
 
     @property
+    def narrowest(self) -> float:
+        """Width of the narrowest shape, divided by its size."""
+        return min(float(shape.widths.min()) for shape in self.templates)
+
+    @property
     def resolved(self) -> float:
         """Size of the smallest aggregates [m] that the cells resolve."""
-        return MIN_CELLS * self.cell_width / min(float(shape.widths.min()) for shape in self.templates)
+        return MIN_CELLS * self.cell_width / self.narrowest
 
     @property
     def simulated_fraction(self) -> float:
@@ -85,9 +90,8 @@ class SphereFields:
 
     def check_aggregates(self) -> None:
         """Raise :class:`SceneError` if sizes of aggregates and cells do not fit each other."""
-        finest = self.resolved
         if self.sieve is not None:
-            largest = self.sieve.largest
+            finest, largest = self.resolved, self.sieve.largest
             if largest <= finest:
                 refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, but "
                                                 f"the sieve curve ends at {largest:g} m",
@@ -97,8 +101,8 @@ class SphereFields:
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
-        if smallest < finest:
-            narrow = smallest * MIN_CELLS * self.spacing / finest
+        narrow = smallest * self.narrowest
+        if narrow < MIN_CELLS * self.spacing:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
                    f"use {at_most(narrow / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
