@@ -40,6 +40,8 @@ class SphereFields:
     """Density of the aggregates [kg/m3]."""
     roughness: float
     """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
+    friction: float = 0.0
+    """Coefficient of friction of aggregates with each other and with walls."""
     aggregate_shapes: str = "spheres"
     """Shapes of the aggregates: the name of a set of templates, or paths of meshes."""
     aggregate_sizes: str = UNIFORM
@@ -62,9 +64,14 @@ class SphereFields:
         return self.spacing
 
     @property
+    def narrowest(self) -> float:
+        """Width of the narrowest shape, divided by its size."""
+        return min(float(shape.widths.min()) for shape in self.templates)
+
+    @property
     def resolved(self) -> float:
         """Size of the smallest aggregates [m] that the cells resolve."""
-        return MIN_CELLS * self.cell_width / min(float(shape.widths.min()) for shape in self.templates)
+        return MIN_CELLS * self.cell_width / self.narrowest
 
     @property
     def simulated_fraction(self) -> float:
@@ -80,9 +87,8 @@ class SphereFields:
 
     def check_aggregates(self) -> None:
         """Raise :class:`SceneError` if sizes of aggregates and cells do not fit each other."""
-        finest = self.resolved
         if self.sieve is not None:
-            largest = self.sieve.largest
+            finest, largest = self.resolved, self.sieve.largest
             if largest <= finest:
                 refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, but "
                                                 f"the sieve curve ends at {largest:g} m",
@@ -92,8 +98,8 @@ class SphereFields:
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
-        if smallest < finest:
-            narrow = smallest * MIN_CELLS * self.cell_width / finest
+        narrow = smallest * self.narrowest
+        if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
                    f"use {at_most(narrow / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
@@ -157,6 +163,9 @@ class AggregateParameters(Declared):
         "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
         Within(1e-4, 0.1),
     ] = 0.01
+    friction: Annotated[
+        float, "Coulomb friction coefficient of aggregates with each other and with walls", Within(0, 2)
+    ] = 0.0
 
     @property
     def diameters(self) -> tuple[float, float]:
@@ -180,6 +189,7 @@ class AggregateParameters(Declared):
             "aggregate_diameters": self.diameters,
             "aggregate_density": self.aggregate_density,
             "roughness": self.roughness,
+            "friction": self.friction,
             "aggregate_shapes": self.aggregate_shapes,
             "aggregate_sizes": self.aggregate_sizes,
         }

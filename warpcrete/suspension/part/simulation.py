@@ -56,7 +56,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         self.entering = entrance.enters
         """Time at which each aggregate has entered entirely [s], shape (n,)."""
         return SuspensionFlow(
-            GridState(scene, layout, self.device, self.precision), aggregates, roughness=scene.roughness,
+            GridState(scene, layout, self.device, self.precision), aggregates, roughness=scene.roughness, friction=scene.friction,
             entrance=entrance,
         )  # fmt: skip
 
