@@ -56,8 +56,8 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         self.entering = entrance.enters
         """Time at which each aggregate has entered entirely [s], shape (n,)."""
         return SuspensionFlow(
-            GridState(scene, layout, self.device, self.precision), aggregates, roughness=scene.roughness, friction=scene.friction,
-            entrance=entrance,
+            GridState(scene, layout, self.device, self.precision), aggregates, roughness=scene.roughness,
+            friction=scene.friction, entrance=entrance,
         )  # fmt: skip
 
     def measured(self) -> dict[str, float]:
