@@ -38,7 +38,7 @@ Progress = Callable[[str, float, dict], None]
 class Job:
     """One run: parameters of a scene, and the folder of its result."""
 
-    module: str
+    scene: str
     parameters: dict
     folder: str
     timed: bool
@@ -58,8 +58,7 @@ def all_jobs(names: list[str], out: Path) -> list[Job]:
             trade = trade_of(plan, folder)
             for point, seed, level in jobs_of(plan, trade, timed):
                 made = trade.folder_of(point, seed)
-                jobs.append(Job(trade.module.__name__, trade.parameters_of(point, seed), str(made), timed, level,
-                                plan.elements))  # fmt: skip
+                jobs.append(Job(plan.scene, trade.parameters_of(point, seed), str(made), timed, level, plan.elements))
     return jobs
 
 
@@ -98,10 +97,9 @@ def run_whole(name: str, out: Path, tiny: bool) -> dict[str, str]:
 
 def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: set) -> dict[str, str]:
     """Run jobs of one method together; return the errors of those that failed, by folder."""
-    import importlib
-
     from warpcrete.methods import Simulation, method_of
     from warpcrete.record.recorders import recorders_of
+    from warpcrete.scenes import modules
     from warpcrete.studies.tradeoffs.trials import warm_up
 
     simulations, ran, failed = [], [], {}
@@ -115,11 +113,11 @@ def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: 
         return stop_in_time
 
     for job in group:
-        module = importlib.import_module(job.module)
+        module = modules()[job.scene]
         try:
             scene = module.scene(**job.parameters)
             settings = {"device": device, "precision": scene.precision, "threads": THREADS}
-            kind = (job.module, scene.precision)
+            kind = (job.scene, scene.precision)
             if job.timed and kind not in warm:
                 warm_up(Simulation(scene, **settings))
                 warm.add(kind)
@@ -154,7 +152,7 @@ def groups_of(jobs: list[Job]) -> tuple[list, list, list]:
         group.append(job)
     elements: dict = {}
     for job in sorted((j for j in jobs if not j.timed and j.elements), key=lambda job: job.level):
-        elements.setdefault((job.module, Path(job.folder).parts[-3]), []).append(job)
+        elements.setdefault(Path(job.folder).parts[-3], []).append(job)
     return alone, flows, list(elements.values())
 
 
@@ -168,8 +166,7 @@ def few_of(jobs: list[Job]) -> set[str]:
 
 def method_name(job: Job) -> str:
     """Return a word that is the same for scenes that one call can run together."""
-    last = job.module.rsplit(".", 1)[-1]
-    return last if last in ("part", "stretch") else "vessels"
+    return job.scene if job.scene in ("part", "stretch") else "vessels"
 
 
 def core_sets() -> tuple[list[list[int]], list[int]]:
@@ -226,15 +223,18 @@ def main() -> None:
     print(f"CPU: {len(alone)} runs on {len(pairs)} x {THREADS} cores {pairs}")
     print(f"{gpu}: {sum(map(len, flows))} flows in {len(flows)} groups, {sum(map(len, elements))} of elements in "
           f"{len(elements)}", flush=True)  # fmt: skip
+    gpus = 1 if given.cpu else len(os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(","))
     context = multiprocessing.get_context("spawn")
-    told, workers = context.Queue(), []
+    told, workers, queues = context.Queue(), [], []
     crews = [(elements, gpu, [host] * 2), (flows, gpu, [host] * CREWS), (alone, "cpu", pairs)]
     for groups, device, places in crews:
-        queue = context.Queue()
+        # A process that starts needs the queue, so keep every queue until the end.
+        queues.append(queue := context.Queue())
         for group in groups:
             queue.put(group)
-        for cores in places[:1] if given.cpu else places:
-            arguments = (cores, device, deadline, given.tiny, queue, told)
+        for number, cores in enumerate(places[:1] if given.cpu else places):
+            chosen = f"cuda:{number % gpus}" if device == "cuda" else device
+            arguments = (cores, chosen, deadline, given.tiny, queue, told)
             workers.append(context.Process(target=work, args=arguments, daemon=True))
             workers[-1].start()
             if given.cpu:
@@ -256,7 +256,7 @@ def report(told: Any, started: float) -> None:
     """Print what has ended since the last call: groups on the GPU, and runs on the CPU that failed."""
     while not told.empty():
         device, what, begun, ended, failed = told.get()
-        if device == "cuda" or failed:
+        if device != "cpu" or failed:
             print(f"{ended - started:4.0f} s {device}: {what}, {ended - begun:.0f} s, {len(failed)} failed "
                   f"{next(iter(failed.values()), '')[:150]}", flush=True)  # fmt: skip
 

@@ -105,6 +105,53 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     return force.reshape(shape), speed.reshape(shape), np.where(known, stiffness, 0.0).reshape(shape)
 
 
+@dataclass(frozen=True)
+class PairForces:
+    """Forces between the spheres of aggregates, and of walls on them, at the end of the last step.
+
+    All arrays have one entry for each neighbour of a sphere, so a pair of spheres occurs twice.
+    """
+
+    own: np.ndarray
+    """Index of the sphere."""
+    other: np.ndarray
+    """Index of its neighbour, or WALL."""
+    normal: np.ndarray
+    """Unit vector from the sphere towards the neighbour, shape (n, 3)."""
+    still: np.ndarray
+    """Velocity of a wall along `normal` [m/s]."""
+    approach: np.ndarray
+    """Speed at which sphere and neighbour approach each other [m/s]."""
+    lubrication: np.ndarray
+    """Force of lubrication that the grid does not resolve [N]; positive if it pushes both apart."""
+    contact: np.ndarray
+    """Force of the contact [N]; positive if it pushes both apart."""
+
+
+def pair_forces(flow: SuspensionFlow) -> PairForces:
+    """Return the forces between aggregates, and of walls on aggregates, at the end of the last step."""
+    pairs, bodies = flow.aggregates.pairs, flow.aggregates.bodies
+    number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
+    own = np.repeat(rows, number)
+    places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
+    other = pairs.other.numpy()[places]
+    wall = other == int(WALL)
+    normal, gap, rough, still, slow, hold, touching = (
+        getattr(pairs, name).numpy().astype(float)[places]
+        for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
+    )
+    velocity, body = bodies.velocity.numpy().astype(float), flow.aggregates.parts.body
+    if flow.aggregates.kind.clumps:
+        spin, arm = bodies.spin.numpy().astype(float), bodies.arm.numpy().astype(float)
+        velocity = velocity[body] + np.cross(spin[body], arm)
+    relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
+    approach = np.sum(relative * normal, 1) - still
+    # Contacts that were found only after the last solve exert no force in this step.
+    hold = hold * (touching == 1)
+    contact = hold * (approach + (rough - gap) / flow.scene.time_step)
+    return PairForces(own, other, normal, still, approach, slow * approach, contact)
+
+
 class _Grid:
     """Host copies of the arrays of a grid, without the outer cells at the ends of a periodic axis."""
 
@@ -231,31 +278,14 @@ class _Step:
 
         The force is that of the walls on the aggregates, as its component along the last axis of the grid.
         """
-        flow, pairs = self.flow, self.flow.aggregates.pairs
-        number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
-        own = np.repeat(rows, number)
-        places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
-        other = pairs.other.numpy()[places]
-        wall = other == int(WALL)
-        normal, gap, rough, still, slow, hold, touching = (
-            getattr(pairs, name).numpy().astype(float)[places]
-            for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
-        )
-        velocity, spheres = self.after[0], flow.aggregates.parts
-        if flow.aggregates.kind.clumps:
-            arm = flow.aggregates.bodies.arm.numpy().astype(float)
-            velocity = velocity[spheres.body] + np.cross(self.after[1][spheres.body], arm)
-        relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
-        approach = np.sum(relative * normal, 1) - still
-        # Contacts that were found only after the last solve exert no force in this step.
-        hold = hold * (touching == 1)
+        found = pair_forces(self.flow)
+        wall = found.other == int(WALL)
         # Both aggregates of a pair have an entry for it, so each entry counts half of the pair's power.
         share = np.where(wall, 1.0, 0.5)
-        apart = hold / flow.scene.time_step * (rough - gap)
-        force = -((slow + hold) * approach + apart)
+        force = found.lubrication + found.contact
         return (
-            float(np.sum(share * slow * approach**2)),
-            float(np.sum(share * (hold * approach + apart) * approach)),
-            float(np.sum(np.where(wall, force * still, 0.0))),
-            float(np.sum(np.where(wall, force * normal[:, 2], 0.0))),
+            float(np.sum(share * found.lubrication * found.approach)),
+            float(np.sum(share * found.contact * found.approach)),
+            -float(np.sum(np.where(wall, force * found.still, 0.0))),
+            -float(np.sum(np.where(wall, force * found.normal[:, 2], 0.0))),
         )

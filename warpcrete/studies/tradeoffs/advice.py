@@ -75,7 +75,8 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a shortened trade.json record, which holds only the entries that are shipped with the package."""
-    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises", "reference_errors")
+    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    kept += ("reference_errors",)
     of_points = ("setting", "origin", "time", "errors", "suspect")
     points = [{name: point[name] for name in of_points} for point in record["points"]]
     version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}
@@ -117,10 +118,11 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
             f"trade = '{trade}': has no result yet; finish the trade with 'warpcrete trade --resume {trade}'"
         )
     if chosen is None:
+        more = f"make a longer one with 'warpcrete trade {name} --budget 1h'" if trade.suffix == ".json" else (
+            "continue the trade with 'warpcrete trade --resume'")  # fmt: skip
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
                                                     "best",
-               f"use {at_least(100 * best, 2)} % or more, or continue the trade with "
-               "'warpcrete trade --resume'")  # fmt: skip
+               f"use {at_least(100 * best, 2)} % or more, or {more}")  # fmt: skip
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}
