@@ -210,6 +210,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=400.0, help="wall time until all runs are ended")
     parser.add_argument("--only", nargs="*", choices=[*PLANS, *WHOLE])
     parser.add_argument("--cpu", action="store_true", help="run on the CPU alone, one process")
+    parser.add_argument("--without-times", action="store_true", help="make no runs for their times on the CPU")
     parser.add_argument("--tiny", action="store_true", help="few runs, each a fiftieth of its time")
     given = parser.parse_args()
     started = time.time()
@@ -221,6 +222,8 @@ def main() -> None:
     alone, flows, elements = groups_of(jobs)
     alone = [(name, given.out, given.tiny) for name in names if name in WHOLE] + alone
     pairs, host = core_sets()
+    if given.without_times:
+        alone, host = [], sorted(os.sched_getaffinity(0))
     gpu = "cpu" if given.cpu else "cuda"
     print(f"CPU: {len(alone)} runs on {len(pairs)} x {THREADS} cores {pairs}")
     print(f"{gpu}: {sum(map(len, flows))} flows in {len(flows)} groups, {sum(map(len, elements))} of elements in "
@@ -230,7 +233,7 @@ def main() -> None:
     told, workers, queues = context.Queue(), [], []
     crews = [(elements, gpu, [host] * 2 * gpus), (flows, gpu, [host] * CREWS * gpus), (alone, "cpu", pairs)]
     for groups, device, places in crews:
-        # A process that starts needs the queue, so keep every queue until the end.
+        # A queue that nothing holds disappears before the processes have opened it.
         queues.append(queue := context.Queue())
         for group in groups:
             queue.put(group)
