@@ -54,7 +54,7 @@ def measure(name: str, folder: Path) -> None:
 
 def section(name: str, record: dict, figure: bool = True) -> str:
     """Return the command, the machine, the figure and the table of promises as Markdown."""
-    scene, parameters, *how = TRADES[name] if name in TRADES else (PLANS[name].scene, PLANS[name].base)
+    scene, parameters, how = record["scene"], record["parameters"], TRADES.get(name, (0, 0))[2:]
     given = [(f"--{key.replace('_', '-')}", "" if value is True else f"{value}") for key, value in parameters.items()]
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     ran = f"trade {scene} {options} --budget {how[1]}s --device {how[0]}" if how else f"run {scene} {options}"
@@ -144,7 +144,7 @@ def main() -> None:
         parser.error("give --folder FOLDER, or --redraw")
     for name in given.names:
         measure(name, given.folder)
-    if (given.folder / "runs.tar.gz").is_file():
+    if (given.folder / "raw").is_dir() or (given.folder / "runs.tar.gz").is_file():
         judge_all(given.folder, given.fresh)
     SHIPPED.mkdir(exist_ok=True)
     for name in (*TRADES, *PLANS):

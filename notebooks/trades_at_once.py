@@ -25,10 +25,10 @@ from trade_plans import PLANS, WHOLE, jobs_of, trade_of
 THREADS = 2
 """Number of threads of a run on a CPU."""
 HOST_CORES = 6
-"""Number of CPU cores that are left to the processes of the GPU."""
+"""Least number of CPU cores that are left to the processes of the GPUs; on larger machines it is half of the cores."""
 TOGETHER, CREWS = 8, 4
-"""Maximum number of flows that a process runs together on the GPU, and number of these processes. A process takes its
-next group when all runs of the last one have ended."""
+"""Maximum number of flows that a process runs together on a GPU, and number of these processes for each GPU. A process
+takes its next group when all runs of the last one have ended."""
 
 
 Progress = Callable[[str, float, dict], None]
@@ -58,6 +58,8 @@ def all_jobs(names: list[str], out: Path) -> list[Job]:
             trade = trade_of(plan, folder)
             for point, seed, level in jobs_of(plan, trade, timed):
                 made = trade.folder_of(point, seed)
+                if (made / "result.json").exists():  # An earlier call with the same folder has made this run.
+                    continue
                 jobs.append(Job(plan.scene, trade.parameters_of(point, seed), str(made), timed, level, plan.elements))
     return jobs
 
@@ -172,7 +174,7 @@ def method_name(job: Job) -> str:
 def core_sets() -> tuple[list[list[int]], list[int]]:
     """Return the pairs of cores for runs on the CPU, and the cores for the processes of the GPU."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    kept = HOST_CORES if len(cores) > 2 * HOST_CORES else 0
+    kept = max(HOST_CORES, len(cores) // 2) if len(cores) > 2 * HOST_CORES else 0
     pairs = [cores[k : k + THREADS] for k in range(0, len(cores) - kept - THREADS + 1, THREADS)]
     return pairs or [cores], cores[len(cores) - kept :] if kept else cores
 
@@ -208,6 +210,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=400.0, help="wall time until all runs are ended")
     parser.add_argument("--only", nargs="*", choices=[*PLANS, *WHOLE])
     parser.add_argument("--cpu", action="store_true", help="run on the CPU alone, one process")
+    parser.add_argument("--without-times", action="store_true", help="make no runs for their times on the CPU")
     parser.add_argument("--tiny", action="store_true", help="few runs, each a fiftieth of its time")
     given = parser.parse_args()
     started = time.time()
@@ -219,6 +222,8 @@ def main() -> None:
     alone, flows, elements = groups_of(jobs)
     alone = [(name, given.out, given.tiny) for name in names if name in WHOLE] + alone
     pairs, host = core_sets()
+    if given.without_times:
+        alone, host = [], sorted(os.sched_getaffinity(0))
     gpu = "cpu" if given.cpu else "cuda"
     print(f"CPU: {len(alone)} runs on {len(pairs)} x {THREADS} cores {pairs}")
     print(f"{gpu}: {sum(map(len, flows))} flows in {len(flows)} groups, {sum(map(len, elements))} of elements in "
@@ -226,9 +231,9 @@ def main() -> None:
     gpus = 1 if given.cpu else len(os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(","))
     context = multiprocessing.get_context("spawn")
     told, workers, queues = context.Queue(), [], []
-    crews = [(elements, gpu, [host] * 2), (flows, gpu, [host] * CREWS), (alone, "cpu", pairs)]
+    crews = [(elements, gpu, [host] * 2 * gpus), (flows, gpu, [host] * CREWS * gpus), (alone, "cpu", pairs)]
     for groups, device, places in crews:
-        # A process that starts needs the queue, so keep every queue until the end.
+        # A queue that nothing holds disappears before the processes have opened it.
         queues.append(queue := context.Queue())
         for group in groups:
             queue.put(group)

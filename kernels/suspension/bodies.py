@@ -40,6 +40,13 @@ class BodyKind(NamedTuple):
 
     clumps: bool = False
     """True if aggregates may consist of several spheres; False if each aggregate is one sphere."""
+    friction: bool = False
+    """True if friction acts where aggregates touch each other or a wall."""
+
+    @property
+    def turning(self) -> bool:
+        """Return whether forces between neighbours exert torques on aggregates."""
+        return self.clumps or self.friction
 
 
 @functools.cache

@@ -10,7 +10,7 @@ from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import mps_types
 from .bodies import BodyKind, body_functions, body_structs, shape_functions
-from .pairs import CAPACITY, LOOKED_AT, WALL, pair_functions, pair_struct
+from .pairs import CAPACITY, LOOKED_AT, WALL, pair_struct, store_functions
 
 TURNS = 6
 """Number of steps in which a search for a wall moves over the surface of an aggregate."""
@@ -172,7 +172,7 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     fields = grid_structs(scalar, 3)
     Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
     Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
-    f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), pair_functions(scalar, kind)
+    f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), store_functions(scalar)
     search, list_others = wall_search_function(scalar, of), others_function(scalar, of, kind)
     shape = shape_functions(scalar, kind)
     wall_gap = wall_gap_function(scalar, of)

@@ -60,6 +60,15 @@ def pair_struct(scalar):
         # 1 if sphere and neighbour touch in this step, NEW if the last coupled solve has found this contact,
         # otherwise 0.
         touching: wp.array(dtype=wp.int32)
+        # The next arrays are empty without friction.
+        grip: wp.array(dtype=scalar)  # Friction force per speed at which the surfaces slide [N s/m].
+        drift: wp.array(dtype=vec3)  # Velocity of a wall along its surface [m/s]; 0 if the neighbour is a sphere.
+        # Contacts at the end of the last step: number of contacts of each sphere, shape (m,), and, for each contact,
+        # neighbour, unit vector towards it, and the normal force [N], shape (m * CAPACITY,).
+        last_count: wp.array(dtype=wp.int32)
+        last_other: wp.array(dtype=wp.int32)
+        last_normal: wp.array(dtype=vec3)
+        last_force: wp.array(dtype=scalar)
         # `smallest_gap` has one entry for each sphere, shape (m,); `full` and `changed` have a single entry.
         smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the sphere's radius.
         full: wp.array(dtype=wp.int32)  # 1 if a sphere has more neighbours than CAPACITY.
@@ -69,20 +78,14 @@ def pair_struct(scalar):
 
 
 @functools.cache
-def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
-    """Build functions for the forces between aggregates and their neighbours.
+def store_functions(scalar) -> SimpleNamespace:
+    """Build functions for the list of a sphere's neighbours.
 
     - `store` stores a neighbour of a sphere.
     - `is_known` tells whether a wall is already stored.
-    - `resistance` returns the force of a pair per speed of approach [N s/m].
-    - `relative` returns the velocity of a sphere relative to a neighbour.
-    - `between` returns the force and the torque by which all neighbours of an aggregate oppose the given velocities.
-    - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
-      torque as a function of its own spin.
     """
-    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
-    Grid = grid_parameters_struct(scalar, 3)
-    Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)
+    vec = mps_types(scalar, 3).vec
+    Grid, Pairs = grid_parameters_struct(scalar, 3), pair_struct(scalar)
 
     @wp.func
     def store(
@@ -132,38 +135,85 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
                     return True
         return False
 
+    return SimpleNamespace(store=store, is_known=is_known)
+
+
+@functools.cache
+def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
+    """Build functions for the forces between aggregates and their neighbours.
+
+    - `resistance` returns the force of a pair per speed of approach [N s/m].
+    - `lever` returns the vector from the centre of an aggregate to the point at which a neighbour acts on it.
+    - `relative` returns the velocity of a sphere relative to a neighbour.
+    - `between` returns the force and the torque by which all neighbours of an aggregate oppose the given velocities.
+    - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
+      torque as a function of its own spin.
+    """
+    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
+    Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)
+
     @wp.func
     def resistance(pairs: Pairs, place: wp.int32) -> scalar:
         return pairs.lubrication[place] + wp.where(pairs.touching[place] != 0, pairs.hold[place], scalar(0.0))
+
+    @wp.func
+    def lever(bodies: Bodies, pairs: Pairs, s: wp.int32, n: vec, place: wp.int32) -> vec:
+        """Return the vector from the centre of an aggregate to the point at which a neighbour of sphere `s` acts [m].
+
+        `n` is the unit vector towards the neighbour. Forces along `n` exert the same torque at any point of the line
+        along `n`, so that without friction the point is the centre of the sphere.
+        """
+        arm = vec()
+        if wp.static(kind.clumps):
+            arm = bodies.arm[s]
+        if wp.static(kind.friction):
+            arm = arm + (shape.radius(bodies, s) + scalar(0.5) * pairs.gap[place]) * n
+        return arm
 
     @wp.func
     def relative(
         bodies: Bodies, pairs: Pairs, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), start: wp.int32,
         s: wp.int32, place: wp.int32,
     ) -> vec:  # fmt: skip
-        """Return the velocity of sphere `s` relative to the neighbour at index `place`.
+        """Return the velocity of sphere `s` relative to the neighbour at index `place`, where the two touch.
 
         Walls count as resting. The velocities and spins of the aggregates begin at the index `start` of both arrays.
         """
-        u = shape.velocity(bodies, linear, angular, start, s)
-        if pairs.other[place] != WALL:
-            u = u - shape.velocity(bodies, linear, angular, start, pairs.other[place])
-        return u
+        o = pairs.other[place]
+        if wp.static(kind.turning):
+            n = pairs.normal[place]
+            b = shape.body(bodies, s)
+            u = linear[start + b] + wp.cross(angular[start + b], lever(bodies, pairs, s, n, place))
+            if o != WALL:
+                c = shape.body(bodies, o)
+                u = u - (linear[start + c] + wp.cross(angular[start + c], lever(bodies, pairs, o, -n, place)))
+            return u
+        else:
+            u = linear[start + s]
+            if o != WALL:
+                u = u - linear[start + o]
+            return u
+
+    @wp.func
+    def along(u: vec, n: vec) -> vec:
+        """Return the part of a velocity along a surface with the unit normal `n`."""
+        return u - wp.dot(u, n) * n
 
     @wp.func
     def between(bodies: Bodies, pairs: Pairs, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), b: wp.int32):
         force = vec()
         torque = vec()
         for s in range(shape.first(bodies, b), shape.end(bodies, b)):
-            sum = vec()
             for k in range(pairs.count[s]):
                 place = s * CAPACITY + k
                 n = pairs.normal[place]
                 u = relative(bodies, pairs, linear, angular, 0, s, place)
-                sum += resistance(pairs, place) * wp.dot(u, n) * n
-            force += sum
-            if wp.static(kind.clumps):
-                torque += wp.cross(bodies.arm[s], sum)
+                push = resistance(pairs, place) * wp.dot(u, n) * n
+                if wp.static(kind.friction):
+                    push += pairs.grip[place] * along(u, n)
+                force += push
+                if wp.static(kind.turning):
+                    torque += wp.cross(lever(bodies, pairs, s, n, place), push)
         return force, torque
 
     @wp.func
@@ -175,13 +225,19 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
                 place = s * CAPACITY + k
                 n = pairs.normal[place]
                 whole += resistance(pairs, place) * wp.outer(n, n)
-                if wp.static(kind.clumps):
-                    turned = wp.cross(bodies.arm[s], n)
+                if wp.static(kind.turning):
+                    arm = lever(bodies, pairs, s, n, place)
+                    turned = wp.cross(arm, n)
                     round += resistance(pairs, place) * wp.outer(turned, turned)
+                    if wp.static(kind.friction):
+                        across = wp.identity(n=3, dtype=scalar) - wp.outer(n, n)
+                        turn = wp.skew(arm)
+                        whole += pairs.grip[place] * across
+                        round += pairs.grip[place] * (turn * across * wp.transpose(turn))
         return whole, round
 
     return SimpleNamespace(
-        store=store, is_known=is_known, resistance=resistance, relative=relative, between=between, blocks=blocks
+        resistance=resistance, lever=lever, relative=relative, along=along, between=between, blocks=blocks
     )
 
 
@@ -216,22 +272,22 @@ def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
         force = -push
         torque = -twist
         for s in range(shape.first(bodies, b), shape.end(bodies, b)):
-            sum = vec()
             for k in range(pairs.count[s]):
                 place = s * CAPACITY + k
                 size = pair.resistance(pairs, place) * pairs.still[place]
                 if pairs.touching[place] != 0:
                     size -= pairs.hold[place] / longest * (pairs.rough[place] - pairs.gap[place])
-                if wp.static(kind.clumps):
-                    sum += size * pairs.normal[place]
-                else:
-                    force += size * pairs.normal[place]
-            if wp.static(kind.clumps):
-                force += sum
-                torque += wp.cross(bodies.arm[s], sum)
+                more = size * pairs.normal[place]
+                if wp.static(kind.friction):
+                    more += pairs.grip[place] * pairs.drift[place]
+                force += more
+                if wp.static(kind.turning):
+                    torque += wp.cross(pair.lever(bodies, pairs, s, pairs.normal[place], place), more)
         forces.linear[b] = forces.linear[b] + force
         if wp.static(kind.clumps):
-            forces.angular[b] = forces.angular[b] + torque + bodies.gyration[b]
+            torque += bodies.gyration[b]
+        if wp.static(kind.turning):
+            forces.angular[b] = forces.angular[b] + torque
 
     @wp.kernel(enable_backward=False, module="unique")
     def touch(

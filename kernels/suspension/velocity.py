@@ -215,7 +215,7 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
         push, twist = between(bodies, pairs, direction.linear, direction.angular, b)
         force += bodies.extra_mass[b] / dt * direction.linear[b] + push
         torque += inertia(bodies, b) / dt * direction.angular[b]
-        if wp.static(kind.clumps):
+        if wp.static(kind.turning):
             torque += twist
         result.linear[b] = force
         result.angular[b] = torque

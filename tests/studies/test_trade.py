@@ -369,7 +369,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
     before = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))
     (gone,) = [p for p in trade.points if p.levels == {"time step": 1}]
     for seed in trade.seeds:
-        (trade._folder(gone, seed) / "result.json").unlink()
+        (trade.folder_of(gone, seed) / "result.json").unlink()
 
     def interrupted(self, point, seed, folder):
         self.interrupted = True
@@ -396,7 +396,7 @@ def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, mon
     monkeypatch.setattr(type(trade), "promised", lambda self, point: 0.01)
     cheapest = min(trade.measured, key=lambda p: p.cost)
     for seed in (2, 3, 4):
-        folder = trade._folder(cheapest, seed)
+        folder = trade.folder_of(cheapest, seed)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "failed.txt").write_text("failed: exploded", encoding="utf-8")
         cheapest.results.pop(seed, None)

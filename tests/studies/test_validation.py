@@ -183,8 +183,9 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     assert again.exit_code != 0
     wrong = CliRunner().invoke(cli, ["validate", "--kind", "pipes"])
     assert "kind = 'pipes': must be one of pipe" in str(wrong.exception)
-    lost = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--device", "cuda:99"])
-    assert str(lost.exception).startswith("device = 'cuda:99': ")
+    for more in ([], ["--quick"]):
+        lost = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--device", "cuda:99", *more])
+        assert str(lost.exception).startswith("device = 'cuda:99': ")
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,10 @@ STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
 """Names of the arrays in `Bodies` on which the next step depends, so that a checkpoint contains them."""
 
 
+CONTACT_ARRAYS = ("last_other", "last_normal", "last_force")
+"""Names of the arrays in `Pairs` on which friction in the next step depends, with an entry for each contact."""
+
+
 @dataclass(frozen=True)
 class Aggregates:
     """Aggregates in a mortar at the start of a run: spheres, or clumps of several spheres."""
@@ -118,6 +122,11 @@ class Spheres:
         return centre[self.body] + rotated(turn[self.body], self.offset)
 
 
+def _entries(count: np.ndarray) -> np.ndarray:
+    """Return the indices of all contacts in arrays with CAPACITY entries for each sphere, from numbers of contacts."""
+    return np.concatenate([s * int(CAPACITY) + np.arange(n) for s, n in enumerate(count)]).astype(int)
+
+
 def rotated(turn: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return vectors, shape (n, 3), that are rotated by unit quaternions (x, y, z, w), shape (n, 4)."""
     axis, part = turn[:, :3], turn[:, 3:]
@@ -134,8 +143,9 @@ class BodyState:
     """State of the aggregates on a device: motion, neighbours, and the faces and cells of the grid that they cover."""
 
     def __init__(
-        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any, device: Any
-    ) -> None:
+        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any,
+        device: Any, friction: float = 0.0,
+    ) -> None:  # fmt: skip
         structs = body_structs(scalar)
         count, radius = aggregates.count, aggregates.radius
         width = min(layout.room.width)
@@ -148,7 +158,7 @@ class BodyState:
         extra = (aggregates.density - density) * volume
         zero = np.zeros((count, 3))
         self.count, self.radius, self.extra_weight = count, radius, extra[:, None] * gravity
-        self.kind, parts = BodyKind(clumps=aggregates.clumps), Spheres(aggregates)
+        self.kind, parts = BodyKind(aggregates.clumps, friction > 0), Spheres(aggregates)
         self.parts, self.spheres = parts, parts.count
         self.excess = aggregates.density - density
         self.low = np.array(layout.room.origin)
@@ -182,6 +192,10 @@ class BodyState:
             changed=1,
         )  # fmt: skip
 
+        if self.kind.friction:
+            allocate(pair_struct(scalar), device, self.pairs, grip=entries, drift=entries, last_count=parts.count,
+                     last_other=entries, last_normal=entries, last_force=entries)  # fmt: skip
+
         # The hash grid finds neighbours from points in single precision, so the largest distance of two neighbours is
         # enlarged slightly to allow for rounding.
         room = layout.room
@@ -195,13 +209,25 @@ class BodyState:
         self.grid.build(self.points, self.span)
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return centres, velocities, spins and orientations of the aggregates, by name."""
-        return {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+        """Return centres, velocities, spins, orientations and, with friction, contacts of the aggregates, by name."""
+        found = {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+        if self.kind.friction:
+            found["last_count"] = self.pairs.last_count.numpy()
+            entries = _entries(found["last_count"])
+            found |= {name: getattr(self.pairs, name).numpy()[entries] for name in CONTACT_ARRAYS}
+        return found
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
-        """Restore centres, velocities, spins and orientations of the aggregates from a `state_dict`."""
+        """Restore the state of the aggregates from a `state_dict`."""
         for name in STATE_ARRAYS:
             getattr(self.bodies, name).assign(found[name])
+        if self.kind.friction:
+            self.pairs.last_count.assign(found["last_count"])
+            entries = _entries(found["last_count"])
+            for name in CONTACT_ARRAYS:
+                whole = getattr(self.pairs, name).numpy()
+                whole[entries] = found[name]
+                getattr(self.pairs, name).assign(whole)
 
     @property
     def inside(self) -> np.ndarray:

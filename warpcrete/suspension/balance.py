@@ -37,8 +37,8 @@ class Balance:
     lubrication: float
     """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
     contacts: float
-    """Power that contacts between aggregates, and of aggregates with walls, dissipate. The power that contacts supply
-    to remove overlaps is subtracted."""
+    """Power that contacts between aggregates, and of aggregates with walls, dissipate, also by friction. The power that
+    contacts supply to remove overlaps is subtracted."""
     kinetic: float
     """Increase of the kinetic energy of mortar and aggregates in the step, divided by the length of the step."""
     damping: float
@@ -120,19 +120,28 @@ class PairForces:
     """Index of its neighbour, or WALL."""
     normal: np.ndarray
     """Unit vector from the sphere towards the neighbour, shape (n, 3)."""
-    still: np.ndarray
-    """Velocity of a wall along `normal` [m/s]."""
+    wall_velocity: np.ndarray
+    """Velocity of a wall along `normal`, and along itself if walls rub [m/s], shape (n, 3)."""
     approach: np.ndarray
     """Speed at which sphere and neighbour approach each other [m/s]."""
+    sliding: np.ndarray
+    """Velocity of the sphere relative to its neighbour across `normal` [m/s], shape (n, 3); 0 without friction."""
     lubrication: np.ndarray
     """Force of lubrication that the grid does not resolve [N]; positive if it pushes both apart."""
     contact: np.ndarray
-    """Force of the contact [N]; positive if it pushes both apart."""
+    """Force of the contact along `normal` [N]; positive if it pushes both apart."""
+    rubbing: np.ndarray
+    """Force of the contact's friction on the sphere [N], shape (n, 3)."""
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force on the sphere [N], shape (n, 3)."""
+        return self.rubbing - (self.lubrication + self.contact)[:, None] * self.normal
 
 
 def pair_forces(flow: SuspensionFlow) -> PairForces:
     """Return the forces between aggregates, and of walls on aggregates, at the end of the last step."""
-    pairs, bodies = flow.aggregates.pairs, flow.aggregates.bodies
+    pairs = flow.aggregates.pairs
     number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
     own = np.repeat(rows, number)
     places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
@@ -142,16 +151,37 @@ def pair_forces(flow: SuspensionFlow) -> PairForces:
         getattr(pairs, name).numpy().astype(float)[places]
         for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
     )
-    velocity, body = bodies.velocity.numpy().astype(float), flow.aggregates.parts.body
-    if flow.aggregates.kind.clumps:
-        spin, arm = bodies.spin.numpy().astype(float), bodies.arm.numpy().astype(float)
-        velocity = velocity[body] + np.cross(spin[body], arm)
-    relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
+    velocity = _velocities_at_gaps(flow, own, np.where(wall, own, other), normal, gap)
+    relative = velocity[0] - np.where(wall[:, None], 0.0, velocity[1])
     approach = np.sum(relative * normal, 1) - still
     # Contacts that were found only after the last solve exert no force in this step.
     hold = hold * (touching == 1)
     contact = hold * (approach + (rough - gap) / flow.scene.time_step)
-    return PairForces(own, other, normal, still, approach, slow * approach, contact)
+    wall_velocity, sliding, rubbing = still[:, None] * normal, np.zeros_like(normal), np.zeros_like(normal)
+    if flow.aggregates.kind.friction:
+        grip, drift = (getattr(pairs, name).numpy().astype(float)[places] for name in ("grip", "drift"))
+        wall_velocity += drift
+        sliding = relative - np.sum(relative * normal, 1)[:, None] * normal - drift
+        rubbing = -grip[:, None] * sliding
+    return PairForces(own, other, normal, wall_velocity, approach, sliding, slow * approach, contact, rubbing)
+
+
+def _velocities_at_gaps(
+    flow: SuspensionFlow, own: np.ndarray, other: np.ndarray, normal: np.ndarray, gap: np.ndarray
+) -> list[np.ndarray]:
+    """Return the velocities of both spheres of all pairs where they touch [m/s], each of shape (n, 3)."""
+    aggregates = flow.aggregates
+    parts, kind, bodies, found = aggregates.parts, aggregates.kind, aggregates.bodies, []
+    moved, turned = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
+    for sphere, side in ((own, normal), (other, -normal)):
+        lever = np.zeros_like(normal)
+        if kind.clumps:
+            lever += bodies.arm.numpy().astype(float)[sphere]
+        if kind.friction:
+            lever += (parts.radius[sphere] + 0.5 * gap)[:, None] * side
+        body = parts.body[sphere]
+        found.append(moved[body] + np.cross(turned[body], lever))
+    return found
 
 
 class _Grid:
@@ -284,10 +314,9 @@ class _Step:
         wall = found.other == int(WALL)
         # Both aggregates of a pair have an entry for it, so each entry counts half of the pair's power.
         share = np.where(wall, 1.0, 0.5)
-        force = found.lubrication + found.contact
         return (
             float(np.sum(share * found.lubrication * found.approach)),
-            float(np.sum(share * found.contact * found.approach)),
-            -float(np.sum(np.where(wall, force * found.still, 0.0))),
-            -float(np.sum(np.where(wall, force * found.normal[:, 2], 0.0))),
+            float(np.sum(share * (found.contact * found.approach - np.sum(found.rubbing * found.sliding, 1)))),
+            float(np.sum(found.force[wall] * found.wall_velocity[wall])),
+            float(np.sum(found.force[wall, 2])),
         )

@@ -21,6 +21,7 @@ from ..kernels.suspension.blocks import block_kernel
 from ..kernels.suspension.bodies import motion_kernels, pose_kernel
 from ..kernels.suspension.cover import cover_kernels, release_kernels
 from ..kernels.suspension.entering import entering_kernels
+from ..kernels.suspension.friction import friction_kernels
 from ..kernels.suspension.leaving import leaving_kernels
 from ..kernels.suspension.neighbours import neighbour_kernels
 from ..kernels.suspension.strain import strain_kernels
@@ -92,6 +93,8 @@ class SuspensionStep(GridStep):
               if flow.opens else []),
             *self._entering("ignore"),
             *self._entering("weigh", excess=flow.aggregates.excess),
+            *(self._alone(friction_kernels(scalar, kind, bodies).rub, spheres, mirrors=flow.mirrors,
+                          friction=flow.friction) if bodies.friction else []),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -143,9 +146,16 @@ class SuspensionStep(GridStep):
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
+            *(self._remember() if flow.friction else []),
             *self._alone(motion_kernels(scalar, kind).move, flow.aggregates.count),
             *self._alone(flow.clock_kernels.tick, 1),
         ]
+
+    def _remember(self) -> list[Any]:
+        """Return the stage that stores the normal forces of contacts, on which friction depends in the next step."""
+        bodies = self.flow.aggregates
+        kernel = friction_kernels(self.scalar, self.kind, bodies.kind).remember
+        return self._alone(kernel, bodies.spheres, longest=self.flow.scene.time_step)
 
     def pressure_solve(self, tolerance: float) -> list[Any]:
         """Return the stage that solves for the pressure increment."""
@@ -156,14 +166,14 @@ class SuspensionFlow(GridFlow):
     """Flow of a mortar with rigid aggregates on a three-dimensional grid."""
 
     def __init__(
-        self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2,
+        self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, friction: float = 0.0,
         tolerances: Tolerances | None = None, entrance: Entrance | None = None,
     ) -> None:  # fmt: skip
         super().__init__(state, threads=1)
         down = np.array([0.0, 0.0, -state.scene.gravity]) if entrance is None else entrance.gravity
         self.entrance = None if entrance is None else entrance.on_device(aggregates.centre, self.scalar, self.device)
         self.aggregates = BodyState(
-            aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
+            aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device, friction
         )
         state.aggregates = self.aggregates.bodies
         # The struct `cut` shares all arrays of the flow's struct `mesh`, except for the viscosities. In `cut`, the
@@ -172,7 +182,8 @@ class SuspensionFlow(GridFlow):
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
-        self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
+        self.roughness, self.friction = roughness, friction
+        self.cutoff = CUTOFF_CELLS * max(state.layout.room.width)
         self.drag = PORE_DRAG * (min(state.layout.room.width) / float(aggregates.radius.min())) ** 2
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.errors import at_most, refuse
+from ..core.inputs.limits import warn
 from ..mps.free.layout import free_walls, section_distance
 from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
@@ -13,6 +14,9 @@ from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close
 from .placing_clumps import placed_clumps
 from .scene import SphereFields, SuspensionScene
 
+MAX_DEVIATION = 0.1
+"""Largest relative difference between the volume of the placed aggregates and the volume that the scene's fraction
+requires, above which a warning is given."""
 SHRINK = 0.95
 """Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
 volume fraction that fits."""
@@ -174,7 +178,9 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
 def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.ndarray:
     """Return random radii [m], largest first, of as many aggregates as the scene's volume fraction requires.
 
-    The radii are those of spheres of equal volume. Of a sieve curve, only sizes that the cells resolve are drawn.
+    The radii are those of spheres of equal volume. Of a sieve curve, only sizes that the cells resolve are drawn. There
+    is at least one aggregate. Warn if the volume of whole aggregates differs from the wanted volume by more than
+    `MAX_DEVIATION`.
     """
     wanted = scene.simulated_fraction * volume
     curve = None if scene.sieve is None else scene.sieve.above(scene.diameters[0])
@@ -184,6 +190,10 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
         radius = 0.5 * size
         own = 4 / 3 * np.pi * radius**3
         if filled + 0.5 * own > wanted and radii:
+            if abs(filled / wanted - 1) > MAX_DEVIATION:
+                placed = scene.simulated_fraction * filled / wanted
+                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: whole aggregates of these sizes, "
+                     f"{len(radii)} of them, have a fraction of {placed:.3g}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
         filled += own

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
@@ -27,7 +27,7 @@ USUAL_CELLS = 4.0
 """Number of cells across the narrowest aggregates, unless the user states their size."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SphereFields:
     """Fields of a scene that describe its aggregates."""
 
@@ -41,6 +41,8 @@ class SphereFields:
     """Density of the aggregates [kg/m3]."""
     roughness: float
     """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
+    friction: float = 0.0
+    """Coefficient of friction of aggregates with each other and with walls."""
     aggregate_shapes: str = "spheres"
     """Shapes of the aggregates: the name of a set of templates, or paths of meshes."""
     aggregate_sizes: str = UNIFORM
@@ -63,9 +65,14 @@ class SphereFields:
         return self.spacing
 
     @property
+    def narrowest(self) -> float:
+        """Width of the narrowest shape, divided by its size."""
+        return min(float(shape.widths.min()) for shape in self.templates)
+
+    @property
     def resolved(self) -> float:
         """Size of the smallest aggregates [m] that the cells resolve."""
-        return MIN_CELLS * self.cell_width / min(float(shape.widths.min()) for shape in self.templates)
+        return MIN_CELLS * self.cell_width / self.narrowest
 
     @property
     def simulated_fraction(self) -> float:
@@ -81,9 +88,8 @@ class SphereFields:
 
     def check_aggregates(self) -> None:
         """Raise :class:`SceneError` if sizes of aggregates and cells do not fit each other."""
-        finest = self.resolved
         if self.sieve is not None:
-            largest = self.sieve.largest
+            finest, largest = self.resolved, self.sieve.largest
             if largest <= finest:
                 refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, but "
                                                 f"the sieve curve ends at {largest:g} m",
@@ -93,8 +99,8 @@ class SphereFields:
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
-        if smallest < finest:
-            narrow = smallest * MIN_CELLS * self.spacing / finest
+        narrow = smallest * self.narrowest
+        if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
                    f"use {at_most(narrow / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
@@ -110,6 +116,11 @@ class SuspensionScene(SphereFields, FreeScene):
             refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
                    "use half of the width")  # fmt: skip
         self.check_aggregates()
+
+    @property
+    def fluid(self) -> FreeScene:
+        """This scene with the mortar alone."""
+        return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
@@ -155,6 +166,9 @@ class AggregateParameters(Declared):
         "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
         Within(1e-4, 0.1),
     ] = 0.01
+    friction: Annotated[
+        float, "Coulomb friction coefficient of aggregates with each other and with walls", Within(0, 2)
+    ] = 0.0
 
     @property
     def diameters(self) -> tuple[float, float]:
@@ -178,6 +192,7 @@ class AggregateParameters(Declared):
             "aggregate_diameters": self.diameters,
             "aggregate_density": self.aggregate_density,
             "roughness": self.roughness,
+            "friction": self.friction,
             "aggregate_shapes": self.aggregate_shapes,
             "aggregate_sizes": self.aggregate_sizes,
         }

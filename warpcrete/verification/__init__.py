@@ -24,6 +24,7 @@ from . import (
     starting,
     suspensions,
     suspensions_clumps,
+    suspensions_friction,
     suspensions_many,
     vessels,
 )
@@ -47,6 +48,7 @@ def cases() -> list[Case]:
         spreading,
         suspensions,
         suspensions_clumps,
+        suspensions_friction,
         suspensions_many,
     )
     return [case for module in modules for case in module.CASES]

@@ -88,15 +88,15 @@ def mortar_state(
 
 def mortar_flow(
     cells: Sequence[int], width: float, aggregates: Aggregates, device: str, precision: str, *,
-    tolerances: Tolerances | None = None, **room: Any,
+    tolerances: Tolerances | None = None, friction: float = 0.0, **room: Any,
 ) -> SuspensionFlow:  # fmt: skip
     """Return a flow of mortar with aggregates.
 
-    `cells` is the number of cells along each axis, `width` the edge length of a cell [m], and `room` holds further
-    arguments of :func:`mortar_state`.
+    `cells` is the number of cells along each axis, `width` the edge length of a cell [m], `friction` the coefficient of
+    friction of the aggregates, and `room` holds further arguments of :func:`mortar_state`.
     """
     state = mortar_state(cells, width, device, precision, **room)
-    return SuspensionFlow(state, aggregates, tolerances=tolerances or Tolerances())
+    return SuspensionFlow(state, aggregates, friction=friction, tolerances=tolerances or Tolerances())
 
 
 def take(flow: SuspensionFlow, steps: int) -> np.ndarray:

@@ -51,8 +51,8 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered. They are ranked by four criteria, the most important
-    first:
+    Only records of the scene function `name` are considered, and only those with simulated aggregates if the scene has
+    such aggregates, because aggregates limit the cells. They are ranked by four criteria, the most important first:
 
     - whether a closed form exists for both scenes or for neither of them,
     - how few knobs (accuracy parameters) exist in only one of the two scenes,
@@ -65,12 +65,20 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
         record = read_json(path)
         if record["scene"] == name:
             here, there = (module.scene.declared(each) for each in (own, record["parameters"]))
+            if _has_aggregates(here) != _has_aggregates(there):
+                continue
             closed = module.trading.closed_form
             unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
             apart = len(outside(record["parameters"], own, module))
             other_machine = record["device"].startswith("cuda") != on_gpu
             found.append((closed(here) != closed(there), unlike, apart, other_machine, str(path)))
     return Path(min(found)[-1]) if found else None
+
+
+def _has_aggregates(given: Any) -> bool:
+    """Return whether the parameters of a flow include aggregates that are simulated one by one."""
+    # Vessels state a volume fraction of aggregates; channels and tubes have a switch of the name of a vessel's method.
+    return getattr(given, "aggregates", None) is True or bool(getattr(given, "aggregate_fraction", None))
 
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -98,10 +98,12 @@ class Census:
         ends = np.sort(self.place[np.stack([own, other])], axis=0)
         middle = np.clip(ends.mean(0), 0, scene.axis.length)
         tangent = scene.axis.at(middle)[1] @ self.frame.axes.T
-        along = np.abs(np.sum(found.normal[between] * tangent, 1))
+        # The sign of the normal's component tells on which side of the cross-section the sphere lies.
+        upstream = np.sign(np.sum(found.normal[between] * tangent, 1))
+        pushing = -upstream * np.sum(found.force[between] * tangent, 1)
         # A pair of free aggregates occurs twice, and a pair of a free one and one that is entering once.
         share = np.where(self.free[other], 0.5, 1.0)
-        stress = share * (found.lubrication + found.contact)[between] * along / self._area(middle)
+        stress = share * pushing / self._area(middle)
         return np.sum(np.where((ends[0] < s[:, None]) & (ends[1] >= s[:, None]), stress, 0.0), axis=1)
 
     def slowest(self, before: np.ndarray, travel: float) -> float:

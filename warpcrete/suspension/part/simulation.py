@@ -57,7 +57,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         """Time at which each aggregate has entered entirely [s], shape (n,)."""
         return SuspensionFlow(
             GridState(scene, layout, self.device, self.precision), aggregates, roughness=scene.roughness,
-            entrance=entrance,
+            friction=scene.friction, entrance=entrance,
         )  # fmt: skip
 
     def measured(self) -> dict[str, float]:

@@ -49,7 +49,10 @@ class StretchSimulation(AggregateRun):
         check_memory(stretch_room(self.scene).cells, self.device, self.precision, more=SOLVE_BYTES)
         layout, aggregates = stretch_layout(self.scene)
         return SuspensionFlow(
-            GridState(self.scene, layout, self.device, self.precision), aggregates, roughness=self.scene.roughness
+            GridState(self.scene, layout, self.device, self.precision),
+            aggregates,
+            roughness=self.scene.roughness,
+            friction=self.scene.friction,
         )
 
     def measured(self) -> dict[str, float]:
