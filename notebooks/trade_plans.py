@@ -63,6 +63,8 @@ SINGLE_GRAINS = (
 )  # fmt: skip
 FINE = {"time step": "x 0.5", "precision": "float64"}
 NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
+HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
+ROLLING = {"rolling friction 0.15": {"rolling_friction": 0.15}}
 FRESH_PIPES = {"velocity 0.6 m/s": {"velocity": 0.6}, "sizes 8 to 16 mm": {"size_min": 8e-3, "size_max": 16e-3}}
 
 
@@ -79,7 +81,7 @@ def grains(scene: str, fresh: Mapping[str, Mapping[str, Any]]) -> Plan:
 PLANS = {
     "slump": vessel("slump", ("x 1.6", "x 1.25"), factors=("x 10", "x 3"), fresh={
         "concrete no3": {"concrete": "no3"},
-        "a mould of 0.8 the size": {"top_diameter": 0.08, "base_diameter": 0.16, "mould_height": 0.24}}),
+        "a mould of 1.2 the size": {"top_diameter": 0.12, "base_diameter": 0.24, "mould_height": 0.36}}),
     "lbox": vessel("lbox", ("x 1.4", "x 1.2"), fresh={
         "20 Pa s and 60 Pa": {"viscosity": 20.0, "yield_stress": 60.0},
         "a column of 0.5 m": {"column_height": 0.5}}),
@@ -105,12 +107,19 @@ PLANS = {
     "pipe-vertical": pipe({}, FRESH_PIPES),
     "pipe-bend": pipe({"unit": "D"}, FRESH_PIPES),
     "pipe-narrow": pipe(NARROW, {"friction 0.15": {"friction": 0.15}}),
+    "pipe-narrow-bend": pipe(NARROW | {"unit": "D", "elbow_radius": 0.3}, {"friction 0.15": {"friction": 0.15}}),
+    "pipe-hydrated": Plan("pipe", FINE, (
+        {"coarse-graining": "x 2", "hydrated stiffness": "x 0.01", "settling": "x 0.2"},
+        {"hydrated stiffness": "x 0.01", "coarse-graining": "x 1.5"}, {"hydrated stiffness": "x 0.01"},
+        {"hydrated stiffness": "x 0.1"}), HYDRATED, (FASTER, *SINGLE),
+        {"velocity 0.6 m/s": {"velocity": 0.6}}, 3, True),
     "part-dem": Plan("part-dem", FINE, ELEMENTS, {}, SINGLE, {
         "1.5 times the flow": {"flow": 2.25e-3}, "friction 0.1": {"friction": 0.1}}, 3, True),
-    "slump-dem": grains("slump-dem", {}),
-    "lbox-dem": grains("lbox-dem", {}),
+    "slump-dem": grains("slump-dem", ROLLING),
+    "lbox-dem": grains("lbox-dem", ROLLING),
     "funnel-dem": grains("funnel-dem", {}),
-    "jring-dem": grains("jring-dem", {}),
+    "jring-dem": grains("jring-dem", ROLLING),
+    "lcpc-dem": grains("lcpc-dem", ROLLING),
 }  # fmt: skip
 WHOLE = {
     "channel": ("channel", {}, 150),

@@ -4,7 +4,7 @@ python notebooks/trades_at_once.py --out FOLDER          measures them, on a GPU
 python notebooks/trades.py --folder FOLDER               judges these runs; puts tables, figures and records in place
 python notebooks/trades.py --folder FOLDER --fresh       also tests the promises in scenes that no trade has used
 python notebooks/trades.py --folder FOLDER NAME ...      makes trades with one run at a time, or goes on with them
-python notebooks/trades.py --redraw                      draws the figures of the shipped trades again
+python notebooks/trades.py --redraw                      writes tables and draws figures of the shipped trades again
 
 A trade made elsewhere counts, too: trade.json in a folder of its name is enough.
 """
@@ -29,14 +29,17 @@ from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
 PAGES = [HERE / "performance" / name for name in ("trades.md", "trades-more.md", "trades-vessels.md")]
-NARROW_BEND = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3, "unit": "D", "elbow_radius": 0.3}
-HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
-TRADES = {
-    "pipe-hydrated": ("pipe", HYDRATED, "cuda", 110),
-    "pipe-narrow-bend": ("pipe", NARROW_BEND, "cpu", 2100),
-    **{name: (*trade[:2], "cpu", trade[2]) for name, trade in WHOLE.items()},
-}
+TRADES = {name: (*trade[:2], "cpu", trade[2]) for name, trade in WHOLE.items()}
 """Scene, parameters, device and budget [s] of trades that make one run at a time."""
+FLOWS = {
+    "slump": "Slump test", "lbox": "L-box", "funnel": "V-funnel", "jring": "J-ring", "lcpc": "LCPC box",
+    "part": "Part of a line", "stretch": "Stretch of pipe with aggregates",
+}  # fmt: skip
+ELEMENTS = {
+    "part-dem": "Part of a line", "slump-dem": "Slump test", "lbox-dem": "L-box", "funnel-dem": "V-funnel",
+    "jring-dem": "J-ring", "lcpc-dem": "LCPC box",
+}  # fmt: skip
+"""Trades with tables on the page of vessels and parts, by method, with their headings."""
 
 
 def measure(name: str, folder: Path) -> None:
@@ -49,41 +52,40 @@ def measure(name: str, folder: Path) -> None:
         run_trade(scene, modules()[scene], base=parameters, device=device, budget=budget, out=out)
 
 
-def section(name: str, record: dict) -> str:
-    """Command or scene, machine, figure and table of promises."""
-    scene, parameters, *how = TRADES[name] if name in TRADES else (PLANS[name].scene, PLANS[name].base)
+def section(name: str, record: dict, figure: bool = True) -> str:
+    """Return the command, the machine, the figure and the table of promises as Markdown."""
+    scene, parameters, how = record["scene"], record["parameters"], TRADES.get(name, (0, 0))[2:]
     given = [(f"--{key.replace('_', '-')}", "" if value is True else f"{value}") for key, value in parameters.items()]
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     ran = f"trade {scene} {options} --budget {how[1]}s --device {how[0]}" if how else f"run {scene} {options}"
     command = re.sub(" +", " ", f"warpcrete {ran}").strip()
-    errors = record.get("reference_errors", {})
-    own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})" for quantity, error in errors.items()]
-    lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](../images/trade_{name}.png)", ""]
-    lines += [f"Own error of the finest setting: {', '.join(own)}.", ""] if own else []
+    own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})"
+           for quantity, error in record.get("reference_errors", {}).items()]  # fmt: skip
+    time = record["points"][0]["time"]["value"]
+    lines = [f"`{command}`, {record['machine']}, {time:.2g} s as given" + (
+        f"; own error of the finest setting: {', '.join(own)}:" if own else ":"), ""]  # fmt: skip
+    lines += [f"![Error over cost: {name}](../images/trade_{name}.png)", ""] if figure else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
               "| worst of other scenes |", "|---|---|---|---|---|---|"]  # fmt: skip
+    rows: dict[tuple[str, ...], list[str]] = {}
     for promise in record["promises"]:
-        wanted = f"{100 * promise['target']:g} %"
-        if promise["setting"] is None:
-            lines.append(f"| {wanted} | no measured setting meets it | - | - | - | - |")
-            continue
-        found, carried = promise["found"], promise.get("carried") or {}
-        fresh = f"{100 * found['shift']:+.2g} +- {100 * (found['interval'] or 0):.2g} %" if found else "-"
-        ran = {what: error["shift"] for what, error in carried.items() if error}
-        worst = max(ran, key=lambda what: abs(ran[what]), default=None)
-        other = f"{100 * ran[worst]:+.2g} % ({worst})" if worst else "-"
-        failed = [what for what, error in carried.items() if not error]
-        other += f"; does not run: {', '.join(failed)}" if failed else ""
-        cells = [
-            wanted,
-            promise["setting"],
-            f"{promise['ratio']:.3g}",
-            f"{100 * promise['promised']:.2g} %",
-            fresh,
-            other,
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
+        rows.setdefault(cells(promise), []).append(f"{100 * promise['target']:g}")
+    lines += [f"| {', '.join(wanted)} % | {' | '.join(row)} |" for row, wanted in rows.items()]
     return "\n".join(lines)
+
+
+def cells(promise: dict) -> tuple[str, ...]:
+    """Return the cells of a promise in the table, without the error wanted."""
+    if promise["setting"] is None:
+        return "no measured setting meets it", "-", "-", "-", "-"
+    found, carried = promise["found"], promise.get("carried") or {}
+    fresh = f"{100 * found['shift']:+.2g} +- {100 * (found['interval'] or 0):.2g} %" if found else "-"
+    ran = {what: error["shift"] for what, error in carried.items() if error}
+    worst = max(ran, key=lambda what: abs(ran[what]), default=None)
+    other = f"{100 * ran[worst]:+.2g} % ({worst})" if worst else "-"
+    failed = [what for what, error in carried.items() if not error]
+    other += f"; does not run: {', '.join(failed)}" if failed else ""
+    return promise["setting"], f"{promise['ratio']:.2g}", f"{100 * promise['promised']:.2g} %", fresh, other
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,33 +134,48 @@ def main() -> None:
     parser.add_argument("names", nargs="*", choices=[*TRADES, []], help="trades to make with one run at a time")
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--fresh", action="store_true", help="test the promises in fresh scenes")
-    parser.add_argument("--redraw", action="store_true", help="draw the figures of the shipped trades again")
+    parser.add_argument("--redraw", action="store_true", help="write tables and figures of the shipped trades again")
     given = parser.parse_args()
     if given.redraw:
-        for name in (*TRADES, *PLANS):
-            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
+        for path in PAGES:
+            path.write_text(page_with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
         return
     if given.folder is None:
         parser.error("give --folder FOLDER, or --redraw")
     for name in given.names:
         measure(name, given.folder)
-    if (given.folder / "runs.tar.gz").is_file():
+    if (given.folder / "raw").is_dir() or (given.folder / "runs.tar.gz").is_file():
         judge_all(given.folder, given.fresh)
-    pages = {path: path.read_text(encoding="utf-8") for path in PAGES}
     SHIPPED.mkdir(exist_ok=True)
     for name in (*TRADES, *PLANS):
-        source = given.folder / name
-        if (source / "trade.json").is_file():
-            record = json.loads((source / "trade.json").read_text(encoding="utf-8"))
-            path = next(path for path in PAGES if f"<!-- {name} -->" in pages[path])
-            before, _, rest = pages[path].partition(f"<!-- {name} -->\n")
-            _, _, after = rest.partition(f"<!-- /{name} -->")
-            pages[path] = f"{before}<!-- {name} -->\n{section(name, record)}\n<!-- /{name} -->{after}"
-            write_json(SHIPPED / f"{name}.json", compact(record))
-            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
+        if (given.folder / name / "trade.json").is_file():
+            record = json.loads((given.folder / name / "trade.json").read_text(encoding="utf-8"))
+            if any(promise["setting"] for promise in record["promises"]):
+                write_json(SHIPPED / f"{name}.json", compact(record))
             print(f"{name}: {record['machine']}")
-    for path, page in pages.items():
-        path.write_text(page, encoding="utf-8")
+    for path in PAGES:
+        path.write_text(page_with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def page_with_tables(page: str) -> str:
+    """Return the text of a page with the tables of the shipped trades at its marks; draw their figures."""
+    for name in (*TRADES, *PLANS):
+        if f"<!-- {name} -->" in page and (SHIPPED / f"{name}.json").is_file():
+            page = between_marks(page, name, section(name, read_json(SHIPPED / f"{name}.json")))
+            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
+    for mark, titles in (("flows", FLOWS), ("elements", ELEMENTS)):
+        if f"<!-- {mark} -->" in page:
+            found = [f"### {title}\n\n{section(name, read_json(SHIPPED / f'{name}.json'), figure=False)}"
+                     for name, title in titles.items() if (SHIPPED / f"{name}.json").is_file()]  # fmt: skip
+            page = between_marks(page, mark, "\n\n".join(found))
+    return page
+
+
+def between_marks(page: str, name: str, text: str) -> str:
+    """Return a page with `text` between its marks `name`."""
+    before, _, rest = page.partition(f"<!-- {name} -->\n")
+    _, _, after = rest.partition(f"<!-- /{name} -->")
+    return f"{before}<!-- {name} -->\n{text}\n<!-- /{name} -->{after}"
 
 
 def judge_all(folder: Path, fresh: bool) -> None:

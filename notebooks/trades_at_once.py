@@ -25,10 +25,10 @@ from trade_plans import PLANS, WHOLE, jobs_of, trade_of
 THREADS = 2
 """Number of threads of a run on a CPU."""
 HOST_CORES = 6
-"""Number of CPU cores that are left to the processes of the GPU."""
+"""Least number of CPU cores that are left to the processes of the GPUs; on larger machines it is half of the cores."""
 TOGETHER, CREWS = 8, 4
-"""Maximum number of flows that a process runs together on the GPU, and number of these processes. A process takes its
-next group when all runs of the last one have ended."""
+"""Maximum number of flows that a process runs together on a GPU, and number of these processes for each GPU. A process
+takes its next group when all runs of the last one have ended."""
 
 
 Progress = Callable[[str, float, dict], None]
@@ -38,7 +38,7 @@ Progress = Callable[[str, float, dict], None]
 class Job:
     """One run: parameters of a scene, and the folder of its result."""
 
-    module: str
+    scene: str
     parameters: dict
     folder: str
     timed: bool
@@ -58,8 +58,9 @@ def all_jobs(names: list[str], out: Path) -> list[Job]:
             trade = trade_of(plan, folder)
             for point, seed, level in jobs_of(plan, trade, timed):
                 made = trade.folder_of(point, seed)
-                jobs.append(Job(trade.module.__name__, trade.parameters_of(point, seed), str(made), timed, level,
-                                plan.elements))  # fmt: skip
+                if (made / "result.json").exists():  # An earlier call with the same folder has made this run.
+                    continue
+                jobs.append(Job(plan.scene, trade.parameters_of(point, seed), str(made), timed, level, plan.elements))
     return jobs
 
 
@@ -98,10 +99,9 @@ def run_whole(name: str, out: Path, tiny: bool) -> dict[str, str]:
 
 def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: set) -> dict[str, str]:
     """Run jobs of one method together; return the errors of those that failed, by folder."""
-    import importlib
-
     from warpcrete.methods import Simulation, method_of
     from warpcrete.record.recorders import recorders_of
+    from warpcrete.scenes import modules
     from warpcrete.studies.tradeoffs.trials import warm_up
 
     simulations, ran, failed = [], [], {}
@@ -115,11 +115,11 @@ def run_group(group: list[Job], device: str, deadline: float, tiny: bool, warm: 
         return stop_in_time
 
     for job in group:
-        module = importlib.import_module(job.module)
+        module = modules()[job.scene]
         try:
             scene = module.scene(**job.parameters)
             settings = {"device": device, "precision": scene.precision, "threads": THREADS}
-            kind = (job.module, scene.precision)
+            kind = (job.scene, scene.precision)
             if job.timed and kind not in warm:
                 warm_up(Simulation(scene, **settings))
                 warm.add(kind)
@@ -154,7 +154,7 @@ def groups_of(jobs: list[Job]) -> tuple[list, list, list]:
         group.append(job)
     elements: dict = {}
     for job in sorted((j for j in jobs if not j.timed and j.elements), key=lambda job: job.level):
-        elements.setdefault((job.module, Path(job.folder).parts[-3]), []).append(job)
+        elements.setdefault(Path(job.folder).parts[-3], []).append(job)
     return alone, flows, list(elements.values())
 
 
@@ -168,14 +168,13 @@ def few_of(jobs: list[Job]) -> set[str]:
 
 def method_name(job: Job) -> str:
     """Return a word that is the same for scenes that one call can run together."""
-    last = job.module.rsplit(".", 1)[-1]
-    return last if last in ("part", "stretch") else "vessels"
+    return job.scene if job.scene in ("part", "stretch") else "vessels"
 
 
 def core_sets() -> tuple[list[list[int]], list[int]]:
     """Return the pairs of cores for runs on the CPU, and the cores for the processes of the GPU."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    kept = HOST_CORES if len(cores) > 2 * HOST_CORES else 0
+    kept = max(HOST_CORES, len(cores) // 2) if len(cores) > 2 * HOST_CORES else 0
     pairs = [cores[k : k + THREADS] for k in range(0, len(cores) - kept - THREADS + 1, THREADS)]
     return pairs or [cores], cores[len(cores) - kept :] if kept else cores
 
@@ -211,6 +210,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=400.0, help="wall time until all runs are ended")
     parser.add_argument("--only", nargs="*", choices=[*PLANS, *WHOLE])
     parser.add_argument("--cpu", action="store_true", help="run on the CPU alone, one process")
+    parser.add_argument("--without-times", action="store_true", help="make no runs for their times on the CPU")
     parser.add_argument("--tiny", action="store_true", help="few runs, each a fiftieth of its time")
     given = parser.parse_args()
     started = time.time()
@@ -222,19 +222,24 @@ def main() -> None:
     alone, flows, elements = groups_of(jobs)
     alone = [(name, given.out, given.tiny) for name in names if name in WHOLE] + alone
     pairs, host = core_sets()
+    if given.without_times:
+        alone, host = [], sorted(os.sched_getaffinity(0))
     gpu = "cpu" if given.cpu else "cuda"
     print(f"CPU: {len(alone)} runs on {len(pairs)} x {THREADS} cores {pairs}")
     print(f"{gpu}: {sum(map(len, flows))} flows in {len(flows)} groups, {sum(map(len, elements))} of elements in "
           f"{len(elements)}", flush=True)  # fmt: skip
+    gpus = 1 if given.cpu else len(os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(","))
     context = multiprocessing.get_context("spawn")
-    told, workers = context.Queue(), []
-    crews = [(elements, gpu, [host] * 2), (flows, gpu, [host] * CREWS), (alone, "cpu", pairs)]
+    told, workers, queues = context.Queue(), [], []
+    crews = [(elements, gpu, [host] * 2 * gpus), (flows, gpu, [host] * CREWS * gpus), (alone, "cpu", pairs)]
     for groups, device, places in crews:
-        queue = context.Queue()
+        # A queue that nothing holds disappears before the processes have opened it.
+        queues.append(queue := context.Queue())
         for group in groups:
             queue.put(group)
-        for cores in places[:1] if given.cpu else places:
-            arguments = (cores, device, deadline, given.tiny, queue, told)
+        for number, cores in enumerate(places[:1] if given.cpu else places):
+            chosen = f"cuda:{number % gpus}" if device == "cuda" else device
+            arguments = (cores, chosen, deadline, given.tiny, queue, told)
             workers.append(context.Process(target=work, args=arguments, daemon=True))
             workers[-1].start()
             if given.cpu:
@@ -256,7 +261,7 @@ def report(told: Any, started: float) -> None:
     """Print what has ended since the last call: groups on the GPU, and runs on the CPU that failed."""
     while not told.empty():
         device, what, begun, ended, failed = told.get()
-        if device == "cuda" or failed:
+        if device != "cpu" or failed:
             print(f"{ended - started:4.0f} s {device}: {what}, {ended - begun:.0f} s, {len(failed)} failed "
                   f"{next(iter(failed.values()), '')[:150]}", flush=True)  # fmt: skip
 

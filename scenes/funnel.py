@@ -38,6 +38,10 @@ AGGREGATE_REMARKS = (
 )
 
 
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.007}
+"""Parameters that `--method suspension` sets unless they are given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FunnelParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the V-funnel; defaults follow EN 12350-9."""

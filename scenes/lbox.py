@@ -36,6 +36,10 @@ In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 """
 
 
+suspension = {"aggregate_fraction": 0.2}
+"""Parameters that `--method suspension` sets unless they are given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class BoxParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the L-box; defaults follow EN 12350-10."""

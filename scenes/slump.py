@@ -41,6 +41,10 @@ fail the check.
 """
 
 
+suspension = {"aggregate_fraction": 0.2, "precision": "float64"}
+"""Parameters that `--method suspension` sets unless they are given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SlumpParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the mould and of the plate; defaults follow EN 12350-2."""

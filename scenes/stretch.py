@@ -14,7 +14,7 @@ from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
 from warpcrete.suspension.aggregates import MIN_CELLS
-from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters, LargestDiameter, SmallestDiameter
+from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters
 from warpcrete.suspension.stretch.checks import check_stretch
 from warpcrete.suspension.stretch.scene import StretchScene, StretchSettings
 
@@ -42,8 +42,6 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
         "those of the mortar between them",
         Within(0, MAX_FRACTION),
     ] = 0.2
-    aggregate_smallest: SmallestDiameter = 0.016
-    aggregate_largest: LargestDiameter = 0.016
 
 
 @scene_function(StretchParameters)
@@ -83,7 +81,7 @@ check = check_stretch
 
 
 def _knobs(given: StretchParameters) -> Iterator[Knob]:
-    coarsest = min(given.aggregate_smallest / MIN_CELLS, given.diameter / 8)
+    coarsest = min(given.diameters[0] / MIN_CELLS, given.diameter / 8)
     factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
     yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m", resolution=True)
     yield scaled("courant", "courant", given.courant, [f for f in (2.0, 1.0, 0.5) if f * given.courant <= 1], -0.8)

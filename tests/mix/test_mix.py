@@ -323,6 +323,16 @@ def test_a_rheometer_may_read_five_times_the_yield_stress_of_a_heap():
     assert (stated.low, stated.high) == pytest.approx((810, 990)) and stated.source == "as given"
 
 
+def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
+    """39 fluid ounces in a cubic yard are 1.51 l/m3, which have 1100 kg/m3."""
+    parts = {"cement": 340, "water": 170, "sand": 800, "gravel": 1050}
+    with pytest.warns(PlausibilityWarning, match="'MasterGlenium 7920' is not a known ingredient"):
+        named = mix_of({"parts": parts | {"MasterGlenium 7920": "39 oz/yd3"}, "slump": "180 mm"})
+    plain = mix_of({"parts": parts | {"superplasticizer": "39 oz/yd3"}, "slump": "180 mm"})
+    assert named["density"].value == pytest.approx(plain["density"].value)
+    assert named["slip viscosity"].value == pytest.approx(plain["slip viscosity"].value, rel=0.02)
+
+
 def test_every_scene_takes_it(tmp_path):
     path = written(tmp_path, SPREADING | STONES)
     mix = read_mix(path)
@@ -432,6 +442,10 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
+        ({"density": 2350, "W/C": 0.45}, "mix key = 'W/C': is the entry 'water_binder' of a mix; write 'water_"),
+        ({"parts": {"cement CEM II 42": None, "5 R": 340, "water": 170}}, "has no amount; a comma inside braces"),
+        ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),
+        ({"parts": {"cement": 340, "water": 170, "Sikka 12": "30 l/m3"}}, "is a volume, which is accepted for water"),
         ({"volume": "8 yd3", "parts": {"cement": "4,794 lb", "water": "265 lb"}, "slump": "5 in"},
          "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),

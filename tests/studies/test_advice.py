@@ -78,6 +78,9 @@ def test_the_nearest_shipped_trade_is_taken():
     assert nearest_shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
     assert nearest_shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
     assert nearest_shipped("nothing", pipes, {}, False) is None
+    # No trade of a vessel has aggregates, which limit the cells.
+    assert nearest_shipped("slump", modules()["slump"], {"yield_stress": 100.0}, False).stem == "slump"
+    assert nearest_shipped("slump", modules()["slump"], {"aggregate_fraction": 0.2}, False) is None
 
 
 @pytest.mark.thorough

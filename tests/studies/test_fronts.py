@@ -9,6 +9,7 @@ from warpcrete.studies.tradeoffs.fronts import (
     Error,
     cheapest_within,
     difference,
+    distance_to_limit,
     front,
     prediction_bound,
     student_quantile,
@@ -57,6 +58,21 @@ def test_the_next_error_stays_within_what_is_promised():
     assert prediction_bound([-0.03]) == 0.03 and prediction_bound([0.01, 0.01]) == pytest.approx(0.01)
     for shifts in ([-0.03], [-0.03, -0.01], [0.01, -0.04, -0.02]):
         assert prediction_bound(shifts) == prediction_bound([-shift for shift in shifts]) > abs(np.mean(shifts)) - 1e-12
+
+
+def test_the_limit_of_fine_cells_lies_on_a_line_through_all_widths():
+    widths = [0.5, 0.7, 1.0, 1.6]
+    values = [2.0 * (1 + 0.03 * width) for width in widths]
+    assert distance_to_limit(widths, values, values[1]) == pytest.approx(0.03 * 0.7)
+    # Richardson's extrapolation of first order from two widths.
+    coarse, fine = 2.6, 2.3
+    limit = fine - (coarse - fine) * 0.7 / (1.0 - 0.7)
+    assert distance_to_limit([1.0, 0.7], [coarse, fine], fine) == pytest.approx((fine - limit) / limit)
+    # A line leaves out the scatter of single values, but the value itself counts as it is.
+    scattered = [value * factor for value, factor in zip(values, (1.001, 0.999, 0.999, 1.001), strict=True)]
+    assert distance_to_limit(widths, scattered, scattered[0]) == pytest.approx(0.03 * 0.5, abs=3e-3)
+    assert distance_to_limit([0.7, 0.7], [1.0, 1.0], 1.0) == math.inf
+    assert distance_to_limit([1.0, 0.7], [1.0, 0.7], 0.7) > 1e3  # The limit is 0, up to rounding.
 
 
 def test_the_front_is_what_nothing_beats():

@@ -147,7 +147,7 @@ def test_a_trade_is_kept(tmp_path, kind):
     record = json.loads((tmp_path / "trade.json").read_text(encoding="utf-8"))
     bounds = {trade.label(p): [trade.promised(p), trade.bound_in_variants(p, trade.points[1:3])] for p in trade.points}
     shifts = {knob.name: [trade.shift(knob, level) for level in range(len(knob.levels))] for knob in trade.knobs}
-    seeds = [trade._folder(point, 2).name for point in trade.points]
+    seeds = [trade.folder_of(point, 2).name for point in trade.points]
     kept.compare(
         f"trade-{kind}",
         {
@@ -460,7 +460,7 @@ def test_the_course_of_a_trade_is_kept(budget, workers, tmp_path, monkeypatch):
     }  # fmt: skip
     trade = Trade(tmp_path, pipe, record)
     monkeypatch.setattr(Trade, "_run", lambda self, point, seed, folder: self._store_outcome(
-        point, seed, outcome_of(self._parameters(point, seed))))  # fmt: skip
+        point, seed, outcome_of(self.parameters_of(point, seed))))  # fmt: skip
     monkeypatch.setattr(state, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     monkeypatch.setattr(phases, "write", lambda trade: None)
     trade.budget, trade.cluster = budget, Cluster() if workers else None
@@ -500,5 +500,5 @@ def test_outcomes_of_a_trades_runs(tmp_path):
     trade._store_outcome(point, seed, SceneError("x = 1: is wrong"))
     assert point.failures == {seed: "failed: x = 1: is wrong"}
     (path,) = tmp_path.glob("runs/*/failed.txt")
-    assert path.parent == trade._folder(point, seed) and path.read_text(encoding="utf-8").startswith("failed: x = 1")
+    assert path.parent == trade.folder_of(point, seed) and path.read_text(encoding="utf-8").startswith("failed: x = 1")
     assert trade._take_over(point, [seed]) == [] and str(seed) in path.parent.name

@@ -64,6 +64,46 @@ def test_variants_of_a_vessel_are_compared_with_their_own_reference(tmp_path):
     assert [e.shift for e in trade.errors_of(coarse, [0])] == [pytest.approx(-0.01 / 0.21)]
 
 
+def test_promises_contain_the_own_error_of_the_reference(tmp_path):
+    record = {"scene": "slump", "parameters": {}, "quantities": ["slump"], "knobs": ["spacing", "step error"],
+              "repeat": 1, "seeded": False, "device": "cpu", "threads": 1, "provenance": {}}  # fmt: skip
+    trade = Trade(tmp_path, slump, record)
+    trade.point(GIVEN, {})
+    coarse, finest = trade.point("spacing", {"spacing": 0}), trade.point(REFERENCE, {"spacing": 3})
+    loose = trade.point("step error", {"step error": 0})
+    widths = {point.full["spacing"]: point for point in (trade.given, coarse, finest)}
+    assert trade.reference_errors == {"slump": math.inf}  # Nothing is known before two widths have run.
+    for width, point in widths.items():
+        point.results[0] = {"slump": {"value": 0.2 * (1 + 10 * width), "unit": "m"}}
+    loose.results[0] = {"slump": {"value": 1.01 * 0.2 * (1 + 10 * trade.given.full["spacing"]), "unit": "m"}}
+    trade.judge()
+    own = 10 * finest.full["spacing"]
+    assert trade.reference_errors["slump"] == pytest.approx(own)
+    # To the error against the reference, or to what the knob alone changes, this error is added.
+    shift = (1 + 10 * coarse.full["spacing"]) / (1 + own) - 1
+    assert trade.promised(coarse) == pytest.approx(shift + own)
+    against = 1.01 * (1 + 10 * trade.given.full["spacing"]) / (1 + own) - 1
+    assert trade.promised(loose) == pytest.approx(against + own)
+    assert trade.bound_in_variants(finest, []) == pytest.approx(own)
+
+
+def test_a_setting_that_no_variant_tested_is_not_promised(tmp_path, monkeypatch):
+    from warpcrete.studies.tradeoffs import trade as phases
+
+    point = Setting("x", {}, {})
+    trading = SimpleNamespace(variants=lambda given: {"twice the viscosity": {"viscosity": 2.0}})
+    trade = SimpleNamespace(
+        exact=True, has_seeds=False, seeds=[0], chosen_knobs=(), measured=[point], promises=[], reference=None,
+        declared=None, module=SimpleNamespace(trading=trading), promised=lambda point: 0.0,
+        errors_of=lambda point, seeds: [],
+    )  # fmt: skip
+    for carried, promised in (({}, None), ({"twice the viscosity": Error("slump", 0.0, 0.0)}, point)):
+        trade.promises.clear()
+        monkeypatch.setattr(phases, "_test_variants", lambda *_, carried=carried: (carried, 0.0))
+        phases._find_promises(trade, lambda *_: None)  # type: ignore
+        assert all(promise.point is promised for promise in trade.promises) and trade.promises
+
+
 def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):
     record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "knobs": ["length"], "repeat": 1,
               "seeded": True, "device": "cpu", "threads": 1, "provenance": {}}  # fmt: skip
@@ -329,7 +369,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
     before = json.loads((tmp_path / "t" / "trade.json").read_text(encoding="utf-8"))
     (gone,) = [p for p in trade.points if p.levels == {"time step": 1}]
     for seed in trade.seeds:
-        (trade._folder(gone, seed) / "result.json").unlink()
+        (trade.folder_of(gone, seed) / "result.json").unlink()
 
     def interrupted(self, point, seed, folder):
         self.interrupted = True
@@ -356,7 +396,7 @@ def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, mon
     monkeypatch.setattr(type(trade), "promised", lambda self, point: 0.01)
     cheapest = min(trade.measured, key=lambda p: p.cost)
     for seed in (2, 3, 4):
-        folder = trade._folder(cheapest, seed)
+        folder = trade.folder_of(cheapest, seed)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "failed.txt").write_text("failed: exploded", encoding="utf-8")
         cheapest.results.pop(seed, None)

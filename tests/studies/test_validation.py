@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
 from warpcrete.core.units import quantity
-from warpcrete.mix.rheology import HEAP_CENTRE_MEDIAN, RHEOMETER_OVER_HEAP
+from warpcrete.mix.rheology import FLATTEST, HEAP_CENTRE_MEDIAN, RHEOMETER_OVER_HEAP
 from warpcrete.studies.validation import predictions, simulated
 from warpcrete.studies.validation.cases import ADDED, FITTED, held_out_groups, read_cases, shipped_cases
 from warpcrete.studies.validation.comparison import compare
@@ -183,8 +183,9 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     assert again.exit_code != 0
     wrong = CliRunner().invoke(cli, ["validate", "--kind", "pipes"])
     assert "kind = 'pipes': must be one of pipe" in str(wrong.exception)
-    lost = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--device", "cuda:99"])
-    assert str(lost.exception).startswith("device = 'cuda:99': ")
+    for more in ([], ["--quick"]):
+        lost = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--device", "cuda:99", *more])
+        assert str(lost.exception).startswith("device = 'cuda:99': ")
 
 
 @pytest.mark.parametrize(
@@ -290,6 +291,15 @@ def test_a_simulation_gets_the_concrete_of_the_case(kind, monkeypatch):
         assert getattr(scene.concrete, name) == getattr(own, name)
     with pytest.raises(KeyboardInterrupt):
         simulate(case, False, device="cpu")
+
+
+def test_the_band_of_a_simulated_slump_ends_at_a_flat_heap(monkeypatch):
+    (case,) = [each for each in representatives(shipped_cases()) if each.group == "ferraris-1998"]
+    run = SimpleNamespace(finished=True, result={"slump": quantity(0.123, "m")})
+    made = SimpleNamespace(simulation=lambda scene, device: SimpleNamespace(run=lambda: run))
+    monkeypatch.setattr(simulated, "method_of", lambda scene: made)
+    form = compare(case).band
+    assert 0.123 * form.high / form.value > 0.3 and simulate(case, False, device="cpu").band.high == FLATTEST
 
 
 def test_the_case_with_the_median_stands_for_its_group():

@@ -5,6 +5,7 @@ import pytest
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.run.method import report_of
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
@@ -46,6 +47,11 @@ def test_aggregates_fill_the_pipe_but_not_its_wall_and_meet_over_the_ends(device
     rings = 0.005 * np.arange(9)
     whole = np.sum(fraction_profile(simulation.flow) * np.diff(rings**2)) / 0.04**2
     assert whole == pytest.approx(len(r) * 4 / 3 * 0.01**3 / (0.04**2 * 0.06), rel=1e-6)
+
+
+def test_a_fraction_of_less_than_an_aggregate_is_noticed():
+    with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: whole .*, 1 of them, have .* 0\.0139$"):
+        begun("cpu", aggregate_fraction=1e-6)
 
 
 def test_one_small_aggregate_hardly_changes_the_flow_of_the_mortar(device):
@@ -163,6 +169,8 @@ def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
     "given, words",
     [
         ({"aggregate_fraction": 0.0}, "aggregate_fraction = 0.0: must be above 0; use the scene 'tube'"),
+        ({"length": 0.001}, "length = 0.001: must be at least 3 diameters of the largest aggregate"),
+        ({"spacing": 1.0}, "spacing = 1.0: is too coarse: the smallest aggregate, 0.02 m, must be"),
         ({"length": 0.05}, "length = 0.05: must be at least 3 diameters of the largest aggregate"),
         (
             {"aggregate_largest": 0.05, "length": 0.2},

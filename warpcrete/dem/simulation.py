@@ -60,7 +60,7 @@ class ElementSimulation(Simulation):
         def run(self) -> ElementRun: ...
 
     def set_up(self) -> None:
-        """Build the model and initialise the attributes that the preparation up to t = 0 changes."""
+        """Build the model, and set the attributes that change before t = 0 to their initial values."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
         # Number of completed intervals of the settling before t = 0. It is None before the settling begins and after it

@@ -155,7 +155,7 @@ class Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Let the next part of the pipeline start in the direction `tangent`, a unit vector.
+        """Let the next part of the pipeline start in the direction `tangent`, a vector of any length.
 
         The horizontal direction `heading` changes too, unless the new direction is vertical.
         """

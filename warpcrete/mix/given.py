@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -83,6 +84,14 @@ KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "
         "fine_sand")  # fmt: skip
 LARGEST_NAMES = ("largest_stone", "largest_size", "size_max", "max_size", "maximum_size", "stone")
 """Names under which users state the largest stone, instead of the entry `sizes`."""
+OTHER_NAMES = {
+    **dict.fromkeys(("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio",
+                     "w c ratio"), "water_binder"),
+    **dict.fromkeys(("slump flow", "slumpflow", "flow"), "spread"),
+    **dict.fromkeys(("air content", "entrained air"), "air"),
+    **dict.fromkeys(("unit weight", "bulk density"), "density"),
+}  # fmt: skip
+"""Other names of entries of a mix, in small letters with single blanks between words, which a message translates."""
 PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
@@ -202,6 +211,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
             if key in LARGEST_NAMES:
                 size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
                 refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
+            if (own := OTHER_NAMES.get(re.sub(r"[\W_]+", " ", str(key).casefold()).strip())) is not None:
+                refuse("mix key", key, f"is the entry {own!r} of a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")

@@ -125,7 +125,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def phases(self, concrete: Concrete, dimensions: int) -> tuple[Concrete, Aggregates | None]:
-        """Return the concrete as one fluid, and its coarse aggregate with the mortar; None for a flow with one phase.
+        """Return the concrete as one fluid, and its division into coarse aggregate and mortar; None for one phase.
 
         `concrete` has the constants that the parameters state. Where they state a constant of the mortar, the constant
         of the concrete follows from it by homogenisation, so that theory describes the simulated concrete.
@@ -153,7 +153,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete, Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
-        """Return the volume flow [m3/s]: the parameter `flow`, or the flow that `pressure` drives by theory.
+        """Return the volume flow [m3/s] that the parameters state, or that theory predicts for the stated pressure.
 
         `bulk` is the pipe's radius minus the thickness of the slip layer [m]. Raises :class:`SceneError` if flow and
         pressure are both stated, or if nothing flows.

@@ -74,7 +74,11 @@ class RunFolder:
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}
 
     def recorders(self, simulation: Simulation) -> list[Recorder]:
-        """Return the recorders of this folder; raises :class:`SceneError` for another simulation method's setting."""
+        """Return the recorders that write this folder.
+
+        Raises :class:`SceneError` for a setting that the simulation method does not have, such as lines between bodies
+        for a flow.
+        """
         display = method_of(simulation.scene).display
         if self.colour is not None and self.colour not in display.colourings:
             refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")

@@ -50,7 +50,7 @@ class ParaViewRecorder(Recorder):
         self._files: dict[str, Poly] = {}
 
     def start(self, simulation: RecordedSimulation) -> None:
-        """Prepare the files and the walls; later frames get their data from the display that is made here."""
+        """Prepare the files and the walls; create the display that supplies the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()

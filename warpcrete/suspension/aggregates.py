@@ -79,6 +79,11 @@ class Aggregates:
         return np.zeros(self.count, int) if self.shape is None else np.asarray(self.shape, int)
 
     @property
+    def turns(self) -> np.ndarray:
+        """Orientations of the aggregates as quaternions (x, y, z, w), shape (n, 4)."""
+        return np.tile([0.0, 0.0, 0.0, 1.0], (self.count, 1)) if self.turn is None else self.turn
+
+    @property
     def widths(self) -> np.ndarray:
         """Shortest side of each aggregate's bounding box along its principal axes [m], shape (n,)."""
         return self.size * np.array([shape.widths.min() for shape in self.shapes])[self.kinds]
@@ -161,8 +166,7 @@ class BodyState:
         self.bodies = allocate(
             structs.Bodies, device, centre=aggregates.centre, spin=count,
             velocity=zero if aggregates.velocity is None else np.asarray(aggregates.velocity, float),
-            turn=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)) if aggregates.turn is None else aggregates.turn,
-            radius=radius, extra_mass=extra,
+            turn=aggregates.turns, radius=radius, extra_mass=extra,
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
         )  # fmt: skip

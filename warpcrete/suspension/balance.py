@@ -105,6 +105,83 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     return force.reshape(shape), speed.reshape(shape), np.where(known, stiffness, 0.0).reshape(shape)
 
 
+@dataclass(frozen=True)
+class PairForces:
+    """Forces between the spheres of aggregates, and of walls on them, at the end of the last step.
+
+    All arrays have one entry for each neighbour of a sphere, so a pair of spheres occurs twice.
+    """
+
+    own: np.ndarray
+    """Index of the sphere."""
+    other: np.ndarray
+    """Index of its neighbour, or WALL."""
+    normal: np.ndarray
+    """Unit vector from the sphere towards the neighbour, shape (n, 3)."""
+    wall_velocity: np.ndarray
+    """Velocity of a wall along `normal`, and along itself if walls rub [m/s], shape (n, 3)."""
+    approach: np.ndarray
+    """Speed at which sphere and neighbour approach each other [m/s]."""
+    sliding: np.ndarray
+    """Velocity of the sphere relative to its neighbour across `normal` [m/s], shape (n, 3); 0 without friction."""
+    lubrication: np.ndarray
+    """Force of lubrication that the grid does not resolve [N]; positive if it pushes both apart."""
+    contact: np.ndarray
+    """Force of the contact along `normal` [N]; positive if it pushes both apart."""
+    rubbing: np.ndarray
+    """Force of the contact's friction on the sphere [N], shape (n, 3)."""
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force on the sphere [N], shape (n, 3)."""
+        return self.rubbing - (self.lubrication + self.contact)[:, None] * self.normal
+
+
+def pair_forces(flow: SuspensionFlow) -> PairForces:
+    """Return the forces between aggregates, and of walls on aggregates, at the end of the last step."""
+    pairs = flow.aggregates.pairs
+    number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
+    own = np.repeat(rows, number)
+    places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
+    other = pairs.other.numpy()[places]
+    wall = other == int(WALL)
+    normal, gap, rough, still, slow, hold, touching = (
+        getattr(pairs, name).numpy().astype(float)[places]
+        for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
+    )
+    velocity = _velocities_at_gaps(flow, own, np.where(wall, own, other), normal, gap)
+    relative = velocity[0] - np.where(wall[:, None], 0.0, velocity[1])
+    approach = np.sum(relative * normal, 1) - still
+    # Contacts that were found only after the last solve exert no force in this step.
+    hold = hold * (touching == 1)
+    contact = hold * (approach + (rough - gap) / flow.scene.time_step)
+    wall_velocity, sliding, rubbing = still[:, None] * normal, np.zeros_like(normal), np.zeros_like(normal)
+    if flow.aggregates.kind.friction:
+        grip, drift = (getattr(pairs, name).numpy().astype(float)[places] for name in ("grip", "drift"))
+        wall_velocity += drift
+        sliding = relative - np.sum(relative * normal, 1)[:, None] * normal - drift
+        rubbing = -grip[:, None] * sliding
+    return PairForces(own, other, normal, wall_velocity, approach, sliding, slow * approach, contact, rubbing)
+
+
+def _velocities_at_gaps(
+    flow: SuspensionFlow, own: np.ndarray, other: np.ndarray, normal: np.ndarray, gap: np.ndarray
+) -> list[np.ndarray]:
+    """Return the velocities of both spheres of all pairs where they touch [m/s], each of shape (n, 3)."""
+    aggregates = flow.aggregates
+    parts, kind, bodies, found = aggregates.parts, aggregates.kind, aggregates.bodies, []
+    moved, turned = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
+    for sphere, side in ((own, normal), (other, -normal)):
+        lever = np.zeros_like(normal)
+        if kind.clumps:
+            lever += bodies.arm.numpy().astype(float)[sphere]
+        if kind.friction:
+            lever += (parts.radius[sphere] + 0.5 * gap)[:, None] * side
+        body = parts.body[sphere]
+        found.append(moved[body] + np.cross(turned[body], lever))
+    return found
+
+
 class _Grid:
     """Host copies of the arrays of a grid, without the outer cells at the ends of a periodic axis."""
 
@@ -231,49 +308,13 @@ class _Step:
 
         The force is that of the walls on the aggregates, as its component along the last axis of the grid.
         """
-        flow, pairs = self.flow, self.flow.aggregates.pairs
-        number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
-        own = np.repeat(rows, number)
-        places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
-        other = pairs.other.numpy()[places]
-        wall = other == int(WALL)
-        normal, gap, rough, still, slow, hold, touching = (
-            getattr(pairs, name).numpy().astype(float)[places]
-            for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
-        )
-        velocity, friction = self._relative(own, np.where(wall, own, other), normal, gap), flow.aggregates.kind.friction
-        relative = velocity[0] - np.where(wall[:, None], 0.0, velocity[1])
-        approach = np.sum(relative * normal, 1) - still
-        # Contacts that were found only after the last solve exert no force in this step.
-        hold = hold * (touching == 1)
+        found = pair_forces(self.flow)
+        wall = found.other == int(WALL)
         # Both aggregates of a pair have an entry for it, so each entry counts half of the pair's power.
         share = np.where(wall, 1.0, 0.5)
-        apart = hold / flow.scene.time_step * (rough - gap)
-        force = -((slow + hold) * approach + apart)
-        forces, moving = force[:, None] * normal, still[:, None] * normal
-        rubbing = 0.0
-        if friction:
-            grip, drift = (getattr(pairs, name).numpy().astype(float)[places] for name in ("grip", "drift"))
-            slides = relative - np.sum(relative * normal, 1)[:, None] * normal - drift
-            forces, moving = forces - grip[:, None] * slides, moving + drift
-            rubbing = float(np.sum(share * grip * np.sum(slides**2, 1)))
         return (
-            float(np.sum(share * slow * approach**2)),
-            float(np.sum(share * (hold * approach + apart) * approach)) + rubbing,
-            float(np.sum(forces[wall] * moving[wall])),
-            float(np.sum(forces[wall, 2])),
+            float(np.sum(share * found.lubrication * found.approach)),
+            float(np.sum(share * (found.contact * found.approach - np.sum(found.rubbing * found.sliding, 1)))),
+            float(np.sum(found.force[wall] * found.wall_velocity[wall])),
+            float(np.sum(found.force[wall, 2])),
         )
-
-    def _relative(self, own: np.ndarray, other: np.ndarray, normal: np.ndarray, gap: np.ndarray) -> list[np.ndarray]:
-        """Return the velocities of both spheres of all pairs where they touch [m/s], each of shape (k, 3)."""
-        aggregates = self.flow.aggregates
-        parts, kind, found = aggregates.parts, aggregates.kind, []
-        for sphere, side in ((own, normal), (other, -normal)):
-            lever = np.zeros_like(normal)
-            if kind.clumps:
-                lever += aggregates.bodies.arm.numpy().astype(float)[sphere]
-            if kind.friction:
-                lever += (parts.radius[sphere] + 0.5 * gap)[:, None] * side
-            body = parts.body[sphere]
-            found.append(self.after[0][body] + np.cross(self.after[1][body], lever))
-        return found

@@ -20,6 +20,7 @@ from ..kernels.suspension import coupling
 from ..kernels.suspension.blocks import block_kernel
 from ..kernels.suspension.bodies import motion_kernels, pose_kernel
 from ..kernels.suspension.cover import cover_kernels, release_kernels
+from ..kernels.suspension.entering import entering_kernels
 from ..kernels.suspension.friction import friction_kernels
 from ..kernels.suspension.leaving import leaving_kernels
 from ..kernels.suspension.neighbours import neighbour_kernels
@@ -29,6 +30,7 @@ from ..mps.grid.geometry import MIRROR, OPEN_SIDE, WALL
 from ..mps.grid.stages import GridStep
 from ..mps.grid.state import GridState
 from .aggregates import Aggregates, BodyState
+from .entrance import Entrance
 from .solve import CoupledSolve, Tolerances
 
 CUTOFF_CELLS = 0.7
@@ -72,11 +74,13 @@ class SuspensionStep(GridStep):
             *self._cells(gather_kernel(scalar, kind)),
             *(self._alone(pose_kernel(scalar), count) if bodies.clumps else []),
             *(self._alone(leaving.park, count, opens=flow.opens) if flow.opens else []),
+            *self._entering("guide"),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
             *self._alone(free.close, slots),
             *self._alone(free.shut, 3 * slots),
             *self._alone(free.share, slots),
+            *self._entering("relax", slots),
             *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
@@ -87,6 +91,8 @@ class SuspensionStep(GridStep):
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
             *(self._alone(leaving.weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
               if flow.opens else []),
+            *self._entering("ignore"),
+            *self._entering("weigh", excess=flow.aggregates.excess),
             *(self._alone(friction_kernels(scalar, kind, bodies).rub, spheres, mirrors=flow.mirrors,
                           friction=flow.friction) if bodies.friction else []),
             *self._alone(strain.rates, slots),
@@ -101,6 +107,17 @@ class SuspensionStep(GridStep):
             *self._complete(flow.projection),
         ]  # fmt: skip
 
+    def _entering(self, name: str, tasks: int | None = None, **named: Any) -> list[Any]:
+        """Return the stage of a kernel for aggregates that enter through a plane; no stage if none enter.
+
+        The number of tasks is that of the aggregates unless stated.
+        """
+        flow = self.flow
+        if flow.entrance is None:
+            return []
+        kernel = getattr(entering_kernels(self.scalar, self.kind, flow.aggregates.kind), name)
+        return self._alone(kernel, tasks or flow.aggregates.count, **named)
+
     def _divergence(self) -> list[Any]:
         """Return the stage that computes the net inflow into each cell, and the matrix of the pressure projection."""
         kernel, system = (
@@ -110,9 +127,10 @@ class SuspensionStep(GridStep):
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
     def blocks(self) -> list[Any]:
-        """Return the stage that inverts the diagonal block of each aggregate in the matrix of the viscous solve."""
+        """Return the stages that invert the diagonal block of each aggregate in the matrix of the viscous solve."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind, self.flow.aggregates.kind)
-        return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
+        inverse = self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
+        return [*inverse, *self._entering("fix")]
 
     def after(self) -> list[Any]:
         """Return the stages after the coupled solve, which move the mortar and the aggregates."""
@@ -145,10 +163,11 @@ class SuspensionFlow(GridFlow):
 
     def __init__(
         self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, friction: float = 0.0,
-        tolerances: Tolerances | None = None,
+        tolerances: Tolerances | None = None, entrance: Entrance | None = None,
     ) -> None:  # fmt: skip
         super().__init__(state, threads=1)
-        down = np.array([0.0, 0.0, -state.scene.gravity])
+        down = np.array([0.0, 0.0, -state.scene.gravity]) if entrance is None else entrance.gravity
+        self.entrance = None if entrance is None else entrance.on_device(aggregates.centre, self.scalar, self.device)
         self.aggregates = BodyState(
             aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device, friction
         )
@@ -164,11 +183,14 @@ class SuspensionFlow(GridFlow):
         self.drag = PORE_DRAG * (min(state.layout.room.width) / float(aggregates.radius.min())) ** 2
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
-        self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The top of the box, which is the last of its sides, is open as well. Leave it out of the open sides through
-        # which aggregates may leave, because it is above the concrete. The ends of a periodic pipe are connected, so no
-        # aggregate leaves it.
-        leaving = [] if state.layout.periodic else sides[:-1]
+        # The sides of the box around a pipe lie behind the pipe's wall and behind the plane through which aggregates
+        # enter, so aggregates do not meet them.
+        met = (WALL, MIRROR) if entrance is None else (MIRROR,)
+        self.sides = sum(1 << n for n, side in enumerate(sides) if side in met)
+        # In a vessel, the top of the box, which is the last of its sides, is open as well. Leave it out of the open
+        # sides through which aggregates may leave, because it is above the concrete. The ends of a periodic pipe are
+        # connected, so no aggregate leaves it.
+        leaving = [] if state.layout.periodic else sides if entrance is not None else sides[:-1]
         self.opens = sum(1 << n for n, side in enumerate(leaving) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
@@ -176,7 +198,8 @@ class SuspensionFlow(GridFlow):
     @property
     def holdings(self) -> dict[str, Any]:
         """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
-        return super().holdings | {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
+        found = {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
+        return super().holdings | found | ({} if self.entrance is None else {"entrance": self.entrance})
 
     def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))
@@ -200,7 +223,7 @@ class SuspensionFlow(GridFlow):
     def _kernel_arrays(self) -> dict[str, Any]:
         return super()._kernel_arrays | {
             "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut,
-            "pairs": self.aggregates.pairs,
+            "pairs": self.aggregates.pairs, "entrance": self.entrance,
         }  # fmt: skip
 
     def invert_blocks(self) -> None:

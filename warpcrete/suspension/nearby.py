@@ -19,8 +19,15 @@ ITERATIONS = 1000
 SWEEPS = 100
 """Number of times that each sphere is moved at random after overlaps have been removed."""
 
+Draw = Callable[[np.random.Generator, int], np.ndarray]
+"""Function that returns a number of random points, shape (n, 3) [m]."""
 Distance = Callable[[np.ndarray], np.ndarray]
 """Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
+
+
+def draw_between(low: np.ndarray, high: np.ndarray) -> Draw:
+    """Return a function that draws points evenly between two corners of a box [m]."""
+    return lambda rng, count: rng.uniform(low, high, (count, 3))
 
 
 def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.errors import at_most, refuse
+from ..core.inputs.limits import warn
 from ..mps.free.layout import free_walls, section_distance
 from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
 from .aggregates import Aggregates
-from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, close_pairs
+from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close_pairs, draw_between
 from .placing_clumps import placed_clumps
 from .scene import SphereFields, SuspensionScene
 
+MAX_DEVIATION = 0.1
+"""Largest relative difference between the volume of the placed aggregates and the volume that the scene's fraction
+requires, above which a warning is given."""
 SHRINK = 0.95
 """Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
 volume fraction that fits."""
@@ -34,25 +38,27 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
             found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
         return found
 
-    return aggregates_within(scene, layout, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
+    volume = float(np.sum(layout.mass)) * layout.volume
+    return aggregates_within(scene, volume, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
 
 
 def aggregates_within(
-    scene: SphereFields, layout: GridLayout, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
-    periodic: bool = False,
+    scene: SphereFields, volume: float, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> Aggregates:  # fmt: skip
     """Return randomly placed aggregates between the corners `low` and `high` of a box [m], as `random_places` does.
 
+    `volume` is the volume of the concrete [m3], of which the aggregates fill the fraction that the scene states.
     Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
     """
     rng = np.random.default_rng(seed)
-    radii = _radii(scene, layout, rng)
-    found = _placed(scene, radii, low, high, distance, rng, periodic)
+    radii = _radii(scene, volume, rng)
+    found = _placed(scene, radii, low, high, distance, rng, periodic, draw)
     if found is None:
         whole, fewer = float(np.sum(radii**3)), rng.permutation(radii)
         while found is None and len(fewer) > 1:
             fewer = fewer[: int(SHRINK * len(fewer))]
-            found = _placed(scene, fewer, low, high, distance, rng, periodic)
+            found = _placed(scene, fewer, low, high, distance, rng, periodic, draw)
         count, part = (0, 0.0) if found is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
@@ -65,7 +71,7 @@ def aggregates_within(
 
 def _placed(
     scene: SphereFields, radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance,
-    rng: np.random.Generator, periodic: bool,
+    rng: np.random.Generator, periodic: bool, draw: Draw | None,
 ) -> Aggregates | None:  # fmt: skip
     """Return aggregates of a scene at random places without overlaps, or None if they do not fit.
 
@@ -73,38 +79,37 @@ def _placed(
     """
     shapes = scene.templates
     if all(len(shape.radii) == 1 for shape in shapes):
-        centres = random_places(radii, low, high, distance, rng, periodic)
+        centres = random_places(radii, low, high, distance, rng, periodic, draw)
         return None if centres is None else Aggregates(centres, radii, scene.aggregate_density)
     kinds = rng.integers(len(shapes), size=len(radii))
     unplaced = Aggregates(np.zeros((len(radii), 3)), radii, scene.aggregate_density, shapes=shapes, shape=kinds)
-    return placed_clumps(unplaced, low, high, distance, rng, periodic)
+    return placed_clumps(unplaced, low, high, distance, rng, periodic, draw)
 
 
 def random_places(
     radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator,
-    periodic: bool = False,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> np.ndarray | None:  # fmt: skip
     """Return random centres of spheres without overlaps, shape (n, 3), or None if the spheres do not fit.
 
     The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
     Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis.
+    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis. `draw`
+    draws the places at the start; None draws them evenly between the corners.
     """
     period = high[2] - low[2] if periodic else 0.0
-    centres = _start(radii, low, high, distance, rng)
+    centres = _start(radii, draw or draw_between(low, high), distance, rng)
     if centres is None or not _separate(centres, radii, distance, period):
         return None
     _stir(centres, radii, distance, period, rng)
     return low + np.where([False, False, periodic], (centres - low) % (period or 1.0), centres - low)
 
 
-def _start(
-    radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator
-) -> np.ndarray | None:
+def _start(radii: np.ndarray, draw: Draw, distance: Distance, rng: np.random.Generator) -> np.ndarray | None:
     """Return random centres of spheres that overlap no walls, but may overlap each other."""
     centres, left = np.zeros((len(radii), 3)), np.arange(len(radii))
     for _ in range(ITERATIONS):
-        x = rng.uniform(low, high, (len(left), 3))
+        x = draw(rng, len(left))
         free = distance(x) > (1 + CLEARANCE) * radii[left]
         centres[left[free]] = x[free]
         left = left[~free]
@@ -170,19 +175,25 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
         size = min(size * (1.1 if np.mean(blocked) < 0.5 else 0.9), float(radii.mean()))
 
 
-def _radii(scene: SphereFields, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
+def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.ndarray:
     """Return random radii [m], largest first, of as many aggregates as the scene's volume fraction requires.
 
-    The radii are those of spheres of equal volume. Of a sieve curve, only sizes that the cells resolve are drawn.
+    The radii are those of spheres of equal volume. Of a sieve curve, only sizes that the cells resolve are drawn. There
+    is at least one aggregate. Warn if the volume of whole aggregates differs from the wanted volume by more than
+    `MAX_DEVIATION`.
     """
-    wanted = scene.simulated_fraction * float(np.sum(layout.mass)) * layout.volume
+    wanted = scene.simulated_fraction * volume
     curve = None if scene.sieve is None else scene.sieve.above(scene.diameters[0])
-    radii, volume = [], 0.0
+    radii, filled = [], 0.0
     while True:
         size = rng.uniform(*scene.diameters) if curve is None else float(curve.sample(1, rng)[0])
         radius = 0.5 * size
         own = 4 / 3 * np.pi * radius**3
-        if volume + 0.5 * own > wanted and radii:
+        if filled + 0.5 * own > wanted and radii:
+            if abs(filled / wanted - 1) > MAX_DEVIATION:
+                placed = scene.simulated_fraction * filled / wanted
+                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: whole aggregates of these sizes, "
+                     f"{len(radii)} of them, have a fraction of {placed:.3g}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
-        volume += own
+        filled += own

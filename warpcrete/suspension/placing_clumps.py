@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from .aggregates import Aggregates, Spheres, rotated
-from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, close_pairs
+from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close_pairs, draw_between
 
 
 class _Packing:
@@ -28,15 +28,12 @@ class _Packing:
         """Return which clumps contain a marked sphere; the masks have the shapes (n,) and (m,)."""
         return np.logical_or.reduceat(spheres, self.parts.first[:-1])
 
-    def start(self, low: np.ndarray, high: np.ndarray) -> bool:
+    def start(self, draw: Draw) -> bool:
         """Move all clumps to random places within the walls, and return whether all have found one."""
         left = np.ones(self.count, bool)
         for _ in range(ITERATIONS):
             number = int(left.sum())
-            self.centre[left], self.turn[left] = (
-                self.rng.uniform(low, high, (number, 3)),
-                random_turns(number, self.rng),
-            )
+            self.centre[left], self.turn[left] = draw(self.rng, number), random_turns(number, self.rng)
             moved = left[self.parts.body]
             blocked = np.zeros(len(self.radii), bool)
             blocked[moved] = self.distance(self.spheres()[moved]) <= (1 + CLEARANCE) * self.radii[moved]
@@ -114,7 +111,7 @@ class _Packing:
 
 def placed_clumps(
     aggregates: Aggregates, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator,
-    periodic: bool = False,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> Aggregates | None:  # fmt: skip
     """Return aggregates at random places and with random orientations, without overlaps, or None if they do not fit.
 
@@ -122,7 +119,7 @@ def placed_clumps(
     """
     period = float(high[2] - low[2]) if periodic else 0.0
     packing = _Packing(aggregates, distance, period, rng)
-    if not packing.start(low, high) or not packing.separate():
+    if not packing.start(draw or draw_between(low, high)) or not packing.separate():
         return None
     packing.stir()
     centre = packing.centre

@@ -36,7 +36,7 @@ QUANTITIES = (
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
     """Yield the line of a report that says how much of the stated aggregates is simulated, for a sieve curve."""
-    found = run.result["aggregates"]
+    found = run.result.get("aggregates", {})
     if "stated_fraction" in found:
         part = found["fraction"] / found["stated_fraction"]
         smallest = 1e3 * number(found["smallest"])

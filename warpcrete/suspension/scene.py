@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
@@ -22,14 +22,11 @@ diameters wide."""
 
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
-SmallestDiameter = Annotated[
-    float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above(), RANGED
-]
-LargestDiameter = Annotated[float, "Largest diameter of the simulated aggregates [m]", Above(), RANGED]
-"""Declarations of parameters that several scenes with aggregates have."""
+USUAL_CELLS = 4.0
+"""Number of cells across the narrowest aggregates, unless the user states their size."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SphereFields:
     """Fields of a scene that describe its aggregates."""
 
@@ -102,7 +99,7 @@ class SphereFields:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
         narrow = smallest * self.narrowest
-        if narrow < MIN_CELLS * self.spacing:
+        if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
                    f"use {at_most(narrow / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
@@ -118,6 +115,11 @@ class SuspensionScene(SphereFields, FreeScene):
             refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
                    "use half of the width")  # fmt: skip
         self.check_aggregates()
+
+    @property
+    def fluid(self) -> FreeScene:
+        """This scene with the mortar alone."""
+        return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
@@ -135,8 +137,15 @@ class AggregateParameters(Declared):
         "the constants of the concrete are then those of the mortar between them. 0 simulates concrete as one fluid",
         Within(0, MAX_FRACTION),
     ] = 0.0
-    aggregate_smallest: SmallestDiameter = 0.05
-    aggregate_largest: LargestDiameter = 0.05
+    aggregate_smallest: Annotated[
+        float | None,
+        "Smallest diameter of the simulated aggregates [m]: at least three cells; default: that of aggregates whose "
+        "narrowest side is four cells wide",
+        Above(), RANGED,
+    ] = None  # fmt: skip
+    aggregate_largest: Annotated[
+        float | None, "Largest diameter of the simulated aggregates [m]; default: the smallest", Above(), RANGED
+    ] = None
     aggregate_shapes: Annotated[
         str,
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
@@ -159,16 +168,25 @@ class AggregateParameters(Declared):
     ] = 0.0
 
     @property
+    def diameters(self) -> tuple[float, float]:
+        """Smallest and largest diameter of the aggregates [m], if `aggregate_sizes` is uniform."""
+        narrowest = min(float(shape.widths.min()) for shape in templates(self.aggregate_shapes))
+        # Every scene with aggregates declares the parameter `spacing`, with a default of its own.
+        usual = USUAL_CELLS * float(vars(self)["spacing"]) / narrowest
+        smallest = self.aggregate_smallest or min(usual, self.aggregate_largest or usual)
+        return smallest, self.aggregate_largest or smallest
+
+    @property
     def coarsest(self) -> float:
         """Largest diameter of the aggregates [m]."""
         curve = read_sieve(self.aggregate_sizes)
-        return self.aggregate_largest if curve is None else curve.largest
+        return self.diameters[1] if curve is None else curve.largest
 
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
         return {
             "aggregate_fraction": self.aggregate_fraction,
-            "aggregate_diameters": (self.aggregate_smallest, self.aggregate_largest),
+            "aggregate_diameters": self.diameters,
             "aggregate_density": self.aggregate_density,
             "roughness": self.roughness,
             "friction": self.friction,

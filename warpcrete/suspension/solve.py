@@ -178,6 +178,19 @@ class CoupledSolve:
                 "sizes differ less"
             )
 
+    def mean_velocity(self) -> np.ndarray:
+        """Return the mean velocities of mortar and aggregates across all faces [m/s], shape (3, *shape)."""
+        self._launch(self.forces.blend, self.count, x=self._present(), flow=self.product.faces)
+        return self.product.faces.numpy().astype(float).reshape(3, *self.flow.state.shape)
+
+    def _present(self) -> Any:
+        """Return the vector of the present velocities, which uses the arrays of `self.product`."""
+        flow, bodies = self.flow, self.flow.aggregates.bodies
+        present = self.product
+        for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
+            wp.copy(getattr(present, name), array)
+        return present
+
     def _begin(self, again: bool) -> None:
         """Compute the residual of the coupled equations for the current solution.
 
@@ -186,10 +199,7 @@ class CoupledSolve:
         flow, slots = self.flow, self.flow.state.slots
         # Earlier stages computed pressure forces and inflows as if faces that aggregates cover in part were mortar
         # only. Correct both for the covered parts.
-        start = self.product
-        bodies = flow.aggregates.bodies
-        for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
-            wp.copy(getattr(start, name), array)
+        start = self._present()
         self._launch(self.forces.blend, self.count, x=start, flow=start.faces)
         self._launch(self.add_faces, 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
         self._launch(self.residuals.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)

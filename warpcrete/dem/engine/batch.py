@@ -316,7 +316,8 @@ class Batch(JointArrays):
         After each group, a GPU also launches the work that :meth:`use_step` has recorded for this purpose: `rebuild` if
         no scene needs estimates of its stable step (`interval` is NEVER), and otherwise `between_pieces`.
         """
-        # A GPU runs all sub-cycling rounds of a step in one kernel, so the rounds add no launches to its graphs.
+        # A GPU runs all sub-cycling rounds (shorter steps of stiff bonds) of a time step in one kernel, so their number
+        # does not change the number of launches.
         rounds = 0 if self.parallel else self.subcycles.rounds
         largest = self.planner.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()

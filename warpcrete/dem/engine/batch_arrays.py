@@ -69,9 +69,10 @@ class JointArrays:
     face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: DeviceArray
-    """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
+    """Parameters of the contact laws between bodies for all pairs of materials, as in :class:`Model`, of all scenes end
+    to end."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
+    """Parameters of the contact laws between bodies and walls for all pairs of materials, of all scenes end to end."""
     bond_parameters: DeviceArray
     """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end."""
     segments: DeviceArray

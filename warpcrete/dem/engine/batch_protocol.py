@@ -38,7 +38,7 @@ class BatchArrays(Protocol):
     rows: np.ndarray
     """Copy on the host of the parameters of all scenes, as a structured array of shape (scenes,)."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
+    """Parameters of the contact laws between bodies and walls for all pairs of materials, of all scenes end to end."""
     pairs: Pairs
     """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 

@@ -245,7 +245,7 @@ def _gradient_words(name: str):
 
 def _middle_words(run: Run) -> str:
     loss = f"{number(run.result['middle_loss']) / 1e3:.3g} kPa"
-    if "middle_ratio" not in run.result:  # The wall did not brake the concrete in the straight pipes on both sides.
+    if "middle_ratio" not in run.result:  # The wall stress in a straight pipe is not positive.
         return loss
     return f"{loss}, {run.result['middle_ratio']:.2f} times the loss of an equally long straight pipe next to it"
 

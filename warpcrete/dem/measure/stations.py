@@ -201,7 +201,8 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
       middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
     - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
 
-    A result is left out if concrete fills too few of the slices that it needs.
+    A result is left out if concrete fills too few of the slices that it needs. The result `middle_ratio` is also left
+    out if the wall stress at an end of the middle is not positive.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))

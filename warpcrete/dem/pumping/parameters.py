@@ -33,8 +33,8 @@ from .parameter_groups import (
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
 UPRIGHT = 0.4
-"""Smallest thickness of the plug at the front of the concrete, divided by its diameter, at which the plug does not tip
-over behind a bend. At a ratio of 0.13, plugs tipped over in test runs."""
+"""Thickness of the plug at the front of the concrete, divided by its diameter, from which on the plug does not tip over
+behind a bend. In test runs, plugs with a ratio of 0.13 tipped over."""
 WIDEST_STONE = 0.4
 """Largest diameter of rounded aggregate that can be pumped, divided by the pipe's diameter (ACI 304.2R); 1/3 for
 crushed aggregate."""
@@ -253,8 +253,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
         # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pumping pressure minus the
-        # counterpressure at the front of the concrete is proportional to the length of the pipe. For each shorter
-        # length, give the factor by which this difference must be multiplied to obtain its value in the full length.
+        # counterpressure at the front of the concrete is proportional to the length of the pipe. A shorter length
+        # therefore comes with the factor by which this difference must be multiplied to obtain its value in the full
+        # length.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

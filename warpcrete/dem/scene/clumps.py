@@ -12,7 +12,7 @@ import numpy as np
 from ...core.errors import SceneError, between, refuse
 
 SHARE_POINTS = 64
-"""Number of points along the longest side of a clump from which the shares of its spheres follow."""
+"""Number of grid points along the longest side of a clump, with which its volume is divided among its spheres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,10 @@ class ClumpTemplate:
 
     @functools.cached_property
     def shares(self) -> np.ndarray:
-        """Parts of the volume that are nearest to the surface of each sphere, or deepest in it; shape (k,), sum 1."""
+        """Fraction of the clump's volume that belongs to each sphere, shape (k,); the sum is 1.
+
+        A point belongs to the sphere in which it lies deepest below the surface.
+        """
         if len(self.radii) == 1:
             return np.ones(1)
         lower, upper = (self.offsets - self.radii[:, None]).min(0), (self.offsets + self.radii[:, None]).max(0)
@@ -107,8 +110,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # The integration sums over prisms along z with a rectangular cross-section. In the mean of x^2 over a prism, the
-    # width of the prism in x adds steps[0]^2/12 to the square of its middle; the same holds for y and steps[1].
+    # The integrals are sums over prisms along z with a rectangular cross-section. The mean of x^2 over a prism is the
+    # square of its middle plus steps[0]^2/12, because the prism is steps[0] wide. The same holds for y and steps[1].
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()

@@ -116,7 +116,7 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the concrete file's section that holds these parameters, and the names allowed in it."""
+        """Return the name of the section of a concrete's file that states these parameters, and its allowed entries."""
         return "flow", CONSTANTS
 
     @classmethod

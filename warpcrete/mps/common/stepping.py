@@ -77,7 +77,7 @@ class Stepping(ABC):
         """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`.
+        """Return a part of a time step (stage) that launches `kernel`.
 
         The kernel receives the arguments in `named`. All its other parameters receive the flow's arrays of the same
         names.

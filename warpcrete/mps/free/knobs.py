@@ -21,7 +21,8 @@ def free_knobs(
     be proportional to the cell width to the power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
-    yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m", resolution=True)
+    usable = [f for f in factors if finest < f * spacing <= coarsest]
+    yield scaled("spacing", "spacing", spacing, usable, power, "m", resolution=True)
     if given.step_error:
         yield scaled("step error", "step_error", given.step_error, (10.0, 3.0, 1.0, 0.3), -0.2)
     else:

@@ -114,6 +114,11 @@ class FreeScene(Parametrised, FreeSettings):
     """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
     such function."""
 
+    @property
+    def fluid(self) -> FreeScene:
+        """This scene with its fluid alone, without aggregates that are simulated one by one."""
+        return self
+
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("width", "height", "spacing"):

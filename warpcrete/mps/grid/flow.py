@@ -244,7 +244,7 @@ class GridFlow(Stepping):
     def _force(self) -> float:
         """Norm that the residual of the velocity solve has if every velocity is wrong by the typical speed of the flow.
 
-        The norm is that in a time step of the longest allowed length.
+        The norm is computed for a time step of the longest allowed length.
         """
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size

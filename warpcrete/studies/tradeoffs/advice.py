@@ -51,8 +51,8 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered. They are ranked by four criteria, the most important
-    first:
+    Only records of the scene function `name` are considered, and only those with simulated aggregates if the scene has
+    such aggregates, because aggregates limit the cells. They are ranked by four criteria, the most important first:
 
     - whether a closed form exists for both scenes or for neither of them,
     - how few knobs (accuracy parameters) exist in only one of the two scenes,
@@ -65,6 +65,8 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
         record = read_json(path)
         if record["scene"] == name:
             here, there = (module.scene.declared(each) for each in (own, record["parameters"]))
+            if _has_aggregates(here) != _has_aggregates(there):
+                continue
             closed = module.trading.closed_form
             unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
             apart = len(outside(record["parameters"], own, module))
@@ -73,9 +75,16 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
     return Path(min(found)[-1]) if found else None
 
 
+def _has_aggregates(given: Any) -> bool:
+    """Return whether the parameters of a flow include aggregates that are simulated one by one."""
+    # Vessels state a volume fraction of aggregates; channels and tubes have a switch of the name of a vessel's method.
+    return getattr(given, "aggregates", None) is True or bool(getattr(given, "aggregate_fraction", None))
+
+
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a shortened trade.json record, which holds only the entries that are shipped with the package."""
-    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises", "reference_errors")
+    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    kept += ("reference_errors",)
     of_points = ("setting", "origin", "time", "errors", "suspect")
     points = [{name: point[name] for name in of_points} for point in record["points"]]
     version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}
@@ -117,10 +126,11 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
             f"trade = '{trade}': has no result yet; finish the trade with 'warpcrete trade --resume {trade}'"
         )
     if chosen is None:
+        more = f"make a longer one with 'warpcrete trade {name} --budget 1h'" if trade.suffix == ".json" else (
+            "continue the trade with 'warpcrete trade --resume'")  # fmt: skip
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
                                                     "best",
-               f"use {at_least(100 * best, 2)} % or more, or continue the trade with "
-               "'warpcrete trade --resume'")  # fmt: skip
+               f"use {at_least(100 * best, 2)} % or more, or {more}")  # fmt: skip
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}

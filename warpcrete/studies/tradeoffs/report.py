@@ -36,7 +36,8 @@ def table(trade: Trade) -> str:
     head = ["setting", "time [s]", "relative time", "work [million particle-steps]", "memory [MB]"]
     head += [f"{each.title} [{shown(each.unit)[1]}]" for each in trade.quantities]
     head += [f"error of {each.title}" for each in trade.quantities] + ["runs", "remarks"]
-    lines = [f"Errors against {against}.{own_error(trade)}{_beside(trade)}", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    remarks = f"Errors against {against}.{own_error(trade)}{_beside(trade)}"
+    lines = [remarks, "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for point in sorted(trade.points, key=lambda p: p.cost if math.isfinite(p.cost) else math.inf):
         name = trade.label(point) + (f" ({REFERENCE})" if point.origin == REFERENCE else "")
         cells = [

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...core.device.interrupts import StopAtSample
 from ...core.errors import InstabilityError, SceneError, WarpcreteError
 from ...core.inputs.knobs import Knob
@@ -22,8 +20,8 @@ from ...record.recorders import recorders_of
 from ..cases import Case, name_part, short_name
 from ..cluster import Cluster, WorkerLost
 from ..running import FAILED, previous_outcome
-from .fronts import Error, difference, distance_to_limit, prediction_bound
-from .points import CARRIED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
+from .judging import Judging
+from .points import CARRIED, GIVEN, WANTED_ERRORS, Promise, Setting
 from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
@@ -33,7 +31,7 @@ runs."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
 
-class Trade:
+class Trade(Judging):
     """A trade-off study, complete or as far as the budget allowed."""
 
     def __init__(self, folder: Path, module: Any, record: Mapping[str, Any]) -> None:
@@ -56,8 +54,6 @@ class Trade:
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
         self.points: list[Setting] = []
         self.tried: list[Setting] = []
-        """Settings of the accuracy parameters with which variants of the scene were run. A variant is the study's scene
-        with some of its other parameters changed."""
         self.promises: list[Promise] = []
         self.spent = 0.0
         self.budget = math.inf
@@ -105,14 +101,6 @@ class Trade:
     def seeds(self) -> list[int]:
         """Random seeds with which every setting is run; only 0 if the scene's results do not depend on the seed."""
         return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
-
-    @property
-    def reference(self) -> Setting | None:
-        """Reference setting, in which all accuracy parameters are as fine as the budget allowed.
-
-        The value is None if a closed form serves as the reference.
-        """
-        return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property
     def measured(self) -> list[Setting]:
@@ -197,12 +185,12 @@ class Trade:
         A knob is a parameter that trades accuracy for run time, and a level is one of its values. The ratio is measured
         if there was a run in which only this knob was changed to this level. Otherwise it is estimated.
         """
-        alone = self._alone(knob, level)
+        alone = self.alone(knob, level)
         if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
             return alone.cost / self.given.cost
         return knob.levels[level].cost / knob.levels[self.level_as_given(knob)].cost
 
-    def _alone(self, knob: Knob, level: int) -> Setting | None:
+    def alone(self, knob: Knob, level: int) -> Setting | None:
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
@@ -283,10 +271,6 @@ class Trade:
                     break
                 tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})
                 yield point, seeds[first : first + size], left
-
-    def complete(self, point: Setting, seeds: Sequence[int]) -> bool:
-        """Return whether a setting has a result for every seed."""
-        return not point.failure and all(seed in point.results for seed in seeds)
 
     def folder_of(self, point: Setting, seed: int) -> Path:
         # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
@@ -369,117 +353,3 @@ class Trade:
             self.interrupted = True
         else:
             raise outcome
-
-    def judge(self) -> None:
-        """Compute the errors of every setting.
-
-        The expected values come from a closed form if there is one, otherwise from the reference setting.
-        """
-        for point in self.points:
-            point.errors = self.errors_of(point, self.seeds)
-
-    def errors_of(self, point: Setting, seeds: Sequence[int]) -> list[Error]:
-        """Return the errors of a setting in its runs with the given seeds, one for each measured quantity."""
-        found = []
-        ran = sum(seed in point.results for seed in seeds)
-        for each in self.quantities if ran else ():
-            values = point.values(each.name, seeds)
-            if len(values) < ran:
-                # A run gave no value for this quantity, so its error counts as infinite.
-                found.append(Error(each.name, math.inf, 0.0))
-            elif self.exact:
-                errors = point.values(f"{each.name}_error", seeds)
-                scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
-                found.append(Error(each.name, float(np.mean(errors)), scatter))
-            elif (finest := self.reference_of(point)) is not None:
-                reference = finest.values(each.name, self.seeds)
-                if reference:
-                    found.append(difference(each.name, values, reference))
-        return found
-
-    def reference_of(self, point: Setting) -> Setting | None:
-        """Return the reference setting with which a setting is compared; None if there is none yet.
-
-        For a run of a variant, this is the reference setting of the same variant.
-        """
-        if not point.variant or self.reference is None:
-            return self.reference
-        levels = self.reference.levels
-        return next((p for p in self.tried if p.variant == point.variant and p.levels == levels), None)
-
-    def shift(self, knob: Knob, level: int) -> float:
-        """Return the error that a knob causes at one of its levels, compared with its finest level that was measured.
-
-        A knob is an accuracy parameter such as the time step, and a level is one of its values. The result is the
-        largest error of all measured quantities, or infinity if a run failed. A difference that the scatter between
-        seeds explains counts as zero, because the knob need not be its cause.
-        """
-        point = self._alone(knob, level)
-        finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None
-                       and self.complete(p, self.seeds)), None)  # fmt: skip
-        if point is None or finest is None or not point.results or point.failure:
-            return math.inf
-        found = []
-        for each in self.quantities:
-            values, reference = (p.values(each.name, self.seeds) for p in (point, finest))
-            if len(values) < len(self.seeds) or len(reference) < len(self.seeds):
-                return math.inf
-            error = difference(each.name, values, reference)
-            found.append(0.0 if error.within_scatter else error.size)
-        return max(found)
-
-    @property
-    def reference_errors(self) -> dict[str, float]:
-        """Estimated relative error of the reference setting's own results, by the name of the quantity.
-
-        The estimate extrapolates the results of all measured widths of cells, or distances of particles, to the width
-        0. It is empty without a reference or without such an accuracy parameter.
-        """
-        knobs = [knob for knob in self.knobs if knob.resolution]
-        if self.reference is None or not knobs:
-            return {}
-        found = {}
-        for each in self.quantities:
-            reference = self.reference.values(each.name, self.seeds)
-            errors = [distance_to_limit(*self._converging(knob, each.name), float(np.mean(reference)))
-                      for knob in knobs if reference]  # fmt: skip
-            found[each.name] = max(errors, default=math.inf)
-        return found
-
-    def _converging(self, knob: Knob, quantity: str) -> tuple[list[float], list[float]]:
-        """Return the values of a knob at its measured levels, and the mean result of a quantity at each of them."""
-        widths, means = [], []
-        for number, level in enumerate(knob.levels):
-            point = self._alone(knob, number)
-            if point is not None and self.complete(point, self.seeds):
-                (width,), values = level.changes.values(), point.values(quantity, self.seeds)
-                if values:
-                    widths.append(float(str(width)))
-                    means.append(float(np.mean(values)))
-        return widths, means
-
-    def promised(self, point: Setting) -> float:
-        """Return an upper bound for the error of a setting.
-
-        The bound is the reference's own error plus the larger of two values. The first is the measured error with its confidence interval. The second
-        is the sum of the errors that each changed knob (accuracy parameter) causes alone. Errors that cancel in this
-        scene need not cancel in another one.
-        """
-        if point.worst is None:
-            return math.inf
-        by_name = {knob.name: knob for knob in self.knobs}
-        alone = sum(self.shift(by_name[name], k) for name, k in point.levels.items())
-        return max(point.worst.bound, alone) + max(self.reference_errors.values(), default=0.0)
-
-    def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return a bound for the errors of a setting in another scene, estimated from those in `variants` of the scene.
-
-        The estimate assumes that the other scene differs from the original one as much as the variants do. For each
-        quantity, the errors in the original scene and in its variants give a 95 % prediction interval. The result is
-        the largest bound of these intervals, plus the reference's own error.
-        """
-        found = []
-        for each in self.quantities:
-            errors = [e for p in (point, *variants) for e in self.errors_of(p, self.seeds) if e.quantity == each.name]
-            found.append(prediction_bound([e.shift for e in errors]))
-        return max(found) + max(self.reference_errors.values(), default=0.0)

@@ -359,7 +359,8 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
     """For each wanted error, find and test the cheapest setting (values of accuracy parameters) that stays within it.
 
     The tests are runs with other random seeds and runs of variants of the scene. If a test run fails, or if its error
-    exceeds the wanted error, the next cheapest setting is tested.
+    exceeds the wanted error, the next cheapest setting is tested. A setting that could not be tested in any variant of
+    the scene is not promised.
     """
     # Variants are compared only if a closed form gives the expected values, or if nothing is random. With random
     # results, each variant would need reference runs with several seeds, which takes too long.
@@ -376,7 +377,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
             if point.failure or point.suspect:
                 continue
             carried, bound = _test_variants(trade, point, variants, target, tell)
-            if bound <= target:
+            if bound <= target and (any(carried.values()) or not variants):
                 found = worst(trade.errors_of(point, fresh)) if tried else None
                 promise = Promise(target, point, found, carried, bound)
                 break

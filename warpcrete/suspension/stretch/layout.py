@@ -68,7 +68,9 @@ def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
         mean_velocity_fixed=False,
     )
     half = np.array([scene.radius, scene.radius, 0.0])
-    aggregates = aggregates_within(scene, layout, distance, -half, half + [0.0, 0.0, scene.length], scene.seed, True)
+    high = half + [0.0, 0.0, scene.length]
+    filled = float(np.sum(mass)) * layout.volume
+    aggregates = aggregates_within(scene, filled, distance, -half, high, scene.seed, True)
     # The driving force acts on the open volume of the cells, which differs a little from that of the pipe.
     volume = float(geometry.room[1:-1, 1:-1, 1:-1].sum()) * float(np.prod(room.width))
     part = 4 / 3 * np.pi * float(np.sum(aggregates.radius**3)) / volume

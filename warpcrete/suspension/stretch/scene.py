@@ -109,7 +109,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @property
     def cell_width(self) -> float:
         """Largest width of the cells [m]; a whole number of cells fits into the radius and into the length."""
-        return max(side / round(side / self.spacing) for side in (self.radius, self.length))
+        return max(side / max(1, round(side / self.spacing)) for side in (self.radius, self.length))
 
     @cached_property
     def mortar_alone(self) -> Steady:
