@@ -46,6 +46,8 @@ class Advice:
     time: float
     """Wall time of one run of the trade-off study's scene with the recommended settings, on the processor `machine`
     [s]; NaN if unknown."""
+    version: str
+    """Version of warpcrete with which the trade-off was measured; empty if unknown."""
 
 
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
@@ -117,6 +119,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         levels = dict(chosen["levels"]) if chosen else {}
         measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
         machine, time = str(record.get("machine", "")), float((chosen or {}).get("time") or math.nan)
+        version = str(record.get("warpcrete") or record.get("provenance", {}).get("warpcrete", ""))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
             f"'{file}': is not the record of a trade ({type(error).__name__}: {error}); give the folder of a trade"
@@ -152,7 +155,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
         tuple(left_out), tuple(outside(measured, own, module)),
         tuple(name for name, error in chosen.get("carried", {}).items() if error), machine,
-        time,
+        time, version,
     )  # fmt: skip
 
 
