@@ -25,10 +25,10 @@ from trade_plans import PLANS, WHOLE, jobs_of, trade_of
 THREADS = 2
 """Number of threads of a run on a CPU."""
 HOST_CORES = 6
-"""Number of CPU cores that are left to the processes of the GPU."""
+"""Least number of CPU cores that are left to the processes of the GPUs; on larger machines it is half of the cores."""
 TOGETHER, CREWS = 8, 4
-"""Maximum number of flows that a process runs together on the GPU, and number of these processes. A process takes its
-next group when all runs of the last one have ended."""
+"""Maximum number of flows that a process runs together on a GPU, and number of these processes for each GPU. A process
+takes its next group when all runs of the last one have ended."""
 
 
 Progress = Callable[[str, float, dict], None]
@@ -58,6 +58,8 @@ def all_jobs(names: list[str], out: Path) -> list[Job]:
             trade = trade_of(plan, folder)
             for point, seed, level in jobs_of(plan, trade, timed):
                 made = trade.folder_of(point, seed)
+                if (made / "result.json").exists():  # An earlier call with the same folder has made this run.
+                    continue
                 jobs.append(Job(plan.scene, trade.parameters_of(point, seed), str(made), timed, level, plan.elements))
     return jobs
 
@@ -172,7 +174,7 @@ def method_name(job: Job) -> str:
 def core_sets() -> tuple[list[list[int]], list[int]]:
     """Return the pairs of cores for runs on the CPU, and the cores for the processes of the GPU."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    kept = HOST_CORES if len(cores) > 2 * HOST_CORES else 0
+    kept = max(HOST_CORES, len(cores) // 2) if len(cores) > 2 * HOST_CORES else 0
     pairs = [cores[k : k + THREADS] for k in range(0, len(cores) - kept - THREADS + 1, THREADS)]
     return pairs or [cores], cores[len(cores) - kept :] if kept else cores
 
@@ -226,16 +228,18 @@ def main() -> None:
     print(f"CPU: {len(alone)} runs on {len(pairs)} x {THREADS} cores {pairs}")
     print(f"{gpu}: {sum(map(len, flows))} flows in {len(flows)} groups, {sum(map(len, elements))} of elements in "
           f"{len(elements)}", flush=True)  # fmt: skip
+    gpus = 1 if given.cpu else len(os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(","))
     context = multiprocessing.get_context("spawn")
     told, workers, queues = context.Queue(), [], []
-    crews = [(elements, gpu, [host] * 2), (flows, gpu, [host] * CREWS), (alone, "cpu", pairs)]
+    crews = [(elements, gpu, [host] * 2 * gpus), (flows, gpu, [host] * CREWS * gpus), (alone, "cpu", pairs)]
     for groups, device, places in crews:
-        queue = context.Queue()
-        queues.append(queue)  # A queue that nothing holds disappears before the processes have opened it.
+        # A queue that nothing holds disappears before the processes have opened it.
+        queues.append(queue := context.Queue())
         for group in groups:
             queue.put(group)
-        for cores in places[:1] if given.cpu else places:
-            arguments = (cores, device, deadline, given.tiny, queue, told)
+        for number, cores in enumerate(places[:1] if given.cpu else places):
+            chosen = f"cuda:{number % gpus}" if device == "cuda" else device
+            arguments = (cores, chosen, deadline, given.tiny, queue, told)
             workers.append(context.Process(target=work, args=arguments, daemon=True))
             workers[-1].start()
             if given.cpu:
@@ -257,7 +261,7 @@ def report(told: Any, started: float) -> None:
     """Print what has ended since the last call: groups on the GPU, and runs on the CPU that failed."""
     while not told.empty():
         device, what, begun, ended, failed = told.get()
-        if device == "cuda" or failed:
+        if device != "cpu" or failed:
             print(f"{ended - started:4.0f} s {device}: {what}, {ended - begun:.0f} s, {len(failed)} failed "
                   f"{next(iter(failed.values()), '')[:150]}", flush=True)  # fmt: skip
 

@@ -45,10 +45,13 @@ if TYPE_CHECKING:
     from .tube import scene as tube
 
 __all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring", "jring_dem", "lbox", "lbox_dem", "lcpc", "lcpc_dem",
-           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "stretch", "tube"]  # fmt: skip
+           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "stretch", "suspended", "tube"]  # fmt: skip
 
-METHODS = ("mps", "dem")
-"""Names of the two simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements."""
+METHODS = ("mps", "dem", "suspension")
+"""Names of the simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements, and
+"suspension" for flows of mortar with aggregates."""
+PIPE_AS_PART = {"unit": "vertical", "diameter": 0.15, "elbow_radius": 0.5}
+"""Defaults of the scene `pipe` that the scene `part` takes over if `pipe` is simulated as a suspension."""
 
 
 def modules() -> dict[str, ModuleType]:
@@ -76,20 +79,29 @@ def _second(file: ModuleType) -> ModuleType:
 
 
 def by_method(name: str, method: str) -> str:
-    """Return the name of the scene that simulates the same test as scene `name` by a `method`, "mps" or "dem".
+    """Return the name of the scene that simulates the same test as scene `name` by a `method`, one of METHODS.
 
-    If both methods can simulate a test, the scene of discrete elements has the suffix "-dem". Raises
+    If several methods can simulate a test, the scene of discrete elements has the suffix "-dem". A flow and a
+    suspension are the same scene; `suspended` returns the parameters that make it a suspension. Raises
     :class:`warpcrete.SceneError` if there is no such scene.
     """
     plain = name.removesuffix("-dem")
     found = {METHODS[name.endswith("-dem")]: name for name in modules() if name.removesuffix("-dem") == plain}
     if plain == "pipe":
-        found = {"dem": plain}
+        found = {"dem": plain, "suspension": "part"}
+    elif "mps" in found and hasattr(modules()[plain], "suspension"):
+        found["suspension"] = plain
     if method not in found:
         refuse("method", method, f"must be one of {', '.join(found)} for scene {name!r}" if found else
                f"cannot be chosen, because there is no scene {name!r}",
                "'warpcrete list' shows all scenes")  # fmt: skip
     return found[method]
+
+
+def suspended(name: str) -> dict[str, Any]:
+    """Return the parameters with which scene `name`, or what simulates it by this method, becomes a suspension."""
+    target = by_method(name, "suspension")
+    return {**(PIPE_AS_PART if name == "pipe" else {}), **modules()[target].suspension}
 
 
 def __dir__() -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -38,6 +38,10 @@ AGGREGATE_REMARKS = (
 )
 
 
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.007}
+"""Parameters that `--method suspension` sets unless they are given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FunnelParameters(FreeConcrete, AggregateParameters):
     """Dimensions of the V-funnel; defaults follow EN 12350-9."""
@@ -64,12 +68,12 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     whole = throat + given.cone_height
     if given.spacing > min(given.outlet_width, given.breadth) / 4:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the outlet",
-               f"use {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
+               f"use {at_most(min(given.outlet_width, given.breadth) / 4, 2)} m or less")  # fmt: skip
     quarter = min(given.outlet_width, given.breadth) / 2
-    if given.aggregate_fraction and given.aggregate_largest > MAX_PART * quarter:
-        refuse("aggregate_largest", given.aggregate_largest,
+    if given.aggregate_fraction and given.coarsest > MAX_PART * quarter:
+        refuse("aggregate_largest", given.coarsest,
                f"is too large: a quarter of the funnel is simulated, and its outlet is only {quarter:g} m wide",
-               f"use {MAX_PART * quarter:.2g} m or less")  # fmt: skip
+               f"use {at_most(MAX_PART * quarter, 2)} m or less")  # fmt: skip
     # Choose the cell size such that the height of the V-funnel is a whole number of cells. Two more rows of cells lie
     # above the V-funnel.
     rows = max(8, round(whole / given.spacing))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -53,7 +53,7 @@ def scene(parameters: FunnelElements) -> Scene:
     narrowest = min(given.outlet_width, given.breadth)
     if given.size_max > narrowest / 2:
         refuse("size_max", given.size_max, "is too large: at least two grains must fit side by side in the outlet",
-               f"use {narrowest / 2:.3g} m or less")  # fmt: skip
+               f"use {at_most(narrowest / 2)} m or less")  # fmt: skip
     narrow, brim = given.outlet_width / 2, given.top_width / 2
     throat, whole = given.outlet_height, given.outlet_height + given.cone_height
     inside = prism(

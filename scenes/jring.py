@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_least, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -27,7 +27,7 @@ from .slump import SlumpParameters, lifted_mould
 SIDES = 12
 """Number of flat sides that approximate the round surface of a bar of the J-ring."""
 FEWEST = 3
-"""Minimum number of grid cells across the gap between two bars."""
+"""Minimum number of grid cells across the gap between two bars, and over the height of the bars."""
 AROUND = 4
 """Minimum width of the plate beyond the annulus in which the height outside the ring is measured, in grid cells."""
 VOLUME = 0.05
@@ -74,6 +74,10 @@ class Ring:
         return MeshWall(name="bars", vertices=vertices, faces=faces, material="mould")
 
 
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.005, "precision": "float64"}
+"""Parameters that `--method suspension` sets unless they are given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RingParameters(Ring, SlumpParameters):
     """Dimensions of the mould, of the plate and of the ring of bars; defaults follow EN 12350-12."""
@@ -100,19 +104,22 @@ def scene(parameters: RingParameters) -> FreeScene:
     if given.bars % 4:
         refuse("bars", given.bars, "must be a multiple of 4, because a quarter of the ring is simulated",
                f"use {4 * max(1, round(given.bars / 4))}")  # fmt: skip
-    mould = max(given.base_diameter, given.top_diameter)
-    if given.ring_diameter - given.bar_diameter < mould:
+    narrowest = max(given.base_diameter, given.top_diameter) + given.bar_diameter
+    if given.ring_diameter < narrowest:
         refuse("ring_diameter", given.ring_diameter, "is too small: the mould must fit between the bars",
-               f"use {mould + given.bar_diameter:.3g} m or more")  # fmt: skip
+               f"use {at_least(narrowest)} m or more")  # fmt: skip
     coarsest = _coarsest(given)
     if given.spacing > coarsest:
         refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm and gaps "
                                          f"of {1e3 * given.gap:.3g} mm between them",
                f"use {coarsest:.3g} m or less")  # fmt: skip
+    if given.ring_height < FEWEST * given.spacing:
+        refuse("ring_height", given.ring_height, f"must be at least {FEWEST} cells high",
+               f"use {at_least(FEWEST * given.spacing)} m or more, or a smaller 'spacing'")  # fmt: skip
     least = 0.5 * (given.ring_diameter + given.bar_diameter) + BESIDE + AROUND * given.spacing
     if given.plate_radius is not None and given.plate_radius < least:
         refuse("plate_radius", given.plate_radius, "is too small for the ring and the concrete around it",
-               f"use {least:.3g} m or more")  # fmt: skip
+               f"use {at_least(least)} m or more")  # fmt: skip
     # The bars begin two cells below the plate, so that no gap remains there.
     return lifted_mould(given, J_RING, (given.wall(given.bars // 4 + 1, -2 * given.spacing),), least)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_least, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.dem.pumping.vessel_checks import check_vessel, vessel_knobs
@@ -34,12 +34,11 @@ def scene(parameters: RingElements) -> Scene:
     """
     given = parameters
     given.check_gap()
-    inner = given.ring_diameter - given.bar_diameter
-    if inner < max(given.base_diameter, given.top_diameter) + 2 * given.size_max:
+    least = max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter
+    if given.ring_diameter < least:
         refuse("ring_diameter", given.ring_diameter, "is too small: a grain of the size 'size_max' must fit between "
                                                      "the mould and the bars",
-               f"use {max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter:.3g} m "
-               "or more")  # fmt: skip
+               f"use {at_least(least)} m or more")  # fmt: skip
     return lifted_cone(given, J_RING, (given.wall(),), "mould and bars")
 
 

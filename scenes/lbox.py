@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_least, at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -34,6 +34,10 @@ VOLUME = 0.07
 
 In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 """
+
+
+suspension = {"aggregate_fraction": 0.2}
+"""Parameters that `--method suspension` sets unless they are given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,19 +88,19 @@ def scene(parameters: BoxParameters) -> FreeScene:
         )
     if given.bars and given.spacing > given.bar_diameter / SEEN:
         refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm",
-               f"use {given.bar_diameter / SEEN:.2g} m or less, or 'bars' = 0 for a box without bars")  # fmt: skip
+               f"use {at_most(given.bar_diameter / SEEN, 2)} m or less, or 'bars' = 0 for no bars")  # fmt: skip
     if given.opening < FEWEST * given.spacing:
-        refuse("opening", given.opening, f"must be at least {FEWEST} cells high", f"use {FEWEST * given.spacing:.2g} m "
-                                                                                  "or more, "
-               "or a smaller 'spacing'")  # fmt: skip
+        refuse("opening", given.opening, f"must be at least {FEWEST} cells high",
+               f"use {at_least(FEWEST * given.spacing, 2)} m or more, or a smaller 'spacing'")  # fmt: skip
     smallest = min(given.column_width, given.width / 2)
     if given.spacing > smallest / 4:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the column and across "
                                          "half the box",
-               f"use {smallest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
     outermost = (given.bars - 1) / 2 * (GAPS[given.bars] + given.bar_diameter) + given.bar_diameter / 2
     if given.bars and outermost > given.width / 2:
-        refuse("width", given.width, f"leaves no room for {given.bars} bars", f"use {2 * outermost:.3g} m or more")
+        refuse("width", given.width, f"leaves no room for {given.bars} bars",
+               f"use {at_least(2 * outermost)} m or more")  # fmt: skip
     gate, opening, top = given.column_width, given.opening, given.column_height
     thick = THICK * given.spacing
     high = top + 3 * given.spacing

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -68,7 +68,7 @@ def scene(parameters: BoxElements) -> Scene:
     if given.size_max > narrowest / 4:
         refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the column and "
                                            "in the opening",
-               f"use {narrowest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     before = 0.5 * given.size_min
     across = (0.0, 2 * width, 0.0)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -142,7 +142,7 @@ def scene(parameters: LongBoxFlow) -> FreeScene:
     if given.spacing > smallest / 4:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the concrete and across "
                                          "half the box",
-               f"use {smallest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
     # Choose the cell size such that the height of the concrete is a whole number of cells, so that the cells hold its
     # full volume.
     gate, top, rows = given.column_length, given.height, round(given.height / given.spacing)
@@ -205,7 +205,7 @@ def scene_dem(parameters: LongBoxElements) -> Scene:
     if given.size_max > narrowest / 4:
         refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the concrete "
                                            "at the start",
-               f"use {narrowest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     shut = rectangle((gate, -width, -given.size_min), (0.0, 2 * width, 0.0), (0.0, 0.0, 2 * top))
     lift = Prescribed(velocity=(0.0, 0.0, top / given.lift_time))

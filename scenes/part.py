@@ -38,14 +38,25 @@ from warpcrete.mps.column import FLOW
 from warpcrete.mps.common.mixes import CONSTANTS, ConcreteParameters, concrete_of
 from warpcrete.mps.part.layout import INLET_RADIUS
 from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Section
+from warpcrete.suspension.aggregates import MIN_CELLS
+from warpcrete.suspension.part.checks import check_part as check_with_aggregates
+from warpcrete.suspension.part.scene import BlockageSettings, PartSuspensionScene, part_scene
+from warpcrete.suspension.scene import AggregateParameters
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
 """Largest accepted difference between simulated and theoretical pressure gradient in straight pipe, divided by the
 theoretical pressure gradient."""
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
+AGGREGATE_REMARKS = (
+    "aggregates move with the plane until they have entered entirely; the pressure fluctuates, so results are means "
+    "over the last half of the run",
+    "no aggregate crosses the plane of symmetry of a part of which only half is simulated",
+)
 
 
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
+"""Parameters that `--method suspension` sets unless they are given."""
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
 """Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
@@ -57,7 +68,7 @@ def _is_given(value: Any) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartParameters(ConcreteParameters, PartSettings):
+class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, PartSettings):
     """Parameters of the pipe and of the flow in it."""
 
     @classmethod
@@ -96,7 +107,9 @@ class PartParameters(ConcreteParameters, PartSettings):
 def scene(parameters: PartParameters) -> PartScene:
     """Model concrete that is pumped through a part of a line or a whole line at a given volume flow.
 
-    The results are the pressure at the inlet and the pressure loss of each part.
+    The results are the pressure at the inlet and the pressure loss of each part. Aggregates are spheres that move in
+    the mortar, enter with it and leave with it. With aggregates, the results are also their fraction along the axis,
+    and whether they block the pipe, which ends the run.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -109,12 +122,13 @@ def scene(parameters: PartParameters) -> PartScene:
     )
     check_velocity("flow", given.flow, given.flow / (math.pi * narrow**2))
     bores = replace(course.bores, radii=tuple(radius - given.slip_thickness for radius in course.bores.radii))
-    return PartScene(
+    return part_scene(
+        given,
         name="part",
         concrete=concrete,
         flow=given.flow,
         spacing=given.spacing,
-        remarks=REMARKS,
+        remarks=REMARKS + (AGGREGATE_REMARKS if given.aggregate_fraction else ()),
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
         **{f.name: getattr(course, f.name) for f in fields(_PipeCourse)} | {"bores": bores},
     )
@@ -252,9 +266,13 @@ CURES = {
 }
 
 
-@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the checks of a finished run by name, each as a tuple (True if passed, text with the measured value)."""
+    return check_with_aggregates(run) if isinstance(run.scene, PartSuspensionScene) else _check(run)
+
+
+@with_cures(CURES)
+def _check(run: Run) -> dict[str, tuple[bool, str]]:
     result = run.result
     if "pressure" not in result:
         return {"finished": (False, "the run recorded no sample after its start")}
@@ -272,7 +290,10 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
     narrow = min(given.diameter, given.outlet_diameter or given.diameter)
     if given.line is not None:
         narrow = 2 * read_line(given.line).bores.smallest
-    spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / MIN_ACROSS]
+    coarsest = narrow / MIN_ACROSS
+    if given.aggregate_fraction:
+        coarsest = min(coarsest, given.diameters[0] / MIN_CELLS)
+    spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= coarsest]
     yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m", resolution=True)
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")
     yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")

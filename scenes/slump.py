@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -39,6 +39,10 @@ In most test runs the error was at most 0.027, which it reached while the surfac
 Pa lets the concrete spread into a layer only a few cells thick, the error is 0.07 to 0.14. A run of this kind should
 fail the check.
 """
+
+
+suspension = {"aggregate_fraction": 0.2, "precision": "float64"}
+"""Parameters that `--method suspension` sets unless they are given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,10 +130,10 @@ def lifted_mould(
 def _check_aggregates(given: SlumpParameters) -> None:
     """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
     top = given.top_diameter / 2
-    if given.aggregate_largest > MAX_PART * top:
-        refuse("aggregate_largest", given.aggregate_largest,
+    if given.coarsest > MAX_PART * top:
+        refuse("aggregate_largest", given.coarsest,
                f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
-               f"use {MAX_PART * top:.2g} m or less")  # fmt: skip
+               f"use {at_most(MAX_PART * top, 2)} m or less")  # fmt: skip
     if given.lift_time and given.precision == "float32":
         refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
                                              "then hardly deforms, and the solve does not converge",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -51,7 +51,7 @@ def lifted_cone(given: SlumpElements, test: StandardTest, around: tuple[Wall, ..
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
     if given.size_max > narrowest / 4:
         refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the mould",
-               f"use {narrowest / 4:.3g} m or less")  # fmt: skip
+               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
     lift = Prescribed(velocity=(0.0, 0.0, given.mould_height / given.lift_time))
     return Scene(
         name=f"{test.name}-dem",

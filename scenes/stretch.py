@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
 from warpcrete.suspension.aggregates import MIN_CELLS
-from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters, LargestDiameter, SmallestDiameter
+from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters
 from warpcrete.suspension.stretch.checks import check_stretch
 from warpcrete.suspension.stretch.scene import StretchScene, StretchSettings
 
@@ -40,8 +42,6 @@ class StretchParameters(ConcreteParameters, AggregateParameters, StretchSettings
         "those of the mortar between them",
         Within(0, MAX_FRACTION),
     ] = 0.2
-    aggregate_smallest: SmallestDiameter = 0.016
-    aggregate_largest: LargestDiameter = 0.016
 
 
 @scene_function(StretchParameters)
@@ -55,13 +55,13 @@ def scene(parameters: StretchParameters) -> StretchScene:
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
-    concrete = given.make_concrete(given.surfaces == "slips")
-    if given.surfaces == "sticks":
-        concrete = replace(concrete, **NO_LAYER)
     if given.slip_thickness:
         refuse("slip_thickness", given.slip_thickness, "must be 0, because the cells represent the whole pipe",
                "reduce 'diameter' by twice the thickness instead")  # fmt: skip
-    return StretchScene(
+    concrete = given.make_concrete(given.surfaces == "slips")
+    if given.surfaces == "sticks":
+        concrete = replace(concrete, **NO_LAYER)
+    stretch = StretchScene(
         name="stretch",
         concrete=concrete,
         radius=given.diameter / 2,
@@ -73,13 +73,15 @@ def scene(parameters: StretchParameters) -> StretchScene:
         **given.aggregates(),
         **{f.name: getattr(given, f.name) for f in fields(StretchSettings)},
     )
+    check_velocity("gradient", given.gradient, stretch.mortar_alone.flow / (math.pi * stretch.radius**2))
+    return stretch
 
 
 check = check_stretch
 
 
 def _knobs(given: StretchParameters) -> Iterator[Knob]:
-    coarsest = min(given.aggregate_smallest / MIN_CELLS, given.diameter / 8)
+    coarsest = min(given.diameters[0] / MIN_CELLS, given.diameter / 8)
     factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
     yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m", resolution=True)
     yield scaled("courant", "courant", given.courant, [f for f in (2.0, 1.0, 0.5) if f * given.courant <= 1], -0.8)

@@ -20,6 +20,12 @@ from warpcrete import Simulation, scenes
 from warpcrete.cli import main
 from warpcrete.geometry.axis import Axis, Line
 
+INTERRUPTIBLE = (
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from warpcrete.cli import main; main()"
+)
+"""Program that runs the command in a process that Ctrl-C interrupts. Without it, the processes that a shell begins in
+the background ignore Ctrl-C, and a test that sends it would wait for ever."""
+
 # A thin, short pipe that runs in seconds.
 SMALL = dict(
     diameter=0.08, length=0.16, travel=0.08, ramp=0.03, elbow_radius=0.15, settle=0.5, size_min=8e-3, size_max=16e-3

@@ -12,6 +12,7 @@ from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES
 from .mps.part.method import METHOD as PARTS_OF_LINES
 from .suspension.method import METHOD as SUSPENSIONS
+from .suspension.part.method import METHOD as PARTS_WITH_AGGREGATES
 from .suspension.stretch.method import METHOD as STRETCHES
 
 __all__ = ["METHODS", "Run", "Simulation", "method_of"]
@@ -19,10 +20,11 @@ __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
-    # `method_of` returns the first method in this list whose scene type fits. The scene type of suspensions is a
-    # subclass of the scene type of free-surface flows, so suspensions must come first.
+    # `method_of` returns the first method in this list whose scene type fits. The scene types of suspensions are
+    # subclasses of the scene types of flows without aggregates, so suspensions must come first.
     SUSPENSIONS,
     FREE_FLOWS,
+    PARTS_WITH_AGGREGATES,
     PARTS_OF_LINES,
     STRETCHES,
 )

@@ -19,5 +19,7 @@ ESTIMATED: int = wp.constant(7)  # Index of the step count at which the stable t
 FLAGS = 8
 
 # The next constants are the values of the flag HALTED in discrete-element scenes. They state why the scene is halted.
-WAITS: int = wp.constant(1)  # Value of HALTED if the scene waits for neighbour lists, or has failed and cannot go on.
-ARRIVED: int = wp.constant(2)  # Value of HALTED at the goal, or if the stable time step must be estimated again.
+# Value of HALTED if the scene waits for new neighbour lists, or has failed and cannot go on.
+WAITS: int = wp.constant(1)
+# Value of HALTED if the scene has taken all its steps, or if the stable time step must be estimated again.
+ARRIVED: int = wp.constant(2)

@@ -1,7 +1,8 @@
 """Contact of spheres with planes and pipe surfaces, and the summation of forces on all walls.
 
 Forces on walls are rounded to a fixed fraction of a newton and summed as 64-bit integers, so the order of the summation
-cannot change the result. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
+cannot change the result. Each sphere has storage places, called slots, for the histories of its wall contacts: one slot
+for each plane or pipe of the scene, then some slots for triangle meshes.
 """
 
 import functools
@@ -88,8 +89,9 @@ def warp_force_function(scalar):
     add_to_wall = wall_force_function(scalar)
 
     @wp.func_native(LEADER)
-    # Among the threads that process the same wall slot, `leader` returns the number of the first one whose sphere
-    # touches a wall. It returns 32 if no sphere touches a wall, or -1 if the spheres touch different walls.
+    # Among the threads that now test the same wall of their scene's list, `leader` returns the number of the first one
+    # whose sphere touches a wall. It returns 32 if no sphere touches a wall, or -1 if the spheres touch different
+    # walls.
     def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...
 
     @wp.func_native(WARP_TOTAL)
@@ -225,10 +227,10 @@ def contact_function(scalar, law, dissipation: bool, wear: bool):
 def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bool, width: int = 1):
     """Return the functions `on_walls` and `far_from_walls` for contacts with planes and pipes.
 
-    `on_walls` returns the force, the moment about the sphere's centre and the lost energy of one sphere on all planes
-    and pipes. On a GPU, `lanes` adjacent threads share a sphere and divide its walls among them; their results are
-    added up in the order of the walls. All threads of a warp of `width` must call `on_walls`; a thread without work
-    passes `here` False.
+    `on_walls` computes the contacts of one sphere with all planes and pipes. It returns the sum of the forces on the
+    sphere, the sum of the moments about its centre, and the energy lost. On a GPU, `lanes` adjacent threads share a
+    sphere and divide its walls among them; their results are added up in the order of the walls. All threads of a warp
+    of `width` must call `on_walls`; a thread without a sphere passes False for `here`.
 
     Most spheres are far from all fixed walls. Each sphere stores the position where it last measured its distance to
     the nearest fixed wall, and that distance. `far_from_walls` uses this position and distance to decide if the sphere
@@ -250,7 +252,11 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 
     @wp.func
     def far_from_walls(position: t.vec4, clear: t.vec4):
-        """Return True if a sphere's last measured clearance shows that no fixed wall is within its reach."""
+        """Return True if a sphere is certainly out of contact with all fixed walls.
+
+        This is so if the sphere has moved less, since its distance from the nearest fixed wall was last measured, than
+        this distance minus its radius. `clear` holds the sphere's centre at that time, and the distance [m].
+        """
         room = clear[3] - position[3]
         return room > scalar(0.0) and wp.length_sq(xyz(position) - xyz(clear)) < room * room
 
@@ -352,10 +358,10 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool) -> wp.Kernel:
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

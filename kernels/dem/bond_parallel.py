@@ -9,12 +9,14 @@ import warp as wp
 from ..common.types import types, vector_functions
 from .contact_law import contact_functions
 
-# The state of a pair's bond is 0 without a bond and negative if the bond broke. A positive state combines the bond's
-# kind with the index in `pairs.load` at which the bond's force and moment are stored.
+# The state of a pair's bond is an integer. It is 0 without a bond and negative if the bond broke. A positive state
+# packs two numbers: the bond's kind, which selects the bond parameters, and the index in `pairs.load` at which the
+# bond's force and moment are stored.
 UNBONDED: int = wp.constant(0)
 BROKEN_IN_TENSION: int = wp.constant(-1)
 BROKEN_IN_SHEAR: int = wp.constant(-2)
-# HYDRATED is the number of the bond kind of hydrated contacts, whose bonds are stiff. Ordinary bonds have kind 1.
+# HYDRATED is the number of the stiff kind of bond. It stands for contacts that have hardened by cement hydration.
+# Ordinary bonds have the number 1.
 HYDRATED: int = wp.constant(2)
 
 # The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above hold an index in `pairs.load`, where the
@@ -48,7 +50,7 @@ def bond_with(kind: wp.int32, row: wp.int32):
 
 @functools.cache
 def bond_functions(scalar):
-    """Return the struct ``Bond`` and the functions ``bond_force``, ``bond_stiffness`` and ``bond_energy``."""
+    """Return the struct ``Bond`` of the bond parameters, and functions for force, stiffness and energy of a bond."""
     t = types(scalar)
     Touch = contact_functions(scalar).Touch
     rotated_with_normal = vector_functions(scalar).rotated_with_normal
@@ -64,7 +66,9 @@ def bond_functions(scalar):
         # stress
         tan_friction_angle: scalar
         radius_multiplier: scalar  # bond radius divided by the radius of the smaller sphere
-        moment_factor: scalar  # fraction of the bending and torsion moments that is included in the peak stresses
+        # fraction of the stresses by bending and torsion that counts when the peak stresses are compared with the
+        # strengths
+        moment_factor: scalar
 
     @wp.func
     def bond_stiffness(p: Bond, touch: Touch):

@@ -1,4 +1,4 @@
-"""Kernels that create bonds at existing contacts and assign another bond kind to a random share of the bonds."""
+"""Kernels that create bonds at existing contacts, and that give a random share of the bonds other parameters."""
 
 import functools
 
@@ -14,8 +14,8 @@ from .structs import array_structs
 def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``make``, which bonds close pairs of spheres, and ``reassign``, which changes kinds of bonds.
 
-    Each launch processes the spheres of one scene. The structs passed to it contain the arrays of this scene alone, not
-    those of a batch of scenes.
+    The kind of a bond selects its parameters, such as stiffness and strength. Each launch processes the spheres of one
+    scene. The structs passed to it contain the arrays of this scene alone, not those of a batch of scenes.
     """
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs
@@ -28,18 +28,18 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
         healing: wp.bool,
         gap: scalar,
         group: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         bodies: Bodies,
         spheres: Spheres,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         pairs: Pairs,
     ):
         """Bond all pairs that have no intact bond and whose surfaces are at most `gap` apart.
 
         If `group` is not negative, only pairs inside this group are bonded: the bodies of both spheres must belong to
-        it. The array `pairs.load` stores the force and moment of each bond. With `healing`, it has a row for each list
-        entry, and this kernel sets the rows of new bonds to zero. Without `healing`, new bonds are assigned their rows
-        later.
+        it. The array `pairs.load` stores the force and moment of each bond. If bonds can form again during the run
+        (`healing`), this array has a row for each list entry, and this kernel sets the rows of new bonds to zero.
+        Otherwise the caller assigns rows to the new bonds later.
         """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
@@ -59,12 +59,12 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
         new_kind: wp.int32,
         fraction: wp.float64,
         seed: wp.uint32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         spheres: Spheres,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         pairs: Pairs,
     ):
-        """Change the bonds of kind `old_kind` to kind `new_kind` with the probability `fraction`.
+        """Change each bond of kind `old_kind` to kind `new_kind` with the probability `fraction`.
 
         The random number depends only on the seed and the permanent numbers of the two spheres. The result is therefore
         the same on every device and in any order of threads.

@@ -1,4 +1,4 @@
-"""Kernel for the end of a step: advance the time, and halt scenes that failed, need new lists or reached their goal."""
+"""Kernel for the end of a time step: it advances the time, and halts scenes that must not take another step."""
 
 import functools
 
@@ -14,7 +14,10 @@ rounding errors."""
 
 @functools.cache
 def arrived_function(scalar):
-    """Return `arrived`, a function that returns true if a scene must halt at a goal or for a stable step estimate."""
+    """Return `arrived`, a function that returns true if a scene has taken all steps that it may take for now.
+
+    The scene must then wait until it gets a new goal, or until its stable time step is estimated again.
+    """
     Scenes = array_structs(scalar).Scenes
 
     @wp.func
@@ -31,8 +34,9 @@ def arrived_function(scalar):
 def goal_reached(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
     """Return True if the step goal, the next estimate of the stable step or the end time is reached.
 
-    `beyond_goal` and `beyond_estimate` are the present step count minus that of the goal and of the next estimate;
-    `left` is the time left until the end time [s].
+    `beyond_goal` is the present step count minus the step goal, the count at which the scene must halt.
+    `beyond_estimate` is the present step count minus the count at which the stable step is estimated next. `left` is
+    the time left until the end time [s].
     """
     return beyond_goal >= 0 or beyond_estimate >= 0 or not (left > wp.float64(wp.static(CLOSE)) * dt)
 
@@ -42,7 +46,8 @@ def clock_kernel(scalar, growth: bool) -> wp.Kernel:
     """Return the kernel, with one thread per scene, that completes a step and halts the scene if necessary.
 
     It advances the time and the step count. With `growth` it also advances the growth of the spheres during packing. A
-    scene halts if it has failed, needs new neighbour lists, or has reached its goal.
+    scene halts if it has failed, if it needs new neighbour lists or a new estimate of the stable step, or if it has
+    reached its last step or its end time.
     """
     Scenes = array_structs(scalar).Scenes
 

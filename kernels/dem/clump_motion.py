@@ -109,7 +109,8 @@ def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
     ):  # fmt: skip
         """Set position and velocity of sphere i from the motion of its body.
 
-        The argument `x` and those after it describe the body; `size` is the current scale factor of the body's size.
+        The arguments from `x` on describe the position and motion of the body. The last one, `size`, is the current
+        scale factor of the body's size.
         """
         offset = read_vec4(spheres.offset, i)
         arm = wp.quat_rotate(orientation, xyz(offset)) * size
@@ -154,9 +155,9 @@ def clump_kernel(
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
         # The next arguments are the range of bodies of this launch, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes, pairs: Pairs,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
     ):  # fmt: skip
         lanes = 1 << lane_bits

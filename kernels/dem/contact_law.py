@@ -18,7 +18,7 @@ from ..common.types import types, vector_functions
 
 @functools.cache
 def contact_functions(scalar):
-    """Return the struct ``Touch`` and the functions from which contact laws are built.
+    """Return the struct ``Touch``, which describes a contact, and the functions from which contact laws are built.
 
     The functions are ``shear_spring``, ``plane_spring``, ``spring_energy``, ``sphere_touch`` and ``wall_touch``.
     """

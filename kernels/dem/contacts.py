@@ -66,10 +66,10 @@ def contact_kernel(
         # The next arguments are the range of spheres that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
     ):

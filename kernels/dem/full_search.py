@@ -69,7 +69,7 @@ def recording_functions(scalar, bonds: bool):
     def old_row(
         scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), query: Query, i: wp.int32
     ):  # fmt: skip
-        """Return the first and the end index of a sphere's entries in the old neighbour list."""
+        """Return the index of the first entry of a sphere in the old neighbour list, and that after its last entry."""
         row = scenes.row[query.s].pairs
         place = old_place[i] + query.s
         return row + old_pairs.start[place], row + old_pairs.start[place + 1]
@@ -91,7 +91,7 @@ def recording_functions(scalar, bonds: bool):
 
 @functools.cache
 def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.Kernel]:
-    """Return the kernels ``search`` and ``fill`` for full lists (GPU).
+    """Return the kernels ``search`` and ``fill``, which write a GPU's full lists: each pair is listed at both spheres.
 
     ``search`` counts the neighbours of each sphere in `count`, which must be zero before, and stores as many of them as
     fit in the buffer `finds`. A prefix sum of the counts then yields the start of each sphere's row in the list, and
@@ -124,7 +124,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,

@@ -24,9 +24,10 @@ them."""
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int) -> wp.Kernel:
     """Return the kernel that adds up the stiffness and damping of each sphere's contacts in `estimate`.
 
-    `begin` is the first sphere of the launch. With `stiff` the kernel counts only pairs that move in sub-cycling
-    rounds. With half lists, `first` and `last` bound the chunk of spheres whose pairs are counted. `part` is the number
-    of the CPU thread; it is 0 on a GPU, where `lanes` threads share a sphere.
+    `begin` is the first sphere of the launch. If `stiff` is true, the kernel counts only pairs with stiff bonds, which
+    are computed in several rounds per step (sub-cycling). With half lists, `first` and `last` bound the range of
+    spheres of one CPU thread, and `part` is the number of this thread. On a GPU, `part` is 0, and `lanes` threads share
+    a sphere.
     """
     t = types(scalar)
     sum_of_group = group_functions(scalar, lanes).sum_of_group
@@ -68,7 +69,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         last: wp.int32,
         part: wp.int32,
         stiff: wp.bool,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
@@ -128,8 +129,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 add_wall_stiffness(estimate, part, w, k)
-        # Keep what `estimate.sums` already holds: the stiffness and damping of pairs that the half list contains only
-        # at the other sphere.
+        # Add what `estimate.sums` already holds: the stiffness and damping of pairs that the half list contains only at
+        # the other sphere.
         if wp.static(half):
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]

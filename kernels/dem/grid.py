@@ -18,7 +18,7 @@ FARTHEST = 1.0e9
 
 @functools.cache
 def grid_struct(scalar):
-    """Return the struct `Grid`, a uniform grid of cells in which the neighbours of points are searched."""
+    """Return the struct `Grid`, a uniform grid of cells for the search of points near a position."""
 
     @wp.struct
     class Grid:
@@ -37,12 +37,12 @@ def grid_struct(scalar):
 
 @functools.cache
 def grid_functions(scalar) -> SimpleNamespace:
-    """Return the functions `cell_at`, `region` and `run_of` for queries of the grid.
+    """Return the functions `cell_at`, `region` and `run_of`, which search the grid for points near a position.
 
-    `cell_at` returns the cell of a position. `region` returns the block of cells that may hold points within a distance
-    `reach` of a position. A run is a line of adjacent cells of the block along x; it splits into two runs where it
-    crosses the end of the periodic grid. `run_of` returns the range of one run in `point`, the list of points sorted by
-    cell.
+    `cell_at` returns the index of the cell that contains a position. `region` returns the block of cells that may hold
+    points within the distance `reach` of a position. The cells of this block are processed in runs, which are lines of
+    adjacent cells along x. A line that crosses the end of the periodic grid counts as two runs. `run_of` returns the
+    range of one run in `point`, the list of points sorted by cell.
     """
     t = types(scalar)
     Grid = grid_struct(scalar)
@@ -55,9 +55,9 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def along(v: scalar) -> wp.int32:
-        """Return the index along one axis of the cell that contains the coordinate `v`, in units of cell widths."""
+        """Return the index along one axis of the cell that contains `v`, a coordinate divided by the cell width."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # NaN fails this comparison and becomes -far
+        place = wp.where(v > -far, v, -far)  # The comparison is false for NaN, which thus becomes -far.
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func

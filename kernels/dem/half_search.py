@@ -80,15 +80,15 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # `first` and `last` bound the chunk of spheres that this launch processes, and `part` is the index of the
-        # chunk. `room` bounds the entries of `other` that belong to the chunk. `boxes` contains the bounding boxes of
-        # all chunks.
+        # `first` and `last` bound the chunk, which is the range of spheres of one CPU thread, and `part` is the index
+        # of the chunk. `room` bounds the entries of `other` that belong to the chunk. `boxes` contains the bounding
+        # boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         room: wp.vec2i,
         boxes: wp.array2d(dtype=t.vec3),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,

@@ -1,6 +1,7 @@
-"""Kernels that create a GPU's links after each rebuild of its neighbour lists.
+"""Kernels that create a GPU's links, one for each pair of spheres, after each rebuild of its neighbour lists.
 
-The lists contain every pair of spheres twice, once at each sphere. A link represents the pair once.
+The lists contain every pair twice, once at each sphere. A link represents the pair once, so that one thread can compute
+its contact.
 """
 
 import functools
@@ -76,7 +77,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
     ):  # fmt: skip
         """Count, for each sphere, the pairs of its neighbour list in which it has the lower permanent number.
 
-        In scenes with stale lists, also clear the bits that mark touching pairs.
+        If the scene's lists are being rebuilt, also clear the bits that mark touching pairs.
         """
         i = wp.tid()
         s = spheres.scene[i]
@@ -95,7 +96,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
         """Return the list entry, from `begin` to `end` - 1, whose neighbour is sphere i.
 
-        The entries are those of one sphere. They are sorted by the index of the neighbour, so a binary search finds it.
+        The entries of this range belong to one sphere and are sorted by the index of the neighbour. A binary search
+        therefore finds the entry.
         """
         low = begin
         high = end - 1

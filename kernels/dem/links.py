@@ -26,8 +26,8 @@ def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
     """Return the number of rows of `links.result` in which each pair of spheres stores its result.
 
     Two rows hold a force and a contact moment, which suffice for both spheres because the forces on them are opposite.
-    With bonds, rolling resistance or a sum of the lost energy, each sphere needs two rows of its own, for its moment
-    and its energy.
+    With bonds, rolling resistance or a sum of the lost energy, each sphere needs two rows of its own: one for its force
+    and energy, one for its moment.
     """
     return 4 if bonds or rolls or dissipation else 2
 
@@ -81,14 +81,20 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def force_on_end(end: wp.int32, force: t.vec4):
-        """Return the link's force [N] on one of its spheres; `end` tells which sphere, as in `row_of`."""
+        """Return the force of a pair of spheres (link) on one of the two [N].
+
+        `end` is nonnegative for the sphere with the lower permanent number, and negative for the other sphere.
+        """
         if wp.static(apart):
             return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
     def moment_on_end(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """Return the link's moment about the centre of one sphere [N m]; `end` tells which sphere, as in `row_of`."""
+        """Return the moment of a pair of spheres (link) about the centre of one of the two [N m].
+
+        `end` is nonnegative for the sphere with the lower permanent number, and negative for the other sphere.
+        """
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
@@ -97,7 +103,7 @@ def result_functions(scalar, count: int):
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
         """Add up force, moment and lost energy over the links (pairs) of sphere i, in list order.
 
-        `row` is the index of the scene's first list entry, and `slot` is the index in `pairs.start` for sphere i.
+        `row` is the index of the scene's first list entry, and `pairs.start[slot]` is the first list entry of sphere i.
         """
         force = t.vec3()
         moment = t.vec3()
@@ -369,11 +375,11 @@ def link_kernel(
         # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         threads: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
         links: Links,

@@ -1,7 +1,7 @@
-"""Kernels that build neighbour (Verlet) lists from the result of a search and carry over contact history exactly.
+"""Kernels that build neighbour (Verlet) lists from the result of a search.
 
-All kernels run over all scenes of a batch. They skip scenes whose lists are still valid and leave these lists
-unchanged.
+They copy contact histories and bonds from the old lists to the new ones without any change. All kernels run over all
+scenes of a batch. They skip scenes whose lists are still valid and leave these lists unchanged.
 """
 
 import functools
@@ -126,7 +126,9 @@ def transfer_kernel(
 def list_kernels(scalar) -> SimpleNamespace:
     """Return the kernels that run before and after a search for neighbours.
 
-    Their names are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.
+    Before it, ``centres`` prepares the points to search, and ``stretch`` finds long bonds. After it, ``starts``
+    computes where the lists of the spheres begin, ``drift`` estimates the mean velocity of each scene, and
+    ``clear_stale`` marks the new lists as valid.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -139,9 +141,10 @@ def list_kernels(scalar) -> SimpleNamespace:
         flags: wp.array2d(dtype=wp.int32), shift: wp.array(dtype=t.vec3), spheres: Spheres,
         centre: wp.array(dtype=t.vec3),
     ):  # fmt: skip
-        """Write the sphere centres, shifted by the `shift` of their scene, to the points of the search grid.
+        """Write the centre of each sphere, shifted by the `shift` of its scene, as a point for the search grid.
 
-        In scenes with stale lists, also store the present positions, from which later displacements are measured.
+        In scenes whose lists are being rebuilt, also store the present positions, from which later displacements are
+        measured.
         """
         i = wp.tid()
         centre[i] = xyz(spheres.position[i]) + shift[spheres.scene[i]]
@@ -188,7 +191,7 @@ def list_kernels(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),
     ):
-        """Compute where each sphere's row begins in the list of its scene, for scenes with stale lists.
+        """Compute where each sphere's row begins in the list of its scene, for scenes whose lists are being rebuilt.
 
         `scanned` contains prefix sums of the row lengths over the whole batch. The end of the last row is the number of
         list entries of the scene, which is stored in `total`.
@@ -204,10 +207,10 @@ def list_kernels(scalar) -> SimpleNamespace:
 
     @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def drift(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)):
-        """Sum the velocities of a sample of each scene's spheres, to estimate the common drift.
+        """Add up the velocities of a sample of each scene's spheres, to estimate the spheres' mean velocity.
 
-        Displacements since the list rebuild are measured relative to this drift. A poor estimate costs no accuracy: it
-        only makes the lists expire sooner. A sample is therefore enough.
+        Later displacements of the spheres are measured relative to a motion with this velocity, their common drift. A
+        poor estimate costs no accuracy: it only makes the lists expire sooner. A sample is therefore enough.
         """
         s, lane = wp.tid()
         if flags[s, STALE] == 0:
@@ -227,8 +230,9 @@ def list_kernels(scalar) -> SimpleNamespace:
     def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
         """Mark a scene's new lists as valid and let the scene continue, with one thread per scene.
 
-        The scene stays halted if it has failed, or has reached its goal or its next stable step estimate. The kernel
-        also stores the scene's mean velocity, and resets the time and the wall displacements since the rebuild.
+        The scene stays halted if it has failed, has reached its last step, or waits for an estimate of its stable step.
+        The kernel also stores the mean velocity of the scene's spheres, and sets the time and the wall displacements
+        since the rebuild to zero.
         """
         s = wp.tid()
         if flags[s, STALE] == 0:

@@ -15,8 +15,8 @@ def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
     """Return the kernels ``index_spheres``, ``index_bodies``, ``locate_pairs`` and ``locate_bodies``.
 
     ``index_spheres`` and ``index_bodies`` store the current array index for each permanent number of a sphere or body.
-    After a list rebuild, ``locate_pairs`` and ``locate_bodies`` use these indices to find the stiff pairs and their
-    bodies, and copy their data to `Subcycled`.
+    After a list rebuild, ``locate_pairs`` and ``locate_bodies`` use these indices to find the pairs with stiff bonds,
+    and the bodies of these pairs. They copy the data of these pairs and bodies to the struct `Subcycled`.
     """
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs

@@ -35,14 +35,13 @@ from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-# A contact point counts as hidden by a nearer contact if it lies behind the plane through the nearer contact point, or
-# in front of this plane by at most this fraction of the sphere's radius.
+# A contact point of a sphere counts as hidden by a nearer contact if it lies behind the plane through the nearer
+# contact point. It also counts as hidden if it lies in front of this plane by at most this fraction of the sphere's
+# radius.
 BEHIND = 2.0e-2
 ROUNDING = 0.99
-"""Fraction of the margin by which sphere and meshes may approach before near candidates are chosen again.
-
-The rest of the margin covers rounding errors.
-"""
+"""Fraction of a margin: if sphere and meshes have together moved by this fraction, the triangles near the sphere are
+chosen again. The rest of the margin covers rounding errors."""
 # Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
 # contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
@@ -214,7 +213,7 @@ def contact_function(scalar, law):
 
 @functools.cache
 def near_function(scalar):
-    """Return the function `choose_near`, which updates the list of near candidates of a sphere."""
+    """Return the function `choose_near`, which updates the list of the triangles that a sphere may touch soon."""
     t = types(scalar)
     SceneRow, Candidates = scene_struct(scalar), array_structs(scalar).Candidates
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
@@ -258,7 +257,7 @@ def near_function(scalar):
 
 @functools.cache
 def mesh_parts(scalar, law) -> SimpleNamespace:
-    """Return the types and functions that a mesh kernel needs, for meshes, merging, walls and the contact law."""
+    """Return the types and functions from which the kernel for contacts with meshes is built, by name."""
     structs, functions = array_structs(scalar), law.functions(scalar)
     return SimpleNamespace(
         **vars(surface_functions(scalar)),
@@ -293,9 +292,9 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
         # The next arguments are the range of spheres that this launch processes, the index of the CPU thread, and the
-        # largest gap between a sphere and a near candidate, as a fraction of the neighbour lists' skin.
+        # largest gap at which a triangle counts as near a sphere, as a fraction of the neighbour lists' skin.
         first: wp.int32, last: wp.int32, part: wp.int32, near_margin: scalar,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3), wall_moved: wp.array(dtype=wp.float64),

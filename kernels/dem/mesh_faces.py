@@ -110,10 +110,11 @@ def surface_functions(scalar) -> SimpleNamespace:
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
     ):
-        """Return the unit normal into the wall at the point of a face that is closest to a sphere's centre.
+        """Return the unit normal into the wall at the contact of a sphere with a face of a mesh.
 
-        The normal is opposite to `offset`, the vector from this point to the sphere's centre. If the centre lies on the
-        face, the result is the face's own normal, which follows from the order of the face's corners.
+        The normal is opposite to `offset`, the vector from the face's closest point to the sphere's centre. If the
+        centre lies on the face, the result is the face's own normal, which follows from the order of the face's
+        corners.
         """
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
@@ -125,7 +126,10 @@ def surface_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
-    """Return the kernels that count and store the faces within reach (radius plus mesh skin) of each sphere."""
+    """Return the kernels that count and store the faces near each sphere, which it may touch before the next search.
+
+    A face is near if its distance from the sphere's surface is at most the mesh skin, the margin of these lists.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Candidates, Walls = structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls
@@ -138,7 +142,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
             # The next arguments are arrays of the model, which are constant during a run.
             corners: wp.array(dtype=t.vec3),
             faces: wp.array2d(dtype=wp.int32),
-            # The next arguments are arrays of the state that this kernel only reads.
+            # The next arguments are arrays of the simulated state that this kernel only reads.
             flags: wp.array2d(dtype=wp.int32),
             scenes: Scenes,
             spheres: Spheres,
@@ -173,7 +177,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
                             candidates.face[place + found] = face - scenes.row[s].faces
                         found += 1
             if wp.static(fill):
-                candidates.chosen[i] = t.vec4()  # Invalidate the near candidates of the previous list.
+                candidates.chosen[i] = t.vec4()  # Make the next step choose this sphere's near faces anew.
             else:
                 count[i + s] = found
 

@@ -143,15 +143,18 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def drift_of(scenes: Scenes, s: wp.int32):
-        """Return the displacement by the scene's common drift [m] from the last list rebuild to the end of the step."""
+        """Return the displacement common to all spheres of a scene, from the last list rebuild to the step's end [m].
+
+        It is the time since the rebuild times the mean velocity of the scene's spheres at the rebuild.
+        """
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func
     def exceeds_skin(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
         """Return True if a sphere has moved so far that a list with the given skin may miss one of its contacts.
 
-        A sphere may move by half the skin, minus the growth of its radius. Its motion is measured relative to the
-        common drift of the spheres since the list was built.
+        A sphere may move by half the skin, minus the growth of its radius. Its motion is measured relative to `drift`,
+        the displacement that all spheres have in common.
         """
         slack = scalar(0.5) * skin - (radius - built[3])
         return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)
@@ -186,7 +189,7 @@ def motion_functions(scalar, dissipation: bool):
 
 @functools.cache
 def clearing_function(scalar, half: bool):
-    """Return the function `clear_forces`, which clears a sphere's force and moment for the next step.
+    """Return the function `clear_forces`, which sets a sphere's force and moment to zero for the next step.
 
     On a GPU only walls write to these arrays, so the function writes zeros only if the force or the moment is not zero.
     """
@@ -286,10 +289,10 @@ def sphere_kernel(
         # The next arguments are the range of spheres that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         pairs: Pairs,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,

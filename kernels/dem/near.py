@@ -18,7 +18,8 @@ from ..common.types import vector_functions
 from .structs import APART, SINCE_BUILD, array_structs, links_struct
 
 NEAR = 0.25
-"""Largest gap between two spheres whose link is chosen as near, as a fraction of the neighbour list's skin."""
+"""Largest gap between two spheres that are chosen as a near pair, as a fraction of the skin, which is the largest gap
+in the neighbour list."""
 CHOICE_BLOCK = 256
 """Number of threads in a block of the kernel that chooses near links; its launches consist of whole blocks."""
 TAKE_PLACES = """

@@ -205,7 +205,10 @@ def broken_function(scalar):
 
 @functools.cache
 def bond_pull_functions(scalar, dissipation: bool):
-    """Return the function `bond_pull`, which advances a pair's bond by one step and computes its forces and losses."""
+    """Return the struct `BondPull` with the results for a bond, and the function `bond_pull`, which computes them.
+
+    The function advances the bond of a pair by one step.
+    """
     t = types(scalar)
     PairTouch = pair_functions(scalar).PairTouch
     bond = bond_functions(scalar)
@@ -287,7 +290,8 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
         """Return total force [N], bond moment [N m], lost energy [J] and bond outcome of a pair that may be bonded.
 
         The total force is the sum of the forces of contact and bond. The outcome is 1 if the bond holds or if the pair
-        has no bond. If the bond breaks, the outcome is the negative code of its failure mode.
+        has no bond. If the bond breaks, the outcome is the negative code of its failure mode. With `healing`, a pair
+        that was never bonded or may bond again gets a bond in this call.
         """
         moment = t.vec3()
         outcome = wp.int32(1)

@@ -143,7 +143,7 @@ def body_probe(scalar) -> wp.Kernel:
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         s: wp.int32,
         scenes: Scenes,
         bodies: Bodies,
@@ -272,7 +272,7 @@ def load_probe(scalar) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def raise_loads(
         s: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         spheres: Spheres,
         pairs: Pairs,
@@ -294,7 +294,7 @@ def load_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
-    """Return the kernel that sums energies, overlaps and more over the contacts of each sphere of scene `s`.
+    """Return the kernel that sums energies, overlaps and other values over the contacts of each sphere of scene `s`.
 
     The result has one row per sphere, ordered by permanent number. The kernel also writes the normal force of each
     pair.
@@ -325,7 +325,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,

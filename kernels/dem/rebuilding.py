@@ -11,11 +11,11 @@ from .structs import array_structs
 
 @functools.cache
 def rebuilding_kernels(scalar) -> SimpleNamespace:
-    """Return two kernels of one thread each, for a scene that runs alone: ``needs_rebuild`` and ``fit``.
+    """Return two kernels of one thread each, ``needs_rebuild`` and ``fit``, for a scene that is not part of a batch.
 
-    ``needs_rebuild`` decides if the device must rebuild the lists now. The host handles failed scenes and rebuilds at
-    which bodies are sorted. ``fit`` decides if the arrays have room for the new lists. If not, the host rebuilds the
-    lists with larger arrays.
+    ``needs_rebuild`` decides if the device must rebuild the neighbour lists now. It leaves failed scenes to the host,
+    and also those rebuilds at which bodies are sorted. ``fit`` decides if the arrays have room for the new lists. If
+    not, the host rebuilds the lists with larger arrays.
     """
     Scenes = array_structs(scalar).Scenes
 
@@ -34,9 +34,10 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     ):  # fmt: skip
         """Set `fits` to 1 if the results of a neighbour search fit into the arrays, else to 0.
 
-        `scanned` contains running sums of the spheres' numbers of neighbours, and `face_scanned` those of the spheres'
-        numbers of nearby mesh faces. The last element of each is the total number of entries. The arrays have space for
-        `room` and `face_room` entries. An empty `face_scanned` means that the scene has no meshes.
+        If they fit, also add 1 to the number of rebuilds in `built`. `scanned` contains running sums of the spheres'
+        numbers of neighbours, and `face_scanned` those of the spheres' numbers of nearby mesh faces. The last element
+        of each is the total number of entries. The arrays have space for `room` and `face_room` entries. An empty
+        `face_scanned` means that the scene has no meshes.
         """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room

@@ -125,10 +125,11 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar), query: Query, i: wp.int32, j: wp.int32, position_j: t.vec4,
     ) -> wp.bool:  # fmt: skip
-        """Return True if spheres i and j belong in the list as a pair.
+        """Return True if spheres i and j belong in the neighbour list as a pair.
 
-        They must belong to different bodies of one scene, and their gap must be smaller than the skin. In half lists, a
-        bond between them also suffices.
+        They must belong to different bodies of one scene, and the gap between them must be smaller than the skin, which
+        is the margin of the lists. In half lists, which contain most pairs once, a bond between the spheres also
+        suffices.
         """
         skin = scenes.row[query.s].skin
         close = is_close(query.x, query.radius, xyz(position_j), position_j[3], skin)

@@ -46,10 +46,12 @@ def permute_kernels(scalar) -> dict[tuple[type, bool], wp.Kernel]:
 
 @functools.cache
 def order_kernels(scalar) -> SimpleNamespace:
-    """Return kernels that re-sort bodies and spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``, ``invert``.
+    """Return the kernels that sort bodies and their spheres by position, for memory locality.
 
-    Each scene keeps its range of rows in the arrays of the batch. If `sort[s]` is 1, the bodies of scene s are ordered
-    by the Morton code of their cell. Otherwise they keep their order.
+    ``corner`` finds each scene's lowest cell, ``keys`` computes the sort keys, ``counts`` and ``place_spheres`` move
+    the spheres with their bodies, and ``invert`` inverts a permutation. Each scene keeps its range of rows in the
+    arrays of the batch. If `sort[s]` is 1, the bodies of scene s are ordered by the Morton code of their cell.
+    Otherwise they keep their order.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -72,7 +74,7 @@ def order_kernels(scalar) -> SimpleNamespace:
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def keys(
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         sort: wp.array(dtype=wp.int32),

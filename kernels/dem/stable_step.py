@@ -46,10 +46,11 @@ LONGEST = 1.0e30
 
 @functools.cache
 def begin_kernel(scalar) -> wp.Kernel:
-    """Return the kernel over scenes that selects the scenes whose stable step is estimated, and resets their sums.
+    """Return the kernel over scenes that selects the scenes whose stable step is estimated, and prepares the estimate.
 
     Without `by_device`, these are the scenes that the host has marked in `requested`. With `by_device`, these are the
-    scenes that have halted because their interval between two estimates is over.
+    scenes that have halted because their interval between two estimates is over. The kernel resets the largest speeds,
+    the smallest time steps and the stiffness sums of the walls.
     """
     structs = array_structs(scalar)
     Scenes = structs.Scenes
@@ -69,8 +70,9 @@ def begin_kernel(scalar) -> wp.Kernel:
         s = wp.tid()
         wanted = requested[s] != 0
         if by_device:
-            # If the neighbour lists of a scene are stale, its estimate waits until they are rebuilt, on a GPU as on a
-            # CPU. The sums depend on the order of the list entries, so an estimate with the old lists would differ.
+            # If the neighbour lists of a scene are out of date, its estimate waits until they are rebuilt, on a GPU as
+            # on a CPU. The sums depend on the order of the list entries, so an estimate with the old lists would
+            # differ.
             wanted = flags[s, HALTED] == ARRIVED and flags[s, STALE] == 0 and flags[s, FAILED] == 0
             wanted = wanted and flags[s, STEPS] - flags[s, ESTIMATED] >= scenes.row[s].interval
         due[s] = wp.where(wanted, 1, 0)
@@ -135,7 +137,7 @@ def recording_functions(scalar):
 
 @functools.cache
 def floor_function(scalar, pair_law, wall_law):
-    """Return `floor_of`, which computes a lower limit of the stiffness and damping that determine the stable step.
+    """Return `floor_of`, which computes a least stiffness and damping that the stable step of each body must allow for.
 
     A body in free flight has no contact, but its time step must already be stable for the next contact.
     """
@@ -235,7 +237,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
         # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         part: wp.int32,
@@ -315,7 +317,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
 
 @functools.cache
 def keep_kernel(scalar) -> wp.Kernel:
-    """Return the kernel over scenes that stores the latest stable step estimate of pairs with stiff bonds [s]."""
+    """Return the kernel over scenes that stores the new estimate of the stable step of pairs with stiff bonds [s]."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     least = recording_functions(scalar).least
 
@@ -333,9 +335,9 @@ def keep_kernel(scalar) -> wp.Kernel:
 def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
     """Return the kernel that computes the stable step and the next time step of each scene, with one thread per scene.
 
-    The stable step is also limited by walls that a force drives. A scene halts while its stable step is estimated. With
-    `by_device`, this kernel lets the scene continue. A scene without a usable step stays halted, so that the host can
-    report it.
+    A wall that a force drives can limit the stable step, too. A scene halts while its stable step is estimated. With
+    `by_device`, this kernel lets the scene continue. If no valid step was found, the scene stays halted, so that the
+    host can report it.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

@@ -17,9 +17,8 @@ from .structs import array_structs
 def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
-    The force acts on the sphere whose neighbour list or wall slots contain the contact. It includes the force of the
-    bond. The forces of shear springs and bonds are those of the last step, while gaps and velocities are the current
-    ones.
+    Each force acts on the sphere at which the contact is listed, and includes the force of a bond. The forces of shear
+    springs and bonds are those of the last step, while gaps and velocities are the current ones.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -65,7 +64,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         spheres: Spheres,
         slots: Slots,
@@ -130,11 +129,12 @@ xy, yz, zx."""
 
 @functools.cache
 def stress_probe(scalar) -> wp.Kernel:
-    """Return the kernel over spheres of scene `s` that sums force times branch vector of contacts for each body.
+    """Return the kernel over spheres of scene `s` that computes the stress sum of each body.
 
-    The branch vector points from the centroid of one body to that of the other. The forces come from
-    :func:`force_probe`, and compression is positive. Half of the product of a contact is added to each of the two
-    bodies. Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
+    The stress sum adds up the products of force and branch vector over the body's contacts. The branch vector points
+    from the centroid of one body to that of the other. The forces come from :func:`force_probe`, and compression is
+    positive. Half of the product of a contact is added to each of the two bodies. Sums are integers in units of 1 /
+    `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -156,7 +156,7 @@ def stress_probe(scalar) -> wp.Kernel:
     def add_stresses(
         s: wp.int32,
         scale: wp.float64,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,

@@ -18,9 +18,8 @@ from .warps import group_functions
 def estimate_struct(scalar):
     """Return the struct `Estimate`, in whose arrays the sums for the stable step are collected.
 
-    The four columns of `sums` are stiffness and damping of translation, then stiffness and damping of rotation. In the
-    arrays of extreme values and of wall sums, each CPU thread has its own row, so that the CPU needs no atomic
-    operations.
+    The four columns of `sums` are stiffness and damping of translation, then stiffness and damping of rotation. In all
+    other arrays each CPU thread has its own row, so that the CPU needs no atomic operations.
     """
     vec6 = wp.types.vector(6, scalar)
 
@@ -46,9 +45,10 @@ def estimate_struct(scalar):
 def stiffness_functions(scalar):
     """Return functions for the stiffness and damping matrices of one contact, and for the stable step.
 
-    `outer` and `turning` build matrices. `full`, `row_sum` and `stable` derive the stable step from them. Matrices are
-    symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. Six components save
-    registers, because each GPU thread holds four such matrices.
+    `outer` and `turning` return the matrices of a contact for translation and rotation. `full`, `row_sum` and `stable`
+    derive the stable step from the sums of these matrices. Matrices are symmetric and stored as six components xx, yy,
+    zz, yz, xz, xy until `full` expands them. Six components save registers, because each GPU thread holds four such
+    matrices.
     """
     t = types(scalar)
     vec6 = wp.types.vector(6, scalar)
@@ -112,9 +112,9 @@ def stiffness_functions(scalar):
 def counting_function(scalar, bonds: bool, subcycling: bool):
     """Return the function `counts`, which returns true if the pair of a list entry is in contact or bonded.
 
-    With `subcycling` there are two kinds of pairs: those with stiff bonds, which sub-cycling rounds compute, and all
-    others. The function then counts only pairs of the first kind if its argument `stiff` is true, and only the others
-    if `stiff` is false.
+    With `subcycling` there are two kinds of pairs: pairs with stiff bonds, which are computed in several rounds per
+    step, and all others. If the argument `stiff` of the function is true, it accepts only pairs of the first kind, else
+    only the others.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -140,17 +140,18 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
 
 @functools.cache
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
-    """Return the function `add_pairs`, which adds up K and C of all touching or bonded pairs of sphere i.
+    """Return the function `add_pairs`, which sums stiffness K and damping C over the contacts and bonds of sphere i.
 
-    K is the stiffness of a pair and C its damping. The lists determine which pairs a thread adds:
+    The kind of neighbour list determines which pairs a thread adds:
 
     - Full list (GPU): a group of `lanes` threads shares the list of a sphere. Each thread adds every `lanes`-th pair
       that touches or is bonded.
-    - Half list (CPU): each pair is added to both of its spheres.
+    - Half list (CPU): a thread adds each listed pair to sphere i, and also to the other sphere if that one belongs to
+      the same thread.
 
-    With `subcycling`, the sums contain only the pairs that the sub-cycling rounds compute (`stiff` true), or only the
-    others. Listed pairs that neither touch nor are bonded add nothing. The sums therefore do not depend on the time of
-    the last list rebuild.
+    With `subcycling`, the sums contain only pairs with stiff bonds (`stiff` true), or only the others. Listed pairs
+    that neither touch nor are bonded add nothing. The sums therefore do not depend on the time of the last list
+    rebuild.
     """
     t, structs = types(scalar), array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs

@@ -17,7 +17,7 @@ import warp as wp
 from ..common.types import types
 from ..common.walls import wall_struct
 
-# Columns of the double-precision array `clock`, which has one row per scene.
+# The next constants are columns of the double-precision array `clock`, which has one row per scene.
 TIME: int = wp.constant(0)  # column with the simulated time [s]
 DT: int = wp.constant(1)  # column with the coming time step [s]
 # DT_PREVIOUS is the column with the previous time step [s]. It is 0 at the start, so that the first velocity kick has
@@ -100,7 +100,10 @@ def scene_struct(scalar):
 
 @functools.cache
 def array_structs(scalar) -> SimpleNamespace:
-    """Return the structs `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`."""
+    """Return the structs of arrays for scenes, bodies, spheres, wall contacts, pairs of spheres, mesh faces and walls.
+
+    Their names are `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`.
+    """
     t = types(scalar)
     SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
@@ -110,7 +113,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # Parameters of each scene, and the indices at which the data of the scene begin in arrays that all scenes
         # share, shape (scenes,).
         row: wp.array(dtype=SceneRow)
-        # columns TIME to STABLE: simulated time, time step and others, shape (scenes, CLOCK)
+        # Simulated time [s], time step [s] and other numbers of each scene, shape (scenes, CLOCK). Constants of this
+        # module, such as TIME and DT, are the indices of the columns.
         clock: wp.array2d(dtype=wp.float64)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
         # mean velocity of each scene's spheres when its neighbour lists were built [m/s]
@@ -120,7 +124,8 @@ def array_structs(scalar) -> SimpleNamespace:
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
         scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch
-        shape: wp.array(dtype=wp.int32)  # index of each body's shape in the state's table of clump templates
+        # index of each body's shape in the table of clump templates, which is part of the state
+        shape: wp.array(dtype=wp.int32)
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
         mass: wp.array(dtype=scalar)  # mass of each body [kg]
@@ -168,13 +173,14 @@ def array_structs(scalar) -> SimpleNamespace:
         # Contact history of each slot, for spring laws the shear force [N], shape (spheres, slots). Slots for planes
         # and pipes come first, then those for meshes.
         history: wp.array2d(dtype=t.vec3)
-        rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (spheres, slots)
+        # moment of the rolling-resistance spring of each wall contact [N m], shape (spheres, slots)
+        rolling: wp.array2d(dtype=t.vec3)
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, shape (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], shape (spheres, slots)
         wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, shape (spheres, slots)
-        # `worn` holds the wear of each wall by each sphere since the last sample, shape (spheres, walls). Each entry
-        # has three values: the work of sliding [J], the energy loss of impacts [J], and the integral of the load over
-        # the sliding distance [N m].
+        # `worn` holds the wear of each wall by each sphere since the last measurement, shape (spheres, walls). Each
+        # entry has three values: the work of sliding [J], the energy loss of impacts [J], and the integral of the
+        # load over the sliding distance [N m].
         worn: wp.array2d(dtype=wp.vec3d)
         # last point of contact with each wall, in the wall's frame [m], shape (spheres, walls)
         worn_at: wp.array2d(dtype=t.vec3)
@@ -303,7 +309,7 @@ def subcycled_struct(scalar):
     @wp.struct
     class Subcycled:
         rounds: wp.array(dtype=wp.int32)  # number of sub-cycling rounds in a step; 0: no sub-cycling, shape (scenes,)
-        stable: wp.array(dtype=wp.float64)  # stable step of the stiff pairs alone [s], shape (scenes,)
+        stable: wp.array(dtype=wp.float64)  # stable step of the pairs with stiff bonds alone [s], shape (scenes,)
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
         lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
         higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
@@ -343,7 +349,7 @@ def subcycled_struct(scalar):
         velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid [m/s]
         spin: wp.array(dtype=t.vec3)  # angular velocity of each body in space axes [rad/s]
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
-        # all forces on each body other than those of stiff pairs, gravity included [N]
+        # all forces on each body other than those of pairs with stiff bonds, gravity included [N]
         other_force: wp.array(dtype=t.vec3)
         other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about each body's centroid [N m]
         # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)

@@ -1,4 +1,7 @@
-"""Kernel that lowers the yield stress which a lubrication layer gained at rest, as the concrete slips along it."""
+"""Kernel that lowers the yield stress of a lubrication layer as the concrete slips along it.
+
+The layer gains yield stress at rest, and slip breaks this gain down again.
+"""
 
 import functools
 
@@ -9,11 +12,11 @@ from .structs import array_structs
 
 @functools.cache
 def breakdown_kernel(scalar, law) -> wp.Kernel:
-    """Return a kernel, one thread per scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
+    """Return a kernel, with one thread per scene, that updates the yield stress of the contact law `law`.
 
-    The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). The slip is the
-    distance that one wall has travelled since slip began. Each launch computes the yield stress from the whole slip, so
-    the kernel may run at any interval.
+    The law is a :class:`LubricationLayer`, which gains yield stress at rest. This gain decays with the slip as
+    exp(-slip / breakdown). The slip is the distance that one wall has travelled since slip began. Each launch computes
+    the yield stress from the whole slip, so the kernel may run at any interval.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -21,7 +24,7 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def break_down_structure(
-        # yield stress of the layer without its gain at rest [Pa], one value per contact law
+        # yield stress of the layer without its gain at rest [Pa], one value per entry of `wall_parameters`
         own_yield: wp.array(dtype=scalar),
         gained: wp.array(dtype=wp.float64),  # yield stress gained at rest [Pa], one value per scene; 0 before a rest
         # slip distance after which the gained yield stress has fallen to 1/e [m], one value per scene
@@ -29,7 +32,7 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
         begun: wp.array(dtype=wp.float64),  # travel of the wall when slip began [m], one value per scene
         # index in the batch of the wall whose travel counts as slip, one per scene
         slip_wall: wp.array(dtype=wp.int32),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
         walls: Walls,
         # The next arguments are arrays that this kernel reads and writes.

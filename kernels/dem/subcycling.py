@@ -106,7 +106,10 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
 
 @functools.cache
 def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: bool):
-    """Return the function `pair_round`, which evaluates a pair's contact and stiff bond in one sub-cycling round."""
+    """Return the function `pair_round`, which computes contact and stiff bond of a pair in one sub-cycling round.
+
+    Pairs with stiff bonds are computed in several such rounds per time step.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
@@ -119,7 +122,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
     @wp.func
     def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, first_load: wp.int32, k: wp.int32):
-        """Copy the bond, bond forces and contact history of a stiff pair back to its entry of the neighbour list."""
+        """Copy bond, bond force and contact history of a stiffly bonded pair back to its entry in the pair list."""
         if pairs.bond[k] > 0:
             pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
         if subcycled.held.bond[p] <= 0:
@@ -179,7 +182,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
 @functools.cache
 def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
-    """Return the CPU kernel that evaluates all stiff pairs in one sub-cycling round (:func:`pair_round_function`)."""
+    """Return the CPU kernel that computes all pairs with stiff bonds in one of the sub-cycling rounds of a step."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -195,10 +198,10 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) ->
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         pairs: Pairs,
         subcycled: Subcycled,
     ):
@@ -233,9 +236,9 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def record_losses(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
-        """Add the energy loss and the broken bonds of body q's stiff pairs to sphere i.
+        """Add the energy loss and the broken bonds of body q's stiff pairs to the totals that are recorded at sphere i.
 
-        Each pair is counted only at the body of its sphere with the lower permanent number.
+        A pair is counted at only one of its two bodies: that of the sphere with the lower permanent number.
         """
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
             if subcycled.ref[place] % 2 == 0:
@@ -285,7 +288,7 @@ def body_round_function(scalar):
 
 @functools.cache
 def body_kernel(scalar) -> wp.Kernel:
-    """Return the CPU kernel over bodies with stiff bonds for one sub-cycling round; see :func:`body_round_function`."""
+    """Return the CPU kernel that moves all bodies with stiff bonds through one of the sub-cycling rounds of a step."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     body_round = body_round_function(scalar)
@@ -297,10 +300,10 @@ def body_kernel(scalar) -> wp.Kernel:
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         subcycled: Subcycled,
     ):
         begin_q = first + wp.tid() * SPAN
@@ -335,10 +338,10 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) 
         parties: wp.int32,
         body_count: wp.int32,
         pair_count: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         pairs: Pairs,
         subcycled: Subcycled,
         gate: wp.array(dtype=wp.int32),
@@ -381,9 +384,9 @@ def prediction_kernel(scalar, meshes: bool, half: bool, dissipation: bool) -> wp
         # The next arguments are the range of bodies that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,

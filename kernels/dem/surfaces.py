@@ -38,12 +38,12 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int) -> wp
         # The next arguments are arrays of the model, which are constant during a run.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         count: wp.int32,
         lane_bits: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

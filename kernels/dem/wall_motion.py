@@ -29,7 +29,8 @@ def ramped(time: wp.float64, ramp: wp.float64):
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
     """Return the distance travelled in `time` with `stops` strokes, followed by motion at a constant speed of 1.
 
-    Each stroke goes from rest to rest and is followed by a pause.
+    A stroke takes the time `stroke`. Its speed rises from 0 to 1 within the time `ramp`, and falls again in the same
+    way at the end of the stroke. A pause follows each stroke.
     """
     done = wp.min(wp.max(wp.floor(time / (stroke + pause)), wp.float64(0.0)), stops)
     left = time - done * (stroke + pause)
@@ -129,9 +130,9 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(
-        # The next arguments are arrays of the state that this kernel only reads.
+        # The next arguments are arrays of the simulated state that this kernel only reads.
         scenes: Scenes,
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # The next arguments are arrays of the simulated state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         walls: Walls,
     ):

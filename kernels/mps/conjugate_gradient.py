@@ -22,10 +22,11 @@ from ..common.types import cpu_flags
 from .rigid import share_function
 from .structs import array_structs, flow_struct, mps_functions, mps_types
 
-# Indices of the array `outcome`, in which a solve stores its number of iterations and its residual norms.
+# The following constants are indices of the array `outcome`, in which a solve stores its number of iterations and its
+# residual norms.
 ITERATIONS = wp.constant(0)
-BEFORE = wp.constant(1)  # Index of the residual's norm at the start of the solve.
-AFTER = wp.constant(2)  # Index of the residual's norm at the end of the solve.
+BEFORE = wp.constant(1)  # Entry of `outcome`: norm of the residual at the start of the solve.
+AFTER = wp.constant(2)  # Entry of `outcome`: norm of the residual at the end of the solve.
 OUTCOME = 4
 
 

@@ -14,8 +14,8 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 FREE = wp.constant(0.9)
-"""Sum of the weights of a particle's neighbours, divided by this sum in a regular lattice, below which the particle may
-be at the free surface."""
+"""Limit for the sum of the weights of a particle's neighbours, divided by this sum in a regular lattice. A particle
+with a smaller sum may be at the free surface."""
 BENEATH = {2: 0.2, 3: 0.15}
 """Minimum mean depth of the neighbours below a particle at the free surface, by number of dimensions.
 
@@ -95,7 +95,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
         above: scalar  # Weighted sum over all neighbours, walls included, of the relative position along the pipe.
         slope: t.vec  # Weighted sum of (pressure difference) x (relative position) over the fluid neighbours.
         rise: scalar  # Weighted sum of the pressure differences from the particle to its fluid neighbours.
-        wall: scalar  # Viscous force of the wall particles per volume and per wall stress, before calibration [1/m].
+        # Viscous force per volume that the wall particles exert, divided by the wall stress, before calibration [1/m].
+        wall: scalar
         inside: scalar  # Distance of the particle from the wall [m].
 
     @wp.func
@@ -211,8 +212,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # The next arguments are arrays that this kernel writes. The kernel stores the density error as the residual of
-        # `shifting`, the solve that moves particles out of crowded regions.
+        # The next arguments are arrays that this kernel writes. It stores the fraction of the density error that a step
+        # removes as the residual of `shifting`, the solve that moves particles out of crowded regions.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,

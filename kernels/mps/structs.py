@@ -59,7 +59,8 @@ def flow_struct(scalar):
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
         slip_index: scalar  # Flow index n of the slip layer's law.
         slip_quadratic: scalar  # Coefficient of the squared velocity of the slip layer [Pa s2/m2].
-        correction: scalar  # Fraction of the density error that one step corrects.
+        # Fraction of the density error (relative excess of a particle's density sum) that one step removes.
+        correction: scalar
         skin: scalar  # Skin of the neighbour lists [m].
 
     return FlowConstants
@@ -91,18 +92,21 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         far_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `far`.
         wall_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `wall`.
         near_count: wp.array(dtype=wp.int32)  # Number of each particle's entries in `near`, shape (n,).
-        near: wp.array(dtype=wp.int32)  # Fluid neighbours within the operators' reach, shape (n * near_capacity,).
+        # Numbers of the fluid particles near each particle, within the reach of the operators, shape (n *
+        # near_capacity,).
+        near: wp.array(dtype=wp.int32)
         far_count: wp.array(dtype=wp.int32)
-        # Fluid neighbours beyond the reach of the operators but within that of the density weights, shape (n *
-        # far_capacity,).
+        # Numbers of the fluid particles that are beyond the reach of the operators from each particle, but within the
+        # reach of the density weights, shape (n * far_capacity,).
         far: wp.array(dtype=wp.int32)
         wall_count: wp.array(dtype=wp.int32)
-        wall: wp.array(dtype=wp.int32)  # Wall particles near each fluid particle, shape (n * wall_capacity,).
+        # Numbers of the wall particles near each fluid particle, shape (n * wall_capacity,).
+        wall: wp.array(dtype=wp.int32)
         wall_position: wp.array(dtype=t.vec)  # Positions of all wall particles [m], shape (wall particles,).
 
     @wp.struct
     class Fields:
-        # Weight divided by the squared distance, for each entry of the list `near` [1/m2].
+        # Weight of the pair divided by its squared distance [1/m2], for each entry of the neighbour list `near`.
         pair_weight: wp.array(dtype=scalar)
         # Inverse of each particle's moment matrix of its fluid neighbours [1/m2], shape (n,).
         fluid_inverse: wp.array(dtype=t.mat)
@@ -111,11 +115,15 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Number of dimensions divided by the sum of each particle's weights, which calibrates the Laplacian, shape
         # (n,).
         inverse_number: wp.array(dtype=scalar)
-        # Wall area of each particle divided by its volume, before multiplication by `wall_scale` [1/m], shape (n,).
+        # Area of the wall that each particle represents, divided by the particle's volume, before multiplication by
+        # `wall_scale` [1/m], shape (n,).
         wall_weight: wp.array(dtype=scalar)
-        wall_scale: wp.array(dtype=wp.float64)  # Factor on `wall_weight` that gives the true wall area, shape (1,).
+        # Factor by which all wall areas in `wall_weight` are multiplied, so that they add up to the wetted wall, shape
+        # (1,).
+        wall_scale: wp.array(dtype=wp.float64)
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
-        compliance: wp.array(dtype=scalar)  # Particle velocity relative to the wall, per wall stress [m/s/Pa].
+        # Velocity difference due to shear between particle and wall, divided by the wall stress [m/s/Pa], shape (n,).
+        compliance: wp.array(dtype=scalar)
         predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
@@ -193,7 +201,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
             # Difference between the last two iterates of the coarse solution, shape (cubes,).
             change: wp.array(dtype=value)
-            # Inner product of each cube's `load` and its coarse solution, shape (cubes,).
+            # Product of the summed residual `load` and the coarse solution in each cube, shape (cubes,).
             inner: wp.array(dtype=wp.float64)
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).

@@ -8,12 +8,12 @@ from ..common.control import HALTED
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from ..mps.structs import mps_types, row_place
-from .bodies import body_functions, body_structs
+from .bodies import BodyKind, body_functions, body_structs, shape_functions
 from .pairs import pair_functions, pair_struct
 
 
 @functools.cache
-def block_kernel(scalar, serial: bool, of: GridKind):
+def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
     """Build the kernel that inverts the 3 x 3 diagonal blocks of each aggregate in the reduced viscous matrix.
 
     The reduced matrix is P^T A P, with the viscous matrix A of all faces and the matrix P of rigid motions, see
@@ -27,7 +27,8 @@ def block_kernel(scalar, serial: bool, of: GridKind):
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix = system_structs(scalar).Matrix
     Fields = grid_structs(scalar, 3).Fields
-    Pairs, resistance_block = pair_struct(scalar), pair_functions(scalar, of).resistance_block
+    Pairs, pair_blocks = pair_struct(scalar), pair_functions(scalar, kind).blocks
+    inertia = shape_functions(scalar, kind).inertia
     f = body_functions(scalar, of)
     entry = row_place(serial)
 
@@ -51,8 +52,9 @@ def block_kernel(scalar, serial: bool, of: GridKind):
             return
         b = wp.tid()
         dt = scalar(mesh.clock[DT])
-        whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resistance_block(pairs, b)
-        round = bodies.extra_inertia[b] / dt * wp.identity(n=3, dtype=scalar)
+        resisting, turning = pair_blocks(bodies, pairs, b)
+        whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resisting
+        round = inertia(bodies, b) / dt * wp.identity(n=3, dtype=scalar) + turning
         for k in range(cover.count[b]):
             r = cover.faces[cover.first[b] + k]
             axis = r / g.slots

@@ -1,4 +1,7 @@
-"""Rigid aggregates on the staggered grid of a flow: faces that move with them, and the mortar fraction of samples.
+"""Rigid aggregates on the staggered grid of a flow: their shapes and motion, and the faces that move with them.
+
+An aggregate is a sphere or a clump, a rigid body of several spheres that may overlap. `cover.py` finds the parts of the
+grid that aggregates cover.
 
 The grid stores one velocity component at each cell face. A face whose centre lies in an aggregate moves with the
 aggregate, so its velocity is not an unknown. With the velocity V and the spin w of the aggregate, and the vector d from
@@ -15,12 +18,13 @@ and that of the mortar in its place, so its weight in mortar does not depend on 
 
 import functools
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 
 from ..common.control import HALTED
 from ..common.types import types
-from ..mps.grid.cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import DT, VELOCITY_CORRECTION, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
 
@@ -29,6 +33,20 @@ FULL = wp.constant(1 << 20)
 
 Tasks add the fractions of aggregates as integers, because a sum of integers does not depend on the order of additions.
 """
+
+
+class BodyKind(NamedTuple):
+    """Properties of aggregates for which kernels are specialised."""
+
+    clumps: bool = False
+    """True if aggregates may consist of several spheres; False if each aggregate is one sphere."""
+    friction: bool = False
+    """True if friction acts where aggregates touch each other or a wall."""
+
+    @property
+    def turning(self) -> bool:
+        """Return whether forces between neighbours exert torques on aggregates."""
+        return self.clumps or self.friction
 
 
 @functools.cache
@@ -42,7 +60,7 @@ def body_structs(scalar) -> SimpleNamespace:
         velocity: wp.array(dtype=vec3)  # Velocity of each aggregate's centre [m/s], shape (n,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each aggregate [rad/s], shape (n,).
         turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
-        radius: wp.array(dtype=scalar)  # Radius of each aggregate, which is a sphere [m], shape (n,).
+        radius: wp.array(dtype=scalar)  # Radius of a sphere with the volume of each aggregate [m], shape (n,).
         # Mass of each aggregate minus that of an equal volume of mortar [kg], and moment of inertia of each aggregate
         # minus that of this mortar [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
@@ -53,6 +71,21 @@ def body_structs(scalar) -> SimpleNamespace:
         # each of shape (n,).
         mobility: wp.array(dtype=mat33)
         spin_mobility: wp.array(dtype=mat33)
+        # The following arrays describe clumps; they are empty if each aggregate is a sphere. The number of spheres of
+        # all aggregates is m.
+        first: wp.array(dtype=wp.int32)  # Index of each aggregate's first sphere, shape (n + 1,).
+        body: wp.array(dtype=wp.int32)  # Index of the aggregate to which each sphere belongs, shape (m,).
+        size: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (m,).
+        # Volume of each sphere, without the parts that count as parts of overlapping spheres [m3], shape (m,).
+        share: wp.array(dtype=scalar)
+        # Vector from the centre of the aggregate to the centre of each sphere [m], shape (m,): `offset` along the
+        # principal axes of the aggregate, and `arm` along the axes of the grid.
+        offset: wp.array(dtype=vec3)
+        arm: wp.array(dtype=vec3)
+        moments: wp.array(dtype=vec3)  # Principal moments of inertia of each aggregate over its mass [m2], shape (n,).
+        tensor: wp.array(dtype=mat33)  # Tensor of `extra_inertia` along the axes of the grid [kg m2], shape (n,).
+        # Torque of each aggregate that keeps its angular momentum constant while its tensor turns [N m], shape (n,).
+        gyration: wp.array(dtype=vec3)
 
     @wp.struct
     class Cover:
@@ -94,6 +127,122 @@ def body_structs(scalar) -> SimpleNamespace:
 
 
 @functools.cache
+def shape_functions(scalar, kind: BodyKind) -> SimpleNamespace:
+    """Build functions for the spheres of which aggregates consist.
+
+    If each aggregate is one sphere, the index of the sphere is that of the aggregate.
+    """
+    t = types(scalar)
+    vec, mat33, quat = t.vec3, t.mat33, t.quat
+    Bodies = body_structs(scalar).Bodies
+
+    @wp.func
+    def first(bodies: Bodies, b: wp.int32) -> wp.int32:
+        """Return the index of an aggregate's first sphere."""
+        if wp.static(kind.clumps):
+            return bodies.first[b]
+        return b
+
+    @wp.func
+    def end(bodies: Bodies, b: wp.int32) -> wp.int32:
+        """Return 1 + the index of an aggregate's last sphere."""
+        if wp.static(kind.clumps):
+            return bodies.first[b + 1]
+        return b + 1
+
+    @wp.func
+    def body(bodies: Bodies, s: wp.int32) -> wp.int32:
+        """Return the index of the aggregate to which a sphere belongs."""
+        if wp.static(kind.clumps):
+            return bodies.body[s]
+        return s
+
+    @wp.func
+    def radius(bodies: Bodies, s: wp.int32) -> scalar:
+        """Return the radius of a sphere [m]."""
+        if wp.static(kind.clumps):
+            return bodies.size[s]
+        return bodies.radius[s]
+
+    @wp.func
+    def centre(bodies: Bodies, s: wp.int32) -> vec:
+        """Return the centre of a sphere [m]."""
+        if wp.static(kind.clumps):
+            return bodies.centre[bodies.body[s]] + bodies.arm[s]
+        return bodies.centre[s]
+
+    @wp.func
+    def velocity(
+        bodies: Bodies, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), start: wp.int32, s: wp.int32
+    ) -> vec:
+        """Return the velocity of a sphere's centre, from velocities and spins of aggregates.
+
+        The velocities and spins begin at the index `start` of `linear` and `angular`.
+        """
+        if wp.static(kind.clumps):
+            b = bodies.body[s]
+            return linear[start + b] + wp.cross(angular[start + b], bodies.arm[s])
+        return linear[start + s]
+
+    @wp.func
+    def nearest(bodies: Bodies, b: wp.int32, d: vec):
+        """Return the vector from a sphere's centre to a point, and the radius of the sphere.
+
+        The sphere is that of the aggregate whose surface is nearest to the point, or in which the point lies deepest.
+        `d` is the vector from the aggregate's centre to the point.
+        """
+        x = d
+        size = bodies.radius[b]
+        if wp.static(kind.clumps):
+            least = scalar(1.0e30)
+            for s in range(bodies.first[b], bodies.first[b + 1]):
+                to = d - bodies.arm[s]
+                gap = wp.length(to) - bodies.size[s]
+                if gap < least:
+                    least = gap
+                    x = to
+                    size = bodies.size[s]
+        return x, size
+
+    @wp.func
+    def exposed(bodies: Bodies, s: wp.int32, n: vec) -> wp.bool:
+        """Return whether the point of a sphere's surface in the direction `n` is on the surface of the aggregate.
+
+        Otherwise the point lies within another sphere of the aggregate.
+        """
+        free = wp.bool(True)
+        if wp.static(kind.clumps):
+            b = bodies.body[s]
+            point = bodies.arm[s] + bodies.size[s] * n
+            for o in range(bodies.first[b], bodies.first[b + 1]):
+                if o != s and wp.length(point - bodies.arm[o]) < bodies.size[o]:
+                    free = False
+        return free
+
+    @wp.func
+    def tensor(bodies: Bodies, b: wp.int32) -> mat33:
+        """Return the tensor of an aggregate's extra inertia along the axes of the grid [kg m2]."""
+        turn = wp.quat_to_matrix(quat(bodies.turn[b]))
+        return turn * wp.diag(bodies.extra_mass[b] * bodies.moments[b]) * wp.transpose(turn)
+
+    if kind.clumps:
+
+        @wp.func
+        def inertia(bodies: Bodies, b: wp.int32):
+            return bodies.tensor[b]
+    else:
+
+        @wp.func
+        def inertia(bodies: Bodies, b: wp.int32):
+            return bodies.extra_inertia[b]
+
+    return SimpleNamespace(
+        first=first, end=end, body=body, radius=radius, centre=centre, velocity=velocity, nearest=nearest,
+        exposed=exposed, tensor=tensor, inertia=inertia,
+    )  # fmt: skip
+
+
+@functools.cache
 def body_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions for an aggregate on the grid, such as its face velocities and the mortar fraction of samples."""
     t = mps_types(scalar, 3)
@@ -129,21 +278,6 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
         return (velocity + wp.cross(spin, d))[axis]
 
     @wp.func
-    def box(g: Grid, bodies: Bodies, b: wp.int32):
-        """Return the lowest and the highest indices along each axis of the cells that an aggregate may touch."""
-        low = whole()
-        high = whole()
-        for axis in range(3):
-            x = (bodies.centre[b][axis] - g.origin[axis]) / g.width[axis]
-            reach = bodies.radius[b] / g.width[axis]
-            low[axis] = wp.int32(wp.floor(x - reach)) - 1
-            high[axis] = wp.int32(wp.floor(x + reach)) + 1
-            if axis < 2 or wp.static(not of.periodic):
-                low[axis] = wp.max(low[axis], 0)
-                high[axis] = wp.min(high[axis], g.n[axis])
-        return low, high
-
-    @wp.func
     def sample_middle(g: Grid, c: whole, sample: wp.int32) -> vec:
         """Return the midpoint of cell `c` if `sample` is 0, or of its lowest edge for the pair of axes `sample` - 1."""
         x = vec()
@@ -153,270 +287,23 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
         return x
 
     @wp.func
-    def solid_part(g: Grid, bodies: Bodies, b: wp.int32, middle: vec) -> scalar:
-        """Return the fraction of a cell-sized box about `middle` that lies in an aggregate.
-
-        The box is divided into 27 smaller boxes. In each of them, a plane approximates the surface of the aggregate.
-        """
-        d = middle - bodies.centre[b]
-        radius = bodies.radius[b]
-        half = scalar(0.5) * wp.length(g.width)
-        away = wp.length(d) - radius
-        if away > half:
-            return scalar(0.0)
-        if away < -half:
-            return scalar(1.0)
-        sum = scalar(0.0)
-        for i in range(3):
-            for j in range(3):
-                for k in range(3):
-                    x = d + wp.cw_mul(vec(scalar(i - 1), scalar(j - 1), scalar(k - 1)), g.width) / scalar(3.0)
-                    size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                    # Length of a smaller box, a third of the cell-sized box along each axis, measured along the normal
-                    # of the aggregate's surface.
-                    extent = wp.dot(wp.abs(x), g.width) / (size * scalar(3.0))
-                    sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
-        return sum / scalar(27.0)
-
-    @wp.func
-    def covered_part(g: Grid, bodies: Bodies, b: wp.int32, middle: vec, axis: wp.int32) -> scalar:
-        """Return the fraction of a face's area that lies in an aggregate; `middle` is the face's centre.
-
-        The face is divided into 9 rectangles. In each of them, a line approximates the outline of the aggregate.
-        """
-        d = middle - bodies.centre[b]
-        radius = bodies.radius[b]
-        if wp.abs(wp.length(d) - radius) > wp.length(g.width):
-            return wp.where(wp.length(d) < radius, scalar(1.0), scalar(0.0))
-        one, two = (axis + 1) % 3, (axis + 2) % 3
-        sum = scalar(0.0)
-        for i in range(3):
-            for j in range(3):
-                x = d
-                x[one] = x[one] + scalar(i - 1) * g.width[one] / scalar(3.0)
-                x[two] = x[two] + scalar(j - 1) * g.width[two] / scalar(3.0)
-                size = wp.max(wp.length(x), scalar(1.0e-6) * radius)
-                extent = (wp.abs(x[one]) * g.width[one] + wp.abs(x[two]) * g.width[two]) / (size * scalar(3.0))
-                extent = wp.max(extent, scalar(1.0e-3) * g.width[one])
-                sum += wp.clamp(scalar(0.5) - (size - radius) / extent, scalar(0.0), scalar(1.0))
-        return sum / scalar(9.0)
-
-    @wp.func
     def mortar_part(g: Grid, cover: Cover, number: wp.int32, sample: wp.int32) -> scalar:
         """Return the mortar fraction of a sample; `sample` is 0 for a cell and 1 + the pair of axes for an edge."""
         filled = scalar(cover.solid[number + sample * g.slots]) / scalar(FULL)
         return wp.max(scalar(1.0) - filled, scalar(0.0))
 
     return SimpleNamespace(
-        lever=lever, carried=carried, box=box, sample_middle=sample_middle, solid_part=solid_part,
-        covered_part=covered_part, mortar_part=mortar_part, nearest_image=nearest_image,
-    )  # fmt: skip
-
-
-@functools.cache
-def cover_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that find the faces and samples that aggregates cover.
-
-    - `clear` deletes the results of the previous step, with one task per sample.
-    - `claim` marks covered faces and adds up the fractions of samples that aggregates fill, with one task per
-      aggregate.
-    - `collect` lists the faces of each aggregate, with one task per aggregate. It runs after the kernels of
-      `release_kernels`.
-    """
-    whole = mps_types(scalar, 3).whole
-    Grid = grid_parameters_struct(scalar, 3)
-    structs = body_structs(scalar)
-    Bodies, Cover = structs.Bodies, structs.Cover
-    Fields = grid_structs(scalar, 3).Fields
-    places, f = place_functions(scalar, of), body_functions(scalar, of)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def clear(g: Grid, cover: Cover):
-        k = wp.tid()
-        cover.solid[k] = 0
-        if k < 3 * g.slots:
-            cover.owner[k] = 0
-            cover.claims[k] = 0
-            cover.touches[k] = 0
-            cover.closing[k] = 0
-            cover.closer[k] = 0
-            cover.toucher[k] = 0
-            cover.covered[k] = 0
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def claim(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, mesh: Fields, cover: Cover):
-        if flags[HALTED] != 0:
-            return
-        b = wp.tid()
-        low, high = f.box(g, bodies, b)
-        for k in range(low[2], high[2] + 1):
-            for j in range(low[1], high[1] + 1):
-                for i in range(low[0], high[0] + 1):
-                    c = whole(i, j, k)
-                    number = places.at(g, c)
-                    for axis in range(3):
-                        middle = places.face_middle(g, c, axis)
-                        r = number + axis * g.slots
-                        if mesh.kind[r] == LIQUID:
-                            if wp.length(middle - bodies.centre[b]) < bodies.radius[b]:
-                                wp.atomic_add(cover.claims, r, 1)
-                                wp.atomic_max(cover.owner, r, b + 1)
-                            area = wp.int32(f.covered_part(g, bodies, b, middle, axis) * scalar(FULL))
-                            if area > 0:
-                                wp.atomic_add(cover.touches, r, 1)
-                                wp.atomic_max(cover.toucher, r, b + 1)
-                                wp.atomic_add(cover.covered, r, area)
-                    for sample in range(4):
-                        part = f.solid_part(g, bodies, b, f.sample_middle(g, c, sample))
-                        if part > scalar(0.0):
-                            wp.atomic_add(cover.solid, number + sample * g.slots, wp.int32(part * scalar(FULL)))
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def collect(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, cover: Cover):
-        if flags[HALTED] != 0:
-            return
-        b = wp.tid()
-        count = wp.int32(0)
-        low, high = f.box(g, bodies, b)
-        # List the faces axis by axis, in the order in which arrays of faces store them.
-        for axis in range(3):
-            for k in range(low[2], high[2] + 1):
-                for j in range(low[1], high[1] + 1):
-                    for i in range(low[0], high[0] + 1):
-                        r = places.at(g, whole(i, j, k)) + axis * g.slots
-                        if cover.owner[r] == b + 1:
-                            cover.faces[cover.first[b] + count] = r
-                            cover.part[cover.first[b] + count] = scalar(1.0)
-                            cover.lever[cover.first[b] + count] = f.lever(g, bodies, b, r)
-                            count += 1
-        cover.count[b] = count
-        for axis in range(3):
-            for k in range(low[2], high[2] + 1):
-                for j in range(low[1], high[1] + 1):
-                    for i in range(low[0], high[0] + 1):
-                        r = places.at(g, whole(i, j, k)) + axis * g.slots
-                        # If two aggregates cover parts of a face, list the face for neither of them.
-                        if cover.claims[r] == 0 and cover.touches[r] == 1 and cover.toucher[r] == b + 1:
-                            cover.faces[cover.first[b] + count] = r
-                            cover.part[cover.first[b] + count] = scalar(cover.covered[r]) / scalar(FULL)
-                            cover.lever[cover.first[b] + count] = f.lever(g, bodies, b, r)
-                            count += 1
-        cover.touched[b] = count
-
-    return SimpleNamespace(clear=clear, claim=claim, collect=collect)
-
-
-@functools.cache
-def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that decide which faces in narrow gaps between aggregates and walls move with an aggregate.
-
-    They are launched in the order `close`, `shut`, `share`, `release`. `shut` runs with one task per face, the others
-    with one task per cell.
-    """
-    Grid = grid_parameters_struct(scalar, 3)
-    Cover = body_structs(scalar).Cover
-    Fields = grid_structs(scalar, 3).Fields
-    places = place_functions(scalar, of)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def close(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
-        """Find cells of which all faces but one move with the same aggregate, and mark the remaining face.
-
-        Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. The result is stored in
-        `closing` and `closer`, because other tasks of this kernel still read `claims` and `owner`.
-        """
-        if flags[HALTED] != 0:
-            return
-        number = wp.tid()
-        if mesh.liquid[number] == 0:
-            return
-        c = places.cell(g, number)
-        owner = wp.int32(0)
-        left = wp.int32(-1)
-        free = wp.int32(0)
-        for axis in range(3):
-            for side in range(2):
-                r = places.at(g, places.moved(c, axis, side)) + axis * g.slots
-                own = cover.owner[r]
-                if own == 0 or mesh.kind[r] != LIQUID:
-                    free += 1
-                    left = r
-                elif owner == 0 or own == owner:
-                    owner = own
-                else:
-                    free += 2
-        if free == 1 and owner != 0 and mesh.kind[left] == LIQUID:
-            wp.atomic_add(cover.closing, left, 1)
-            wp.atomic_max(cover.closer, left, owner)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def shut(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
-        """Let the faces that `close` has marked move with their aggregate."""
-        if flags[HALTED] != 0:
-            return
-        r = wp.tid()
-        if cover.closing[r] > 0:
-            cover.claims[r] = cover.claims[r] + cover.closing[r]
-            cover.owner[r] = cover.closer[r]
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def share(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
-        """Find the cells that would prevent two aggregates, or an aggregate and a wall, from moving apart.
-
-        In such a cell, two faces move with different aggregates, or the centre of a face lies in two aggregates, or
-        each face moves with an aggregate or belongs to a wall.
-        """
-        if flags[HALTED] != 0:
-            return
-        number = wp.tid()
-        c = places.cell(g, number)
-        found = wp.int32(0)
-        shared = wp.int32(0)
-        free = wp.int32(0)
-        closed = wp.int32(0)
-        if mesh.liquid[number] != 0:
-            for axis in range(3):
-                for side in range(2):
-                    r = places.at(g, places.moved(c, axis, side)) + axis * g.slots
-                    own = cover.owner[r]
-                    if own != 0:
-                        if cover.claims[r] > 1 or (found != 0 and own != found):
-                            shared = 1
-                        found = own
-                    elif mesh.kind[r] == LIQUID:
-                        free += 1
-                    else:
-                        closed += 1
-            if found != 0 and free == 0 and closed > 0:
-                shared = 1
-        cover.shared[number] = shared
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def release(g: Grid, flags: wp.array(dtype=wp.int32), cover: Cover):
-        """Release the faces of the cells that `share` has found: their velocities become unknowns again.
-
-        If all faces of a cell moved with two aggregates, mortar could neither enter nor leave the cell, and the
-        aggregates would stick together.
-        """
-        if flags[HALTED] != 0:
-            return
-        number = wp.tid()
-        c = places.cell(g, number)
-        for axis in range(3):
-            r = number + axis * g.slots
-            if cover.owner[r] != 0:
-                if cover.shared[number] != 0 or cover.shared[places.at(g, places.moved(c, axis, -1))] != 0:
-                    cover.owner[r] = 0
-
-    return SimpleNamespace(close=close, shut=shut, share=share, release=release)
+        lever=lever, carried=carried, sample_middle=sample_middle, mortar_part=mortar_part, nearest_image=nearest_image
+    )
 
 
 @functools.cache
 def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `carry` and `move`, with one task per aggregate.
+    """Build the kernels `carry`, `move` and `hasten`, with one task per aggregate.
 
-    `carry` sets the velocities of the faces that move with an aggregate. `move` moves and turns the aggregate by one
-    time step.
+    - `carry` sets the velocities of the faces that move with an aggregate.
+    - `move` moves and turns the aggregate by one time step.
+    - `hasten` changes its velocity as that of all mortar in a periodic pipe, so that the mean velocity stays constant.
     """
     vec, quat = mps_types(scalar, 3).vec, types(scalar).quat
     Grid = grid_parameters_struct(scalar, 3)
@@ -451,4 +338,36 @@ def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if size > scalar(0.0):
             bodies.turn[b] = wp.normalize(wp.mul(wp.quat_from_axis_angle(angle / size, size), quat(bodies.turn[b])))
 
-    return SimpleNamespace(carry=carry, move=move)
+    @wp.kernel(enable_backward=False, module="unique")
+    def hasten(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies):
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        velocity = bodies.velocity[b]
+        velocity[2] = velocity[2] + scalar(mesh.drive[VELOCITY_CORRECTION])
+        bodies.velocity[b] = velocity
+
+    return SimpleNamespace(carry=carry, move=move, hasten=hasten)
+
+
+@functools.cache
+def pose_kernel(scalar):
+    """Build the kernel that turns the spheres and the inertia of each clump with its orientation.
+
+    The kernel runs with one task per aggregate.
+    """
+    vec, quat = types(scalar).vec3, types(scalar).quat
+    Bodies, shape = body_structs(scalar).Bodies, shape_functions(scalar, BodyKind(clumps=True))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def pose(flags: wp.array(dtype=wp.int32), bodies: Bodies):
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            bodies.arm[s] = wp.quat_rotate(quat(bodies.turn[b]), vec(bodies.offset[s]))
+        tensor = shape.tensor(bodies, b)
+        bodies.tensor[b] = tensor
+        bodies.gyration[b] = -wp.cross(bodies.spin[b], tensor * bodies.spin[b])
+
+    return pose

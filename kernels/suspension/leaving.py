@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import HALTED
-from ..mps.grid.cells import GridKind, grid_parameters_struct
+from ..mps.grid.cells import grid_parameters_struct
 from ..mps.structs import mps_types
-from .bodies import body_structs
+from .bodies import BodyKind, body_structs, shape_functions
 from .pairs import pair_struct
 
 PARKED = wp.constant(1.0e3)
@@ -21,7 +21,7 @@ PARKED = wp.constant(1.0e3)
 
 
 @functools.cache
-def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
+def leaving_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels `weigh` and `park`, each with one task per aggregate.
 
     `opens` has bit number 2 axis + 1 set if the upper side of the simulated box along this axis is open, and bit number
@@ -30,16 +30,24 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)
     Bodies = body_structs(scalar).Bodies
-    Pairs = pair_struct(scalar)
+    Pairs, shape = pair_struct(scalar), shape_functions(scalar, kind)
 
     @wp.func
-    def beyond(g: Grid, bodies: Bodies, b: wp.int32, side: wp.int32) -> scalar:
-        """Return how far an aggregate reaches beyond a side of the box [m], at most its diameter."""
+    def beyond(g: Grid, bodies: Bodies, s: wp.int32, side: wp.int32) -> scalar:
+        """Return how far a sphere reaches beyond a side of the box [m], at most its diameter."""
         axis = side / 2
-        inside = bodies.centre[b][axis] - g.origin[axis]
+        inside = shape.centre(bodies, s)[axis] - g.origin[axis]
         if side % 2 == 1:
             inside = scalar(g.n[axis]) * g.width[axis] - inside
-        return wp.clamp(bodies.radius[b] - inside, scalar(0.0), scalar(2.0) * bodies.radius[b])
+        return wp.clamp(shape.radius(bodies, s) - inside, scalar(0.0), scalar(2.0) * shape.radius(bodies, s))
+
+    @wp.func
+    def outside(g: Grid, bodies: Bodies, b: wp.int32, side: wp.int32) -> wp.bool:
+        """Return whether an aggregate lies entirely beyond a side of the box."""
+        gone = wp.bool(True)
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            gone = gone and beyond(g, bodies, s, side) == scalar(2.0) * shape.radius(bodies, s)
+        return gone
 
     @wp.kernel(enable_backward=False, module="unique")
     def weigh(
@@ -58,18 +66,27 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
         gone = wp.bool(False)
         for side in range(6):
             if (opens >> side) % 2 == 1:
-                h = beyond(g, bodies, b, side)
-                gone = gone or h == scalar(2.0) * radius
-                left += scalar(wp.pi / 3.0) * h * h * (scalar(3.0) * radius - h)
+                gone = gone or outside(g, bodies, b, side)
+                for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+                    size = shape.radius(bodies, s)
+                    h = beyond(g, bodies, s, side)
+                    cap = scalar(wp.pi / 3.0) * h * h * (scalar(3.0) * size - h)
+                    if wp.static(kind.clumps):
+                        cap *= bodies.share[s] / (scalar(4.0 / 3.0 * wp.pi) * size * size * size)
+                    left += cap
         left = wp.where(gone, volume, wp.min(left, volume))
         extra = excess * volume + g.density * left
         bodies.extra_mass[b] = extra
-        bodies.extra_inertia[b] = scalar(0.4) * extra * radius * radius
+        if wp.static(kind.clumps):
+            bodies.tensor[b] = shape.tensor(bodies, b)
+        else:
+            bodies.extra_inertia[b] = scalar(0.4) * extra * radius * radius
         bodies.force[b] = extra * g.gravity
         if gone:
             bodies.force[b] = vec()
-            pairs.count[b] = 0
-            pairs.smallest_gap[b] = scalar(1.0e30)
+            for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+                pairs.count[s] = 0
+                pairs.smallest_gap[s] = scalar(1.0e30)
 
     @wp.kernel(enable_backward=False, module="unique")
     def park(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, opens: wp.int32):
@@ -78,7 +95,7 @@ def leaving_kernels(scalar, of: GridKind) -> SimpleNamespace:
             return
         b = wp.tid()
         for side in range(6):
-            if (opens >> side) % 2 == 1 and beyond(g, bodies, b, side) == scalar(2.0) * bodies.radius[b]:
+            if (opens >> side) % 2 == 1 and outside(g, bodies, b, side):
                 axis = side / 2
                 x = bodies.centre[b]
                 x[axis] = wp.where(side % 2 == 0, scalar(-1.0), scalar(1.0)) * (scalar(PARKED) + scalar(b))

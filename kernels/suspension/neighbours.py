@@ -1,4 +1,4 @@
-"""Search for the neighbours of aggregates: other aggregates, sides of the simulated box, and other walls."""
+"""Search for the neighbours of spheres: other spheres, sides of the simulated box, and other walls."""
 
 import functools
 from types import SimpleNamespace
@@ -9,8 +9,8 @@ from ..common.control import HALTED
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import mps_types
-from .bodies import body_functions, body_structs
-from .pairs import CAPACITY, LOOKED_AT, WALL, pair_functions, pair_struct
+from .bodies import BodyKind, body_functions, body_structs, shape_functions
+from .pairs import CAPACITY, LOOKED_AT, WALL, pair_struct, store_functions
 
 TURNS = 6
 """Number of steps in which a search for a wall moves over the surface of an aggregate."""
@@ -112,17 +112,20 @@ def wall_search_function(scalar, of: GridKind):
 
 
 @functools.cache
-def others_function(scalar, of: GridKind):
-    """Build the function that stores the numbers of the aggregates near an aggregate, and returns their count."""
+def others_function(scalar, of: GridKind, kind: BodyKind):
+    """Build the function that stores the numbers of the spheres near a sphere, and returns their count.
+
+    Only pairs of spheres count whose closest points lie on the surfaces of their aggregates.
+    """
     Grid = grid_parameters_struct(scalar, 3)
     Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
-    body = body_functions(scalar, of)
+    body, shape = body_functions(scalar, of), shape_functions(scalar, kind)
 
     @wp.func
     def list_others(
         g: Grid, bodies: Bodies, pairs: Pairs, grid: wp.uint64, span: wp.float32, b: wp.int32, reach: scalar
     ) -> wp.int32:
-        x = bodies.centre[b]
+        x = shape.centre(bodies, b)
         first = b * CAPACITY
         count = wp.int32(0)
         # The hash grid yields neighbours in any order, and in a short periodic pipe more than once. They are sorted, so
@@ -132,8 +135,13 @@ def others_function(scalar, of: GridKind):
             if wp.static(of.periodic):
                 here[2] = here[2] + wp.float32(image - 1) * wp.float32(g.n[2]) * wp.float32(g.width[2])
             for o in wp.hash_grid_query(grid, here, span):
-                away = wp.length(body.nearest_image(g, bodies.centre[o] - x))
-                if o != b and away - (bodies.radius[b] + bodies.radius[o]) < reach:
+                d = body.nearest_image(g, shape.centre(bodies, o) - x)
+                away = wp.length(d)
+                near = away - (shape.radius(bodies, b) + shape.radius(bodies, o)) < reach
+                if wp.static(kind.clumps) and near:
+                    near = shape.body(bodies, o) != shape.body(bodies, b)
+                    near = near and shape.exposed(bodies, b, d / away) and shape.exposed(bodies, o, -d / away)
+                if o != b and near:
                     at = count
                     known = wp.bool(False)
                     for k in range(count):
@@ -153,25 +161,25 @@ def others_function(scalar, of: GridKind):
 
 
 @functools.cache
-def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `locate` and `find`, each with one task per aggregate.
+def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
+    """Build the kernels `locate` and `find`, each with one task per sphere.
 
-    - `locate` copies the centres of the aggregates to the points of the hash grid.
-    - `find` finds the neighbours of each aggregate. `span` is the largest distance between the centres of neighbours
-      [m].
+    - `locate` copies the centres of the spheres to the points of the hash grid.
+    - `find` finds the neighbours of each sphere. `span` is the largest distance between the centres of neighbours [m].
     """
     vec = mps_types(scalar, 3).vec
     Grid = grid_parameters_struct(scalar, 3)
     fields = grid_structs(scalar, 3)
     Geometry, Walls, Fields = fields.Geometry, fields.Walls, fields.Fields
     Bodies, Pairs = body_structs(scalar).Bodies, pair_struct(scalar)
-    f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), pair_functions(scalar, of)
-    search, list_others = wall_search_function(scalar, of), others_function(scalar, of)
+    f, body, pair = grid_functions(scalar, of), body_functions(scalar, of), store_functions(scalar)
+    search, list_others = wall_search_function(scalar, of), others_function(scalar, of, kind)
+    shape = shape_functions(scalar, kind)
     wall_gap = wall_gap_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def locate(bodies: Bodies, points: wp.array(dtype=wp.vec3f)):
-        points[wp.tid()] = wp.vec3f(bodies.centre[wp.tid()])
+        points[wp.tid()] = wp.vec3f(shape.centre(bodies, wp.tid()))
 
     @wp.kernel(enable_backward=False, module="unique")
     def find(
@@ -183,21 +191,23 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
             return
         b = wp.tid()
         dt = scalar(mesh.clock[DT])
-        x = bodies.centre[b]
-        radius = bodies.radius[b]
+        x = shape.centre(bodies, b)
+        radius = shape.radius(bodies, b)
+        moves = shape.velocity(bodies, bodies.velocity, bodies.spin, 0, b)
         reach = scalar(LOOKED_AT) * wp.max(g.width)
         pairs.smallest_gap[b] = scalar(1.0e30)
         count = list_others(g, bodies, pairs, grid, span, b, reach)
         first = b * CAPACITY
         for k in range(count):
             o = pairs.other[first + k]
-            d = body.nearest_image(g, bodies.centre[o] - x)
+            d = body.nearest_image(g, shape.centre(bodies, o) - x)
             away = wp.length(d)
             n = d / away
-            approach = wp.dot(bodies.velocity[b] - bodies.velocity[o], n)
-            reduced = radius * bodies.radius[o] / (radius + bodies.radius[o])
+            approach = wp.dot(moves - shape.velocity(bodies, bodies.velocity, bodies.spin, 0, o), n)
+            size = shape.radius(bodies, o)
+            reduced = radius * size / (radius + size)
             pair.store(
-                g, pairs, b, k, o, n, away - (radius + bodies.radius[o]), approach, scalar(0.0), reduced, radius,
+                g, pairs, b, k, o, n, away - (radius + size), approach, scalar(0.0), reduced, radius,
                 cutoff, roughness, dt, longest,
             )  # fmt: skip
         # Neighbours also include the sides of the box that are walls or planes of symmetry. Beyond a plane of symmetry
@@ -220,8 +230,8 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     if there > gap - scalar(0.25) * g.width[axis]:
                         closest = gap
                         beside = n
-                if gap < reach:
-                    approach = wp.dot(bodies.velocity[b], n)
+                if gap < reach and shape.exposed(bodies, b, n):
+                    approach = wp.dot(moves, n)
                     count = pair.store(
                         g, pairs, b, count, WALL, n, gap, approach, scalar(0.0), part * radius, radius, part * cutoff,
                         part * roughness, dt, longest,
@@ -241,12 +251,12 @@ def neighbour_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     known = vec()
                     if gap < reach and pair.is_known(pairs, b, count, n, gap, radius):
                         known = n
-                    elif gap < reach:
+                    elif gap < reach and shape.exposed(bodies, b, n):
                         moving = vec()
                         for axis in range(3):
                             moving[axis] = f.wall_speed(walls, wall, x + radius * n, axis)
                         still = wp.dot(moving, n)
-                        approach = wp.dot(bodies.velocity[b], n) - still
+                        approach = wp.dot(moves, n) - still
                         count = pair.store(
                             g, pairs, b, count, WALL, n, gap, approach, still, radius, radius, cutoff, roughness, dt,
                             longest,

@@ -4,6 +4,10 @@ The grid resolves the flow between two aggregates if their gap is at least about
 narrower gaps, the lubrication force at the actual gap minus that at the cut-off gap is added. Touching aggregates repel
 each other. Both forces depend linearly on the relative velocity along the line of centres, so they are part of the
 matrix of the implicit solve and do not limit the time step.
+
+The neighbours are those of spheres. The spheres of a clump have separate neighbours, and forces on a sphere also exert
+a torque on the clump. In comments on array shapes, m is the number of spheres of all aggregates; it is the number n of
+aggregates if each of them is one sphere.
 """
 
 import functools
@@ -13,12 +17,13 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.types import types
-from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import DT, grid_parameters_struct, grid_structs
 from ..mps.structs import mps_types
-from .bodies import body_structs
+from .bodies import BodyKind, body_structs, shape_functions
+from .vectors import vector_struct
 
 CAPACITY = wp.constant(48)
-"""Maximum number of neighbours of an aggregate, including walls."""
+"""Maximum number of neighbours of a sphere, including walls."""
 WALL = wp.constant(-1)
 """Value that is stored instead of a neighbour's index if the neighbour is a wall."""
 NEW = wp.constant(2)
@@ -41,41 +46,46 @@ def pair_struct(scalar):
 
     @wp.struct
     class Pairs:
-        count: wp.array(dtype=wp.int32)  # Number of neighbours of each aggregate, shape (n,).
-        # The following arrays have one entry for each neighbour, shape (n * CAPACITY,).
-        other: wp.array(dtype=wp.int32)  # Index of the neighbour, or WALL for a wall.
-        normal: wp.array(dtype=vec3)  # Unit vector from the aggregate towards the neighbour.
-        # Gap between aggregate and neighbour at the start of the step, negative for an overlap [m].
+        count: wp.array(dtype=wp.int32)  # Number of neighbours of each sphere, shape (m,).
+        # The following arrays have one entry for each neighbour, shape (m * CAPACITY,).
+        other: wp.array(dtype=wp.int32)  # Index of the neighbouring sphere, or WALL for a wall.
+        normal: wp.array(dtype=vec3)  # Unit vector from the sphere towards the neighbour.
+        # Gap between sphere and neighbour at the start of the step, negative for an overlap [m].
         gap: wp.array(dtype=scalar)
         rough: wp.array(dtype=scalar)  # Gap below which two neighbours count as touching [m].
-        still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is an aggregate.
+        still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is a sphere.
         # Lubrication force per speed of approach, in addition to the force that the grid resolves [N s/m].
         lubrication: wp.array(dtype=scalar)
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
-        # 1 if aggregate and neighbour touch in this step, NEW if the last coupled solve has found this contact,
+        # 1 if sphere and neighbour touch in this step, NEW if the last coupled solve has found this contact,
         # otherwise 0.
         touching: wp.array(dtype=wp.int32)
-        # `smallest_gap` has one entry for each aggregate, shape (n,); `full` and `changed` have a single entry.
-        smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the aggregate's radius.
-        full: wp.array(dtype=wp.int32)  # 1 if an aggregate has more neighbours than CAPACITY.
+        # The next arrays are empty without friction.
+        grip: wp.array(dtype=scalar)  # Friction force per speed at which the surfaces slide [N s/m].
+        drift: wp.array(dtype=vec3)  # Velocity of a wall along its surface [m/s]; 0 if the neighbour is a sphere.
+        # Contacts at the end of the last step: number of contacts of each sphere, shape (m,), and, for each contact,
+        # neighbour, unit vector towards it, and the normal force [N], shape (m * CAPACITY,).
+        last_count: wp.array(dtype=wp.int32)
+        last_other: wp.array(dtype=wp.int32)
+        last_normal: wp.array(dtype=vec3)
+        last_force: wp.array(dtype=scalar)
+        # `smallest_gap` has one entry for each sphere, shape (m,); `full` and `changed` have a single entry.
+        smallest_gap: wp.array(dtype=scalar)  # Smallest gap to a neighbour, divided by the sphere's radius.
+        full: wp.array(dtype=wp.int32)  # 1 if a sphere has more neighbours than CAPACITY.
         changed: wp.array(dtype=wp.int32)  # 1 if the last coupled solve has found a new contact.
 
     return Pairs
 
 
 @functools.cache
-def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build functions for the forces between an aggregate and its neighbours.
+def store_functions(scalar) -> SimpleNamespace:
+    """Build functions for the list of a sphere's neighbours.
 
-    - `store` stores a neighbour of an aggregate.
+    - `store` stores a neighbour of a sphere.
     - `is_known` tells whether a wall is already stored.
-    - `resistance` returns the force of a pair per speed of approach [N s/m].
-    - `between` returns the force by which all neighbours of an aggregate oppose the given velocities.
-    - `resistance_block` returns the 3 x 3 matrix of that force as a function of the aggregate's own velocity.
     """
-    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
-    Grid = grid_parameters_struct(scalar, 3)
-    Pairs = pair_struct(scalar)
+    vec = mps_types(scalar, 3).vec
+    Grid, Pairs = grid_parameters_struct(scalar, 3), pair_struct(scalar)
 
     @wp.func
     def store(
@@ -83,10 +93,10 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
         approach: scalar, still: scalar, reduced: scalar, radius: scalar, cutoff: scalar, roughness: scalar, dt: scalar,
         longest: scalar,
     ) -> wp.int32:  # fmt: skip
-        """Store a neighbour with the coefficients of its forces, and return the new number of neighbours.
+        """Store a neighbour of sphere `b` with the coefficients of its forces, and return the new number of neighbours.
 
         `approach` is the speed of approach at the start of the step [m/s]. `reduced` is the product of both radii
-        divided by their sum [m], which is the radius of the aggregate if the neighbour is a wall.
+        divided by their sum [m], which is the radius of the sphere if the neighbour is a wall.
         """
         if count == CAPACITY:
             pairs.full[0] = 1
@@ -117,7 +127,7 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def is_known(pairs: Pairs, b: wp.int32, count: wp.int32, normal: vec, gap: scalar, radius: scalar) -> wp.bool:
-        """Return whether a wall with about the given normal and gap is already among the neighbours of an aggregate."""
+        """Return whether a wall with about the given normal and gap is already among the neighbours of a sphere."""
         for k in range(count):
             place = b * CAPACITY + k
             if pairs.other[place] == WALL and wp.dot(pairs.normal[place], normal) > scalar(SAME):
@@ -125,110 +135,199 @@ def pair_functions(scalar, of: GridKind) -> SimpleNamespace:
                     return True
         return False
 
+    return SimpleNamespace(store=store, is_known=is_known)
+
+
+@functools.cache
+def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
+    """Build functions for the forces between aggregates and their neighbours.
+
+    - `resistance` returns the force of a pair per speed of approach [N s/m].
+    - `lever` returns the vector from the centre of an aggregate to the point at which a neighbour acts on it.
+    - `relative` returns the velocity of a sphere relative to a neighbour.
+    - `between` returns the force and the torque by which all neighbours of an aggregate oppose the given velocities.
+    - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
+      torque as a function of its own spin.
+    """
+    vec, mat33 = mps_types(scalar, 3).vec, types(scalar).mat33
+    Pairs, Bodies, shape = pair_struct(scalar), body_structs(scalar).Bodies, shape_functions(scalar, kind)
+
     @wp.func
     def resistance(pairs: Pairs, place: wp.int32) -> scalar:
         return pairs.lubrication[place] + wp.where(pairs.touching[place] != 0, pairs.hold[place], scalar(0.0))
 
     @wp.func
-    def resistance_block(pairs: Pairs, b: wp.int32) -> mat33:
-        sum = mat33()
-        for k in range(pairs.count[b]):
-            n = pairs.normal[b * CAPACITY + k]
-            sum += resistance(pairs, b * CAPACITY + k) * wp.outer(n, n)
-        return sum
+    def lever(bodies: Bodies, pairs: Pairs, s: wp.int32, n: vec, place: wp.int32) -> vec:
+        """Return the vector from the centre of an aggregate to the point at which a neighbour of sphere `s` acts [m].
+
+        `n` is the unit vector towards the neighbour. Forces along `n` exert the same torque at any point of the line
+        along `n`, so that without friction the point is the centre of the sphere.
+        """
+        arm = vec()
+        if wp.static(kind.clumps):
+            arm = bodies.arm[s]
+        if wp.static(kind.friction):
+            arm = arm + (shape.radius(bodies, s) + scalar(0.5) * pairs.gap[place]) * n
+        return arm
 
     @wp.func
-    def between(pairs: Pairs, velocity: wp.array(dtype=vec), b: wp.int32) -> vec:
-        sum = vec()
-        for k in range(pairs.count[b]):
-            place = b * CAPACITY + k
+    def relative(
+        bodies: Bodies, pairs: Pairs, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), start: wp.int32,
+        s: wp.int32, place: wp.int32,
+    ) -> vec:  # fmt: skip
+        """Return the velocity of sphere `s` relative to the neighbour at index `place`, where the two touch.
+
+        Walls count as resting. The velocities and spins of the aggregates begin at the index `start` of both arrays.
+        """
+        o = pairs.other[place]
+        if wp.static(kind.turning):
             n = pairs.normal[place]
-            relative = velocity[b]
-            if pairs.other[place] != WALL:
-                relative = relative - velocity[pairs.other[place]]
-            sum += resistance(pairs, place) * wp.dot(relative, n) * n
-        return sum
+            b = shape.body(bodies, s)
+            u = linear[start + b] + wp.cross(angular[start + b], lever(bodies, pairs, s, n, place))
+            if o != WALL:
+                c = shape.body(bodies, o)
+                u = u - (linear[start + c] + wp.cross(angular[start + c], lever(bodies, pairs, o, -n, place)))
+            return u
+        else:
+            u = linear[start + s]
+            if o != WALL:
+                u = u - linear[start + o]
+            return u
+
+    @wp.func
+    def along(u: vec, n: vec) -> vec:
+        """Return the part of a velocity along a surface with the unit normal `n`."""
+        return u - wp.dot(u, n) * n
+
+    @wp.func
+    def between(bodies: Bodies, pairs: Pairs, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), b: wp.int32):
+        force = vec()
+        torque = vec()
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            for k in range(pairs.count[s]):
+                place = s * CAPACITY + k
+                n = pairs.normal[place]
+                u = relative(bodies, pairs, linear, angular, 0, s, place)
+                push = resistance(pairs, place) * wp.dot(u, n) * n
+                if wp.static(kind.friction):
+                    push += pairs.grip[place] * along(u, n)
+                force += push
+                if wp.static(kind.turning):
+                    torque += wp.cross(lever(bodies, pairs, s, n, place), push)
+        return force, torque
+
+    @wp.func
+    def blocks(bodies: Bodies, pairs: Pairs, b: wp.int32):
+        whole = mat33()
+        round = mat33()
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            for k in range(pairs.count[s]):
+                place = s * CAPACITY + k
+                n = pairs.normal[place]
+                whole += resistance(pairs, place) * wp.outer(n, n)
+                if wp.static(kind.turning):
+                    arm = lever(bodies, pairs, s, n, place)
+                    turned = wp.cross(arm, n)
+                    round += resistance(pairs, place) * wp.outer(turned, turned)
+                    if wp.static(kind.friction):
+                        across = wp.identity(n=3, dtype=scalar) - wp.outer(n, n)
+                        turn = wp.skew(arm)
+                        whole += pairs.grip[place] * across
+                        round += pairs.grip[place] * (turn * across * wp.transpose(turn))
+        return whole, round
 
     return SimpleNamespace(
-        store=store, is_known=is_known, resistance=resistance, resistance_block=resistance_block, between=between
+        resistance=resistance, lever=lever, relative=relative, along=along, between=between, blocks=blocks
     )
 
 
 @functools.cache
-def pair_kernels(scalar, of: GridKind) -> SimpleNamespace:
+def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels `load`, `touch` and `stiffen`, each with one task per aggregate.
 
-    - `load` adds the forces between neighbours at the start of the step to the forces on the aggregates. Contacts
-      remove an overlap within the time `longest`, the maximum time step. In a shorter step, removing the whole overlap
-      would fling the aggregates apart.
+    - `load` adds the forces between neighbours at the start of the step to the forces on the aggregates, and the
+      gyroscopic torques of clumps. Contacts remove an overlap within the time `longest`, the maximum time step. In a
+      shorter step, removing the whole overlap would fling the aggregates apart.
     - `touch` finds pairs that would overlap at the end of the step, and marks them as touching.
     - `stiffen` adds the forces of these new contacts to `effect`, the products of the matrix with the `count` vectors
       of `change`.
     """
     vec = mps_types(scalar, 3).vec
     Fields = grid_structs(scalar, 3).Fields
-    Bodies = body_structs(scalar).Bodies
-    Pairs, pair = pair_struct(scalar), pair_functions(scalar, of)
+    Bodies, Vector = body_structs(scalar).Bodies, vector_struct(scalar)
+    Pairs, pair, shape = pair_struct(scalar), pair_functions(scalar, kind), shape_functions(scalar, kind)
+
+    @wp.func
+    def after(bodies: Bodies, change: Vector, s: wp.int32) -> vec:
+        """Return the velocity of a sphere's centre at the end of the step, if the aggregates' velocities `change`."""
+        before = shape.velocity(bodies, bodies.velocity, bodies.spin, 0, s)
+        return before + shape.velocity(bodies, change.linear, change.angular, 0, s)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def load(
-        flags: wp.array(dtype=wp.int32),
-        bodies: Bodies,
-        pairs: Pairs,
-        longest: scalar,
-        force: wp.array(dtype=vec),
-    ):
+    def load(flags: wp.array(dtype=wp.int32), bodies: Bodies, pairs: Pairs, longest: scalar, forces: Vector):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
-        sum = -pair.between(pairs, bodies.velocity, b)
-        for k in range(pairs.count[b]):
-            place = b * CAPACITY + k
-            size = pair.resistance(pairs, place) * pairs.still[place]
-            if pairs.touching[place] != 0:
-                size -= pairs.hold[place] / longest * (pairs.rough[place] - pairs.gap[place])
-            sum += size * pairs.normal[place]
-        force[b] = force[b] + sum
+        push, twist = pair.between(bodies, pairs, bodies.velocity, bodies.spin, b)
+        force = -push
+        torque = -twist
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            for k in range(pairs.count[s]):
+                place = s * CAPACITY + k
+                size = pair.resistance(pairs, place) * pairs.still[place]
+                if pairs.touching[place] != 0:
+                    size -= pairs.hold[place] / longest * (pairs.rough[place] - pairs.gap[place])
+                more = size * pairs.normal[place]
+                if wp.static(kind.friction):
+                    more += pairs.grip[place] * pairs.drift[place]
+                force += more
+                if wp.static(kind.turning):
+                    torque += wp.cross(pair.lever(bodies, pairs, s, pairs.normal[place], place), more)
+        forces.linear[b] = forces.linear[b] + force
+        if wp.static(kind.clumps):
+            torque += bodies.gyration[b]
+        if wp.static(kind.turning):
+            forces.angular[b] = forces.angular[b] + torque
 
     @wp.kernel(enable_backward=False, module="unique")
     def touch(
-        flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: wp.array(dtype=vec),
-        certain: scalar,
-    ):  # fmt: skip
+        flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies, pairs: Pairs, change: Vector, certain: scalar
+    ):
         if flags[HALTED] != 0:
             return
         b = wp.tid()
         dt = scalar(mesh.clock[DT])
-        for k in range(pairs.count[b]):
-            place = b * CAPACITY + k
-            pairs.touching[place] = wp.min(pairs.touching[place], 1)
-            relative = bodies.velocity[b] + change[b]
-            o = pairs.other[place]
-            if o != WALL:
-                relative = relative - (bodies.velocity[o] + change[o])
-            approach = wp.dot(relative, pairs.normal[place]) - pairs.still[place]
-            # Count a pair as touching only if it would overlap even at the fraction `certain` of its speed of approach.
-            approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
-            if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
-                pairs.touching[place] = NEW
-                pairs.changed[0] = 1
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            for k in range(pairs.count[s]):
+                place = s * CAPACITY + k
+                pairs.touching[place] = wp.min(pairs.touching[place], 1)
+                u = after(bodies, change, s)
+                if pairs.other[place] != WALL:
+                    u = u - after(bodies, change, pairs.other[place])
+                approach = wp.dot(u, pairs.normal[place]) - pairs.still[place]
+                # Count a pair as touching only if it would overlap even at the fraction `certain` of its speed of
+                # approach.
+                approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
+                if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
+                    pairs.touching[place] = NEW
+                    pairs.changed[0] = 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def stiffen(
-        bodies: Bodies, pairs: Pairs, count: wp.int32, change: wp.array(dtype=vec), effect: wp.array(dtype=vec)
-    ):
+    def stiffen(bodies: Bodies, pairs: Pairs, count: wp.int32, change: Vector, effect: Vector):
         b = wp.tid()
         aggregates = bodies.centre.shape[0]
-        for k in range(pairs.count[b]):
-            place = b * CAPACITY + k
-            if pairs.touching[place] == NEW:
-                n = pairs.normal[place]
-                o = pairs.other[place]
-                for number in range(count):
-                    relative = change[number * aggregates + b]
-                    if o != WALL:
-                        relative = relative - change[number * aggregates + o]
-                    own = number * aggregates + b
-                    effect[own] = effect[own] + pairs.hold[place] * wp.dot(relative, n) * n
+        for s in range(shape.first(bodies, b), shape.end(bodies, b)):
+            for k in range(pairs.count[s]):
+                place = s * CAPACITY + k
+                if pairs.touching[place] == NEW:
+                    n = pairs.normal[place]
+                    for number in range(count):
+                        start = number * aggregates
+                        u = pair.relative(bodies, pairs, change.linear, change.angular, start, s, place)
+                        push = pairs.hold[place] * wp.dot(u, n) * n
+                        effect.linear[start + b] = effect.linear[start + b] + push
+                        if wp.static(kind.clumps):
+                            turn = wp.cross(bodies.arm[s], push)
+                            effect.angular[start + b] = effect.angular[start + b] + turn
 
     return SimpleNamespace(load=load, touch=touch, stiffen=stiffen)

@@ -14,7 +14,7 @@ from ..common.rows import entry_product, row_product
 from ..common.types import cpu_flags, types
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
-from .bodies import body_functions, body_structs
+from .bodies import BodyKind, body_functions, body_structs, shape_functions
 from .pairs import pair_functions, pair_struct
 from .vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, range_functions, share_functions, vector_struct
 
@@ -108,7 +108,7 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 
 @functools.cache
-def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
+def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels that compute search directions and their products with the matrix.
 
     Unless stated otherwise, the kernels run with `tasks` tasks for the faces and one more task for each aggregate:
@@ -126,7 +126,8 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     own, ranges = share_functions(serial), range_functions(scalar, serial)
     Fields = grid_structs(scalar, 3).Fields
     v = velocity_functions(scalar, of)
-    Pairs, between = pair_struct(scalar), pair_functions(scalar, of).between
+    Pairs, between = pair_struct(scalar), pair_functions(scalar, kind).between
+    inertia = shape_functions(scalar, kind).inertia
     product = (row_product if serial else entry_product)(scalar, scalar)
     vec3 = types(scalar).vec3
 
@@ -211,9 +212,13 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         b = wp.tid()
         dt = scalar(mesh.clock[DT])
         force, torque = v.resultant(g, cover, b, result.faces)
-        force += bodies.extra_mass[b] / dt * direction.linear[b] + between(pairs, direction.linear, b)
+        push, twist = between(bodies, pairs, direction.linear, direction.angular, b)
+        force += bodies.extra_mass[b] / dt * direction.linear[b] + push
+        torque += inertia(bodies, b) / dt * direction.angular[b]
+        if wp.static(kind.turning):
+            torque += twist
         result.linear[b] = force
-        result.angular[b] = torque + bodies.extra_inertia[b] / dt * direction.angular[b]
+        result.angular[b] = torque
         partial[tasks + b] = v.pair(direction, result, b)
 
     return SimpleNamespace(begin=begin, turn=turn, multiply=multiply, gather=gather)

@@ -21,12 +21,8 @@ import uuid
 from pathlib import Path
 
 import psutil
-from pumping import TINY
+from pumping import INTERRUPTIBLE, TINY
 
-CODE = (
-    # What a shell has begun in the background ignores Ctrl-C, and so do its children.
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from warpcrete.cli import main; main()"
-)
 PIPE = [word for name, value in (TINY | {"settle": 0.1, "travel": 0.03}).items()
         for word in (f"--{name.replace('_', '-')}", str(value))]  # fmt: skip
 CPU = ["--device", "cpu", "--quiet"]
@@ -82,7 +78,7 @@ class Attack:
             "PYTHONPATH": str(Path(__file__).parents[2]), "TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark,
         }  # fmt: skip
         return subprocess.Popen(
-            [sys.executable, "-c", CODE, *words], env=environment, cwd=self.place, start_new_session=True,
+            [sys.executable, "-c", INTERRUPTIBLE, *words], env=environment, cwd=self.place, start_new_session=True,
             encoding="utf-8",
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip

@@ -9,13 +9,13 @@ import sys
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pumping import command, wait_until
+from pumping import INTERRUPTIBLE, command, wait_until
 
 from warpcrete.cli.main import cli
 from warpcrete.cli.scene_commands import help_text
 from warpcrete.scenes import modules
 
-COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]
+COMMAND = [sys.executable, "-c", INTERRUPTIBLE]
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 from conftest import devices
-from pumping import TINY, command, command_process, open_tube, small_options, wait_until
+from pumping import INTERRUPTIBLE, TINY, command, command_process, open_tube, small_options, wait_until
 from test_recordings import columns
 
 
@@ -201,7 +201,7 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
         [
             sys.executable,
             "-c",
-            "from warpcrete.cli import main; main()",
+            INTERRUPTIBLE,
             "run",
             "pipe",
             *small_options(**TINY | {"travel": 10.0}),

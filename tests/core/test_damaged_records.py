@@ -54,7 +54,7 @@ def test_cases_and_commands_are_mappings(tmp_path):
                                              (["trade", "--resume"], "trade.json"),
                                              (["reproduce", "--resume"], "reproduction.json")])  # fmt: skip
 def test_every_command_checks_its_record(tmp_path, words, file):
-    for name, value in (("scene", []), ("device", -1), ("files", "x"), ("paper", {})):
+    for name, value in (("scene", []), ("device", -1), ("files", "x"), ("paper", {}), ("units", 3)):
         (tmp_path / file).write_text(
             json.dumps({"scene": "slump", "parameters": {}, "device": "cpu"} | {name: value}), encoding="utf-8"
         )

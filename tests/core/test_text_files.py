@@ -162,7 +162,9 @@ CSV = {
     "flow [m3/h],pressure [bar]\n10,3,10\n20,4,5\n": "line 2: has 3 values where the header names 2 columns; write",
     "flow [m3/h],pressure [bar]\n10,3\n20\n": "line 3: has 1 values where the header names 2 columns; write one value",
     "flow [m3/h],flow [l/s],pressure [bar]\n10,3,1\n20,4,1\n": "has the column 'flow' twice; remove or rename one",
-    "flow [m3/h];pressure [bar]\n10,3;1,5\n20;4\n": "separates columns by semicolons; separate columns by commas",
+    "flow [m3/h];pressure [bar]\n10,3;1,5\n20\n": "line 3: has 1 values where the header names 2 columns",
+    "flow [m3/h];pressure [bar]\n1,234;3\n20;4\n": "line 2: flow = '1,234 m3/h': must be a number",
+    "flow [m3/h];Flow (l/s);pressure [bar]\n10;3;1\n20;4;1\n": "has the column 'flow' twice; remove or rename one",
     'flow [m3/h],pressure [bar]\n"1,234",3\n20,4\n': "line 2: flow = '1,234 m3/h': must be a number",
     "": "contains no rows",
     "\n\n": "contains no rows",
@@ -177,6 +179,12 @@ def test_tables_of_another_shape_are_refused(tmp_path, text):
     with pytest.raises(SceneError) as refused:
         read_points(written(tmp_path, text, "points.csv"))
     assert CSV[text] in str(refused.value)
+
+
+def test_tables_of_a_spreadsheet_with_semicolons_have_decimal_commas(tmp_path):
+    text = "Note;Flow (m3/h);Pressure (bar)\r\n;36,5;10,25\r\na, b;72;20\r\n"
+    flows, pressures = read_points(written(tmp_path, text, "points.csv"))
+    assert (flows, pressures) == (pytest.approx([36.5 / 3600, 0.02]), pytest.approx([1.025e6, 2e6]))
 
 
 def test_tables_are_read_with_their_units_and_line_ends(tmp_path):

@@ -197,6 +197,6 @@ def test_a_study_tells_how_often(tmp_path):
     told = dict(zip([case.name for case in cases], [1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], strict=True))
     study = Study(tmp_path, "pipe", cases, METHOD.quantities, results={k: {"blocked": v} for k, v in told.items()})
     assert [row["blocked"] for row in study.rows()] == [0.75, 0.0]
-    assert "75.00" in study.markdown()
+    assert "| 75 +- 50 |" in study.markdown()
     never = Study(tmp_path, "pipe", cases, METHOD.quantities, results={k: {"blocked": 0.0} for k in told})
     assert "blocked" not in [each.name for each in never.compared]

@@ -56,6 +56,9 @@ def test_the_largest_stone_alone_suffices(tmp_path):
     for name in ("stone", "largest_stone"):
         with pytest.raises(SceneError, match=rf"mix key = '{name}': is the entry 'sizes' of a mix; write 'sizes: 20 m"):
             mix_of(SPREADING | {name: "20 mm"})
+    for value in (None, {"a": 1}, [5, 20], "coarse"):
+        with pytest.raises(SceneError, match=r"is the entry 'sizes' of a mix; write 'sizes: 20 mm'"):
+            mix_of({"density": 2350, "stone": value})
 
 
 def test_the_sieve_curve_that_a_warning_suggests_is_accepted(tmp_path):
@@ -308,6 +311,28 @@ def test_slumps_of_the_literature_fit_the_rheometer(name, slump):
     assert alone.low < own.yield_stress < alone.value
 
 
+def test_a_rheometer_may_read_five_times_the_yield_stress_of_a_heap():
+    """The band of a measured yield stress reaches down to a fifth, unless its uncertainty is stated."""
+    section = {"density": 2350, "concrete": {"yield_stress": "900 Pa", "viscosity": "60 Pa s"}}
+    found = mix_of(section)["yield stress"]
+    assert (found.low, found.value, found.high) == pytest.approx((180, 900, 1080)) and "slumps" in found.source
+    viscosity = mix_of(section)["viscosity"]
+    assert (viscosity.low, viscosity.high) == pytest.approx((48, 72))
+    section["concrete"]["uncertainty"] = "10 %"
+    stated = mix_of(section)["yield stress"]
+    assert (stated.low, stated.high) == pytest.approx((810, 990)) and stated.source == "as given"
+
+
+def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
+    """39 fluid ounces in a cubic yard are 1.51 l/m3, which have 1100 kg/m3."""
+    parts = {"cement": 340, "water": 170, "sand": 800, "gravel": 1050}
+    with pytest.warns(PlausibilityWarning, match="'MasterGlenium 7920' is not a known ingredient"):
+        named = mix_of({"parts": parts | {"MasterGlenium 7920": "39 oz/yd3"}, "slump": "180 mm"})
+    plain = mix_of({"parts": parts | {"superplasticizer": "39 oz/yd3"}, "slump": "180 mm"})
+    assert named["density"].value == pytest.approx(plain["density"].value)
+    assert named["slip viscosity"].value == pytest.approx(plain["slip viscosity"].value, rel=0.02)
+
+
 def test_every_scene_takes_it(tmp_path):
     path = written(tmp_path, SPREADING | STONES)
     mix = read_mix(path)
@@ -417,6 +442,12 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
+        ({"density": 2350, "W/C": 0.45}, "mix key = 'W/C': is the entry 'water_binder' of a mix; write 'water_"),
+        ({"parts": {"cement CEM II 42": None, "5 R": 340, "water": 170}}, "has no amount; a comma inside braces"),
+        ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),
+        ({"parts": {"cement": 340, "water": 170, "Sikka 12": "30 l/m3"}}, "is a volume, which is accepted for water"),
+        ({"volume": "8 yd3", "parts": {"cement": "4,794 lb", "water": "265 lb"}, "slump": "5 in"},
+         "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
@@ -459,6 +490,8 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
         (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be the diameter"),
         (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have two or more different values"),
+        (BULK | {"layer": {"tribometer": [[-0.1, 50], [0.2, 90]]}}, "must be 0 or more"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50], [0.2, -90]]}}, "must be 0 or more"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}},
          "mix slip viscosity = -50.0: follows from a straight line"),
         (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"},

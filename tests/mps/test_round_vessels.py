@@ -83,6 +83,7 @@ def test_the_expected_course_of_a_flow(monkeypatch):
             duration=8.0, dimensions={"opening": 0.15},
         )  # fmt: skip
         simulation = SimpleNamespace(scene=SimpleNamespace(**settings | given))
+        simulation.scene.fluid = simulation.scene
         monkeypatch.setattr(
             forecast, "coarser_run", lambda *each, **changes: asked.append((each[1], changes)) or (run, 3.0, ["uneven"])
         )
@@ -96,6 +97,9 @@ def test_the_expected_course_of_a_flow(monkeypatch):
     assert asked[0] == ("the concrete is not at rest", {"spacing": pytest.approx(0.3 / 12)})
     course(dimensions={"opening": 0.06})
     assert asked[-1][1]["spacing"] == pytest.approx(0.06 / 4)
+    # Cells that represent bars would make the copy as fine as the scene.
+    course(dimensions={"opening": 0.15, "bar_diameter": 0.018})
+    assert asked[-1][1]["spacing"] == pytest.approx(0.3 / 12)
     course(spacing=0.05)
     assert asked[-1][1]["spacing"] == 0.05
     stopped = course(run=None)

@@ -11,7 +11,7 @@ import dask.config
 import psutil
 import pytest
 from dask.distributed import Scheduler, SpecCluster
-from pumping import wait_until
+from pumping import INTERRUPTIBLE, wait_until
 from test_study import BASE
 
 from warpcrete import Simulation, scenes
@@ -28,12 +28,6 @@ pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gi
 LONG = BASE | dict(travel=0.3, sample_interval=0.005)
 
 
-COMMAND = (
-    # What a shell has begun in the background ignores Ctrl-C, and so do its children.
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from warpcrete.cli import main; main()"
-)
-
-
 def hashes(study):
     return {name: result["state_hash"] for name, result in study.results.items()}
 
@@ -42,7 +36,7 @@ def begun(out, **changes):
     """A study of two cases on two workers, as a command in a process group of its own."""
     options = [f"--{name.replace('_', '-')}={value}" for name, value in (LONG | changes).items()]
     return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, "study", "pipe", "--velocity", "0.3", "0.31",
+        [sys.executable, "-c", INTERRUPTIBLE, "study", "pipe", "--velocity", "0.3", "0.31",
          *options, "--out", str(out), "--device", "cpu", "--scheduler", "local", "--workers", "2",
          "--checkpoint-every", "0.2", "--quiet"],
         start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8",

@@ -191,10 +191,23 @@ def test_savings_by_a_trade(tmp_path):
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
     assert "some machine" in str(told) and "time step 1.2: 0.7 of the wall time; error of plateau" in str(told)
-    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but belongs to the scene 'pipe'"):
-        explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
+
+
+def test_a_wrong_trade_is_refused_before_the_measurements(tmp_path, monkeypatch):
+    def measured(scene):
+        raise AssertionError("measured in spite of a wrong trade")
+
+    monkeypatch.setattr("warpcrete.studies.tradeoffs.explain.method_of", measured)
+    damaged = ({"points": [{}, {}]}, {"points": 3}, {"points": [1, 2]}, {"points": {"a": 1}})
+    for record, kind, words in (
+        ({"scene": "pipe"}, SceneError, "must be a trade of the scene 'channel', but belongs to the scene 'pipe'"),
+        *(({"scene": "channel"} | each, RunFolderError, "trade.json") for each in damaged),
+    ):
+        (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
+        with pytest.raises(kind, match=words):
+            explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path, cache=False)
     with pytest.raises(RunFolderError, match="is not a folder made by 'warpcrete trade'"):
-        explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none")
+        explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none", cache=False)
 
 
 def test_a_step_that_was_given_is_not_made_longer_by_softer_bonds(device):
@@ -248,7 +261,7 @@ def test_the_command(tmp_path):
         (("channel", "--trade", str(tmp_path)), "is not a folder made by 'warpcrete trade'"),
     ):
         done = command("explain", *arguments, "--device", "cpu")
-        said = [line for line in done.stderr.strip().splitlines() if not line.startswith("measuring the first steps")]
+        said = done.stderr.strip().splitlines()
         assert done.returncode == 2 and len(said) == 1 and words in said[0]
     assert "beforehand" in command("explain", "--help").stdout
 
@@ -267,6 +280,6 @@ def test_who_waits_for_the_measurements_of_an_explanation_is_told(monkeypatch, t
     told.clear()
     monkeypatch.setattr(module, "_cached", lambda *rest: tmp_path / "known.json")
     monkeypatch.setattr(module, "_read", lambda path: SimpleNamespace())
-    monkeypatch.setattr(module, "_savings", lambda *rest: ((), ""))
+    monkeypatch.setattr(module, "_time_step_savings", lambda forecast: ())
     explain(scenes.channel(), device="cpu", announce=told.append)
     assert not told

@@ -107,9 +107,10 @@ def test_factors_of_student(freedom, factor):
 @pytest.mark.parametrize(
     ("points", "says"),
     [
-        (taps()[:1], r"^fit = '1 point': must be at least 2 to determine the slip viscosity with a band, 3 at two "
-         r"flows for the slip yield, and 4 at two places for the bends; measure at more"),
-        ([Tap(0.0, 1e5, 0.01, 2)] * 4, r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
+        (taps()[:1], r"^fit = '1 different point': must be at least 2 to determine the slip viscosity with a band, 3 "
+         r"at two flows for the slip yield, and 4 at two places for the bends; measure at more"),
+        ([Tap(0.0, 1e5, 0.01 * k, 2) for k in (1, 2, 3)],
+         r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
     ],
 )  # fmt: skip
@@ -190,6 +191,18 @@ def test_the_command_fits_a_trial_line(tmp_path):
     ):
         refused = CliRunner().invoke(cli, [*call, *more])
         assert refused.exit_code == 2 and says in refused.output
+
+
+def test_taps_of_a_line_in_us_units_are_reported_in_feet_and_psi(tmp_path):
+    """The table repeats places, flows and pressures as the file of taps states them."""
+    (tmp_path / "taps.csv").write_text(
+        "Place (ft),Pressure (psi),Flow (yd3/h)\n5,640,75\n140,455,75\n5,455,45\n140,330,45\n", encoding="utf-8"
+    )
+    call = ["line", "--slump", "6 in", "--diameter", "5 in", "--length", "350 ft"]
+    done = CliRunner().invoke(cli, [*call, "--fit", str(tmp_path / "taps.csv")], catch_exceptions=False)
+    assert done.exit_code == 0 and "| place [ft] | flow [yd3/h] | measured [psi] | fitted [psi] |" in done.output
+    rows = [line.split(" | ")[:3] for line in done.output.splitlines() if line.startswith(("| 5 |", "| 140 |"))]
+    assert rows == [["| 5", "75", "640"], ["| 140", "75", "455"], ["| 5", "45", "455"], ["| 140", "45", "330"]]
 
 
 def test_a_pasted_fit_gives_the_pressure_of_the_fitted_line(tmp_path):
@@ -278,6 +291,25 @@ def test_the_weights_of_a_fit_and_of_earlier_knowledge_follow_from_their_bands()
     assert both.constants[0].value == pytest.approx(mean, rel=1e-4)
     assert np.log1p(both.uncertainty) == pytest.approx(np.log(wide) / np.sqrt(2), rel=1e-6)
     assert "known before has a weight of 50 %" in "\n".join(fit_lines(both, flat))
+
+
+def test_repeated_rows_count_once():
+    """Otherwise the same reading, written twice, would fit with a band of zero width."""
+    once = taps(noise=3e4, flows=(15, 45), parts=(0, 1))
+    fit, again = (fit_line(LINE, TRUE, points) for points in (once, [*once, *once]))
+    assert again == fit
+    with pytest.raises(SceneError, match="fit = '1 different point': must be at least 2"):
+        fit_line(LINE, TRUE, [once[0], replace(once[0], row=9)])
+
+
+def test_a_slip_yield_that_earlier_knowledge_changes_does_not_count_as_kept():
+    points = taps(noise=1e5, flows=(30,), parts=(0, 1, 3))
+    alone, both = (fit_line(LINE, GUESS, points, prior) for prior in (None, known(GUESS, 1.2)))
+    assert alone.constants[1].value == GUESS.slip_yield and alone.constants[1].text.endswith("points, kept)")
+    assert both.prior_share > 0.1 and both.constants[1].value != pytest.approx(GUESS.slip_yield, rel=0.01)
+    assert "kept" not in both.constants[1].text and "known before" in both.constants[1].text
+    exact = fit_line(LINE, TRUE, taps(flows=(30,)), known(TRUE, 1e9))
+    assert exact.constants[1].value == pytest.approx(TRUE.slip_yield, rel=1e-6)
 
 
 def test_pressures_that_grow_along_the_line_are_refused():

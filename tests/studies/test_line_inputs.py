@@ -46,6 +46,21 @@ def test_us_units_and_a_spread_suffice_as_well():
     assert math.isfinite(float(pressures[0]))
 
 
+def test_without_a_flow_pressures_at_usual_flows_are_printed():
+    """The pressures are those of runs with each flow; in US units, flows are in cubic yards per hour."""
+    words = ["--slump", "180mm", "--stone", "20mm", "--diameter", "125mm", "--length", "190m"]
+    done = called(*words)
+    lines = [each for each in done.output.splitlines() if each.startswith("- ")]
+    assert done.exit_code == 0 and [each.split(":")[0] for each in lines] == [
+        f"- {rate} m3/h" for rate in (10, 20, 30, 45, 60)
+    ]
+    whole = called(*words, "--flow", "30 m3/h").output
+    pressure = whole.split("pressure at the pump ")[1].split(";")[0]
+    assert lines[2].split(": ")[1].split(";")[0] == pressure and "stone in bore" in done.output
+    us = called("--slump", "7in", "--diameter", "5in", "--length", "480ft")
+    assert us.exit_code == 0 and "- 15 yd3/h: " in us.output and us.output.count(" psi)") == 10
+
+
 def test_a_slump_replaces_the_concrete_of_a_file():
     own, other = called("burj-khalifa"), called("burj-khalifa", "--slump", "220 mm")
     assert own.exit_code == other.exit_code == 0 and "slump 220 mm at" in other.output and "no1 at" in own.output
@@ -57,7 +72,11 @@ def test_a_slump_replaces_the_concrete_of_a_file():
         ([], "line: is missing; give its file, or a straight line as --diameter '125 mm'"),
         (["--diameter", "5 in"], "length: is missing; a line without a file needs it"),
         (["--length", "5 m"], "diameter: is missing; a line without a file needs it"),
-        (["--slump", "180mm", "--diameter", "125mm", "--length", "190m"], "flow: is missing; set it in the file"),
+        (["--concrete", "no1", "--diameter", "125mm", "--length", "190m"], "flow: is missing; set it in the file"),
+        (
+            ["--slump", "18cm", "--diameter", "125mm", "--length", "9m", "--rest", "5 min"],
+            "flow: is missing; an answer beyond pressures at usual flows needs it",
+        ),
         (PIPE, "concrete: is missing; set it in the file of the line, with --concrete no1 or a file, or with --slump"),
         (["--slump", "180mm", *PIPE, "--rise", "200 m"], "rise = 200.0: must be in [-190, 190] m"),
         (["--slump", "180 m", *PIPE], "mix slump = 180.0: must be in [0.01, 0.29] m"),

@@ -16,8 +16,7 @@ from types import SimpleNamespace
 import psutil
 import pytest
 from conftest import devices
-from pumping import wait_until
-from test_cluster import COMMAND
+from pumping import INTERRUPTIBLE, wait_until
 from test_trade import COARSE, PIPE, VARIANTS
 
 from warpcrete.core.errors import InstabilityError, RunFolderError, SceneError, WarpcreteError
@@ -118,7 +117,7 @@ def test_a_lost_worker_and_an_interruption_lose_no_run_that_was_done(alone, tmp_
         pytest.skip("needs a CPU, which can have two workers; a GPU has one, and test_cluster covers it")
     out = tmp_path / "t"
     options = [f"--{name.replace('_', '-')}={value}" for name, value in PIPE.items()]
-    code = f"import os; os.sched_setaffinity(0, range(os.cpu_count())); {COMMAND}"
+    code = f"import os; os.sched_setaffinity(0, range(os.cpu_count())); {INTERRUPTIBLE}"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "trade", "pipe", *options, "--knob", "coarse-graining", "--quantity",
          "end_pressure", "--repeat", "2", "--device", "cpu", "--scheduler", "local", "--workers", "2", "--out",

@@ -5,6 +5,7 @@ import pytest
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.run.method import report_of
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
@@ -46,6 +47,11 @@ def test_aggregates_fill_the_pipe_but_not_its_wall_and_meet_over_the_ends(device
     rings = 0.005 * np.arange(9)
     whole = np.sum(fraction_profile(simulation.flow) * np.diff(rings**2)) / 0.04**2
     assert whole == pytest.approx(len(r) * 4 / 3 * 0.01**3 / (0.04**2 * 0.06), rel=1e-6)
+
+
+def test_a_fraction_of_less_than_an_aggregate_is_noticed():
+    with pytest.warns(PlausibilityWarning, match=r"aggregate_fraction = 1e-06: whole .*, 1 of them, have .* 0\.0139$"):
+        begun("cpu", aggregate_fraction=1e-6)
 
 
 def test_one_small_aggregate_hardly_changes_the_flow_of_the_mortar(device):
@@ -102,7 +108,7 @@ def test_the_core_is_a_parabola_above_a_slip_velocity():
     curve = scene.gradient / (4 * 1.7 * 20.0)
     velocity = 0.03 + curve * (0.04**2 - radius**2)
     velocity[radius > 0.025] = 0.5
-    assert core(scene, radius, velocity) == pytest.approx((1.7, 0.03), rel=1e-9)
+    assert core(scene, radius, velocity, scene.gradient) == pytest.approx((1.7, 0.03), rel=1e-9)
 
 
 def test_a_stretch_goes_on_from_its_checkpoint_with_the_same_bits(device):
@@ -151,10 +157,20 @@ def test_aggregates_and_half_of_the_mortar_are_drawn(device):
             assert len(radius) == len(values) == 8
 
 
+def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
+    """The step of a stretch follows from `courant`, and a run lasts for its whole duration."""
+    simulation = stretch("cpu")
+    with pytest.raises(warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; use a smaller 'courant'$"):
+        simulation.watch_row({"time": 1.0, "smallest_gap": -0.4})
+    assert not simulation.may_end_early
+
+
 @pytest.mark.parametrize(
     "given, words",
     [
         ({"aggregate_fraction": 0.0}, "aggregate_fraction = 0.0: must be above 0; use the scene 'tube'"),
+        ({"length": 0.001}, "length = 0.001: must be at least 3 diameters of the largest aggregate"),
+        ({"spacing": 1.0}, "spacing = 1.0: is too coarse: the smallest aggregate, 0.02 m, must be"),
         ({"length": 0.05}, "length = 0.05: must be at least 3 diameters of the largest aggregate"),
         (
             {"aggregate_largest": 0.05, "length": 0.2},
@@ -162,7 +178,14 @@ def test_aggregates_and_half_of_the_mortar_are_drawn(device):
         ),
         ({"spacing": 0.01}, "spacing = 0.01: is too coarse"),
         ({"yield_stress": 500.0}, "gradient = 20000.0: is too small: mortar with a yield stress of 500 Pa"),
+        (
+            {"yield_stress": 500.0, "surfaces": "slips", "slip_viscosity": 900.0, "slip_yield": 450.0},
+            "gradient = 20000.0: is too small: mortar with a yield stress of 500 Pa and a slip layer of 450 Pa does "
+            "not flow below 2.25e+04 Pa/m; use 33800 Pa/m or more",
+        ),
+        ({"viscosity": 1e-3}, "gradient = 20000.0: makes the concrete flow at 4e+03 m/s"),
         ({"slip_thickness": 0.002}, "slip_thickness = 0.002: must be 0"),
+        ({"slip_thickness": 0.001, "concrete": "no1"}, "slip_thickness = 0.001: must be 0"),
     ],
 )
 def test_what_a_stretch_refuses(given, words):

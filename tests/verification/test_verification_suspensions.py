@@ -3,7 +3,9 @@
 import pytest
 from conftest import verification
 
-from warpcrete.verification import suspensions, suspensions_many
+from warpcrete.verification import suspensions, suspensions_clumps, suspensions_friction, suspensions_many
 
 test_suspensions = pytest.mark.thorough(verification(suspensions))
+test_clumps = pytest.mark.thorough(verification(suspensions_clumps))
+test_friction = pytest.mark.thorough(verification(suspensions_friction))
 test_suspensions_many = pytest.mark.thorough(verification(suspensions_many))

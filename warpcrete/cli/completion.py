@@ -61,6 +61,13 @@ def kinds(incomplete: str) -> list[CompletionItem]:
     return names(kinds_of_cases, incomplete)
 
 
+def scene_names(incomplete: str) -> list[CompletionItem]:
+    """Complete the name of a scene."""
+    from ..scenes import modules
+
+    return names(modules(), incomplete)
+
+
 def papers(incomplete: str) -> list[CompletionItem]:
     """Complete the name of a paper whose runs `warpcrete reproduce` repeats."""
     return names(("xu", "zhan"), incomplete)

@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 
+from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_whole
 from ..core.run.files import next_folder, write_json
@@ -22,6 +23,7 @@ from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
 from ..mix.mix import Mix
+from ..studies.lines.answers import beside, pressure_text
 from ..studies.lines.fit import fit_line
 from ..studies.lines.fit_report import fit_lines
 from ..studies.lines.fittings import is_in_library
@@ -40,6 +42,10 @@ ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5
 """Options of `warpcrete line` that affect only simulations by discrete elements, with their default values."""
 FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options of `warpcrete line` that have no effect if nothing is simulated, with their default values."""
+
+USUAL_FLOWS = {False: ("m3/h", (10, 20, 30, 45, 60)), True: ("yd3/h", (15, 25, 40, 60, 80))}
+"""Flows for which the pressure of a line is printed if the user states none, with their unit. The keys say whether the
+other amounts have customary US units."""
 
 
 def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
@@ -72,12 +78,15 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         fit = fit_line(pipes, concrete, read_taps(settings["fit"], pipes, given.flow), _known_layer(given, layer))
         click.echo("\n" + "\n".join(fit_lines(fit, pipes)))
         pipes, layer, concrete = fit.line(pipes), {"variants": fit.variants(concrete)}, fit.concrete(concrete)
-        if given.flow is None:
-            needs = [name for name in ("rest", "blocking", "pump_pressure") if settings[name] is not None]
-            if out is not None or settings["practice"] or needs:
-                raise click.UsageError("flow: is missing; an answer beyond the fit needs it, as in --flow '30 m3/h'")
-            return
-    assert given.flow is not None
+    if given.flow is None:
+        wanted = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
+        if out is not None or settings["practice"] or any(settings[name] is not None for name in wanted):
+            beyond = "the fit" if fit is not None else "pressures at usual flows"
+            raise click.UsageError(f"flow: is missing; an answer beyond {beyond} needs it, as in --flow '30 m3/h'")
+        if fit is None:
+            click.echo("\n" + "\n".join(_at_usual_flows(pipes, concrete, layer)))
+            print_rules(pipes, given.mix, None)
+        return
     asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
     if settings["blocking"] is not None:
         asked |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
@@ -94,6 +103,22 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         _judge_blocking(pipes, given, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
+
+
+def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:
+    """Return lines of text with the pressure of a pump line, and its band, at usual flows.
+
+    `layer` contains the keyword arguments of :func:`.line_by_theory` for the uncertainty of the concrete.
+    """
+    unit, rates = USUAL_FLOWS[line.customary]
+    found = [f"no flow is stated; pressure at the pump for usual flows (--flow '{rates[2]} {unit}' prints the whole "
+             "answer for one):", ""]  # fmt: skip
+    for rate in rates:
+        band = line_by_theory(line, concrete, amount("flow", f"{rate} {unit}", "m3/s"), **layer).band()
+        ends = f"{band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
+        found.append(f"- {rate} {unit}: {pressure_text(band.value)}; {ends}"
+                     f"{beside(line.customary, 'psi', band.low, band.high)}")  # fmt: skip
+    return found
 
 
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:

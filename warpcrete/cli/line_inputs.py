@@ -38,7 +38,8 @@ class LineInputs:
     name: str
     """Name or file of the concrete; if the user stated only slump or spread, a text such as "slump 180 mm"."""
     mix: Mix | None
-    """Mix of the concrete; None for a concrete without a mix."""
+    """Mix design of the concrete, such as its amounts of cement and water; None if the concrete has only flow
+    properties."""
     flow: float | None
     """Volume flow [m3/s]; None if neither the line nor an option states it."""
 
@@ -71,7 +72,7 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
         given = with_stone(given, stone)
     elif mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
-    return LineInputs(given, str(name), mix, _flow(settings, given), guess is not None)
+    return LineInputs(given, str(name), mix, _flow(settings, given, guess is not None), guess is not None)
 
 
 def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = "") -> float | None:
@@ -125,11 +126,15 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
     return mix_of(entries, name=", ".join(f"{name} {value}" for name, value in cones.items()))
 
 
-def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
-    """Return the volume flow [m3/s] that the option `--flow` states, or else the file of the line."""
+def _flow(settings: Mapping[str, Any], line: PipeLine, guessed: bool) -> float | None:
+    """Return the volume flow [m3/s] that the option `--flow` states, or else the file of the line.
+
+    The result is None without a flow, which is refused unless taps are fitted or only slump or spread are known
+    (`guessed`).
+    """
     rate = _amount("flow", settings, "m3/s")
     if rate is None:
-        if line.flow is None and settings["fit"] is None:
+        if line.flow is None and settings["fit"] is None and not guessed:
             raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
         return line.flow
     narrow = min(part.narrow for part in line.parts)

@@ -155,6 +155,18 @@ def view_run(run: Path, web: bool, bind: str) -> None:
     raise SystemExit(process.wait())
 
 
+@cli.command("warm")
+@click.argument("scene", type=Completed("scene_names"), nargs=-1)
+@click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+def warm_command(scene: tuple[str, ...], device: str | None) -> None:
+    """Compile the kernels of each SCENE, so that its first run starts at once; without a name, those of all scenes.
+
+    Use it when you install warpcrete, or when you build a container. Runs with other features, such as another flow law
+    or precision, still compile the kernels that these features need.
+    """
+    load("warm").run(scene, scenes(), device)
+
+
 @cli.command("verify")
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)

@@ -60,8 +60,8 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
 def plain(name: str, mix: Mix) -> dict[str, object]:
     """Return the contents of a concrete's file, with the sections `elements` and `flow` calculated from a mix.
 
-    The section `elements` is missing if the slip layer follows another law than Bingham's, which elements do not have,
-    and the mix states no layer for them.
+    Discrete elements know only slip layers that obey Bingham's law. If the slip layer obeys another law, and the mix
+    states no slip layer for discrete elements, the section `elements` is missing.
     """
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     found: dict[str, object] = {"name": mix.name, "source": source}

@@ -34,7 +34,8 @@ def scenes() -> dict[str, ModuleType]:
 def by_method(arguments: list[str]) -> list[str]:
     """Remove `--method NAME` from a command's words, and append the simulation method to the scene's name if necessary.
 
-    For example, `slump --method dem` becomes `slump-dem`.
+    For example, `slump --method dem` becomes `slump-dem`. `slump --method suspension` becomes `slump` with the
+    parameters of aggregates that the scene sets for this method, as far as they are not among the words.
     """
     left, method = [], None
     words = iter(arguments)
@@ -51,8 +52,13 @@ def by_method(arguments: list[str]) -> list[str]:
     place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
     if place is None:
         raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
-    left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
-    return left
+    scenes, name = importlib.import_module("warpcrete.scenes"), left[place]
+    left[place] = scenes.by_method(name, method)
+    known = {word.partition("=")[0] for word in left}
+    values = scenes.suspended(name) if method == "suspension" else {}
+    words = {f"--{key.replace('_', '-')}": str(value) for key, value in values.items()}
+    more = [text for flag, value in words.items() if flag not in known for text in (flag, value)]
+    return [*left[: place + 1], *more, *left[place + 1 :]]
 
 
 def titles() -> dict[str, str]:

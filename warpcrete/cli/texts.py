@@ -105,7 +105,7 @@ The exit code is 2 for bad input and 130 if the calibration was interrupted. The
 LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
 
 Without a file, a straight line and a slump suffice: `warpcrete line --slump 180mm --stone 20mm --diameter 125mm
---length 190m --rise 20m --flow 30m3/h`.
+--length 190m --rise 20m --flow 30m3/h`. Without --flow, it prints the pressure for usual flows.
 
 The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
 simulations. Parts that are sharper than all earlier simulated ones are simulated now, unless --theory is given. With

@@ -7,6 +7,7 @@ import math
 import sys
 import warnings
 from collections.abc import Iterable
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import NoReturn
 
 import numpy as np
@@ -16,12 +17,14 @@ from .narrowing import is_number
 LONGEST_VALUE = 160
 """Maximum number of characters of a value or of a field's name that a message quotes."""
 LONGEST_MESSAGE = 2000
-"""Maximum number of characters of each text in a message, except that quoted values and names are limited to
-`LONGEST_VALUE` characters."""
+"""Maximum number of characters of each part of an error message. Quoted values and the names of fields are shorter:
+their limit is `LONGEST_VALUE`."""
 LONGEST_NUMBER = 128
-"""Maximum number of bits of an integer that a message writes out."""
+"""Maximum number of bits of an integer that an error message writes out; of a larger integer it states only the
+size."""
 MOST_NAMES_LISTED = 12
-"""Maximum number of known names that a message lists in full if the message also suggests one of these names."""
+"""Maximum number of allowed names that an error message lists if it can also suggest the name that was probably meant.
+If there are more names, the message contains only the suggestion."""
 
 
 class WarpcreteError(Exception):
@@ -102,7 +105,7 @@ def quoted(value: object) -> str:
 
 
 def warn_in_one_line() -> None:
-    """Print each distinct warning of this process once, as one line on stderr without file name and line number."""
+    """Make Python print each distinct warning once, as one line on stderr without file name and line number."""
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
@@ -112,6 +115,20 @@ def warn_in_one_line() -> None:
         shown.add(text)
 
     warnings.showwarning = show
+
+
+def at_least(value: float, digits: int = 3) -> str:
+    """Return a lower limit with few digits, rounded up, for messages: the written number satisfies the limit."""
+    return _rounded(value, digits, ROUND_CEILING)
+
+
+def at_most(value: float, digits: int = 3) -> str:
+    """Return an upper limit with few digits, rounded down, for messages: the written number satisfies the limit."""
+    return _rounded(value, digits, ROUND_FLOOR)
+
+
+def _rounded(value: float, digits: int, way: str) -> str:
+    return f"{float(Context(prec=digits, rounding=way).create_decimal(repr(float(value)))):g}"
 
 
 def refuse(field: str, value: object, allowed: str, hint: str = "") -> NoReturn:

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, SupportsFloat, TypedDict
 
-DISPLAY_UNITS = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
+DISPLAY_UNITS = {
+    "Pa": (1e-3, "kPa"),
+    "m/s": (100.0, "cm/s"),
+    "m": (1e3, "mm"),
+    "1": (100.0, "%"),
+    "m3/s": (3600.0, "m3/h"),
+}
 """Pair (factor, display unit) for each SI unit that is displayed in another unit. The factor converts a value in the SI
 unit to the display unit."""
 
@@ -35,6 +41,6 @@ def shown(unit: str) -> tuple[float, str]:
     return DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
-def rounded(value: float) -> str:
-    """Return a number as text with four significant digits; numbers from 0.0001 to 999,900 have no exponent."""
-    return f"{float(f'{value:.4g}'):g}"
+def rounded(value: float, digits: int = 4) -> str:
+    """Return a number as text with few significant digits; numbers from 0.0001 to 999,900 have no exponent."""
+    return f"{float(f'{value:.{digits}g}'):g}"

@@ -1,4 +1,8 @@
-"""Run many simulations in a few batches; simulations with the same features share every kernel launch."""
+"""Run many simulations in a few batches.
+
+The simulations of a batch share every kernel launch. They must therefore need the same features, for example the same
+types of contact laws, bonds or clumps.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +35,12 @@ def run_batch(
     checkpoints: Sequence[Path | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Outcome]:
-    """Run simulations on one device, in parallel where they share features and fit into its memory.
+    """Run simulations on one device, as many at the same time as share features and fit into its memory.
 
     Returns one entry for each simulation: its :class:`Run`, or the error that ended the simulation. The failure of a
     simulation does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or
-    None. After Ctrl-C the entries of unfinished simulations are their runs so far, and the entries of simulations
-    that had not begun are `KeyboardInterrupt` exceptions. `progress` is called with the name of a phase and the
-    fraction completed.
+    None. After Ctrl-C the entry of a simulation that had begun is its unfinished run, and the entry of any other is a
+    `KeyboardInterrupt`. `progress` is called with the name of the present part of the work and the fraction completed.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -102,8 +105,9 @@ def _run_batch(
 def _share_rounds(parts: Sequence[_BatchMember]) -> None:
     """Tell each batch with sub-cycled bonds how many such batches run on the GPU at the same time.
 
-    The kernel that moves bodies with stiff bonds synchronises its thread blocks at barriers, so all blocks of all these
-    batches must be resident on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
+    Sub-cycled bonds are stiff bonds that are integrated with several shorter steps within each time step. The kernel
+    for these shorter steps synchronises its thread blocks at barriers, so all blocks of all these batches must be
+    resident on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
     """
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
     several = [batch for batch in batches if batch.features.subcycling]
@@ -112,7 +116,10 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """One batch and its simulations. A simulation is identified by its index in the list of all simulations."""
+    """Batch together with the simulations that it runs.
+
+    A simulation is identified by its index in the list of all simulations.
+    """
 
     def __init__(
         self,
@@ -128,16 +135,18 @@ class _BatchMember:
         self.stopped = False
         """True if Ctrl-C interrupted a run of this batch."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
-        """Stepper and coroutine of each running simulation, by the index of the simulation. `drive_batches` runs the
-        coroutines, and the steppers advance the simulations."""
+        """For each running simulation, by its index: the coroutine of its run and the stepper that advances it.
+
+        `drive_batches` runs the coroutines.
+        """
         self.stream = stream
         """CUDA stream of this batch while other batches run at the same time, otherwise None."""
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
-        """Create the batch of the simulations `numbers`.
+        """Create a batch of the simulations with the indices `numbers`.
 
-        The outcome of a simulation that cannot begin is its error.
+        If a simulation cannot begin, its error is stored as its result.
         """
         with wp.ScopedStream(self.stream):
             self._begin(numbers)

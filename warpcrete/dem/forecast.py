@@ -58,14 +58,15 @@ IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twi
 def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
     """Forecast the steps, wall time and memory of a run on a Warp `device`.
 
-    `probe` measures the time to record one frame. Raises the same errors as the run would before its first step.
+    `probe` is a function that measures the time to record one frame. Raises the errors that the run itself would raise
+    before its first step.
     """
     ready = _ShortenedCopy(scene, device, precision, threads)
     dt, factor = ready.stepper.dt, ready.factor
     limits, governing = ready.limits()
     frames = probe(ready.simulation)
-    # Time the steps a second time and use the shorter time: other programs can only slow steps down, and they rarely
-    # disturb a long run all the time.
+    # Time the steps a second time and use the shorter time: other programs may have slowed down one of the
+    # measurements, but they rarely slow down all of a long run.
     build, sample, step = ready.build, ready.sample, min(ready.step, ready.step_time())
     steps = scene.duration / dt
     parts: dict[str, float] = {}
@@ -100,7 +101,7 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
 
 
 def _settling_time(scene: Scene) -> float:
-    """Return the simulated time until the packing is at rest [s], fitted to runs of Zhan's pipe units (2019)."""
+    """Return the simulated time until the packing is at rest [s], by a formula fitted to runs of Zhan's pipes."""
     assert scene.settle is not None
     if scene.pipe is None or scene.fill is None:
         return scene.settle.duration
@@ -111,7 +112,8 @@ def _settling_time(scene: Scene) -> float:
 class _ShortenedCopy:
     """Copy of a scene on which the forecast measures wall times.
 
-    The copy starts at t = 0 without settling. If the pipe is very long, the copy has a shorter pipe.
+    The copy starts at t = 0 without letting its bodies come to rest first. If the pipe is very long, the copy has a
+    shorter pipe.
     """
 
     def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
@@ -228,9 +230,10 @@ class _ShortenedCopy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """Return the time step [s] that each feature alone would allow, by name, and a text on what limits the step.
+        """Return the time step [s] that parts of the scene alone would allow, and a text on what limits the step.
 
-        The features are contacts alone, contacts with one kind of bond, and contacts without dashpots.
+        The parts are contacts without bonds, contacts with one kind of bond, contacts without dashpots, and sub-cycled
+        bonds.
         """
         simulation, stepper, scene = self.simulation, self.stepper, self.scene
         fixed = scene.time_step.fixed
@@ -338,7 +341,7 @@ class _ShortenedCopy:
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
-    """Return bodies for a long pipe: copies of the bodies in the first `period` [m] along its `axis`.
+    """Return bodies for a long pipe, made by repeating the bodies in the first `period` [m] along its `axis`.
 
     The copies fill the pipe up to the arc length `length` [m].
     """
@@ -388,7 +391,7 @@ def _memory(simulation: ElementSimulation) -> dict[str, float]:
 
 
 def _features(simulation: ElementSimulation) -> dict[str, str]:
-    """Return, for each optional feature of the kernels, why the scene needs it, or "left out" if the scene does not."""
+    """Return, for each optional feature of the kernels, why the scene needs it; otherwise "left out"."""
     f, scene = simulation.model.features, simulation.scene
     bonds = [name for name, there in (("bonds between aggregates", scene.bonds), ("hydrated bonds", scene.hydration))
              if there] + [f"bonds of {group}" for group in scene.group_bonds]  # fmt: skip

@@ -1,8 +1,9 @@
 """Packing: fill a pipe or any closed mesh with aggregates by growing them in place.
 
 Small aggregates are placed at a low solid fraction and grow at a constant rate, without friction and with damping, as
-in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest. If a solid fraction
-is wanted, the growth ends at this fraction. If a pressure is wanted, the sizes are adjusted until it is met.
+in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest. The user states
+either a solid fraction, at which the growth ends, or a pressure. With a pressure, the sizes are adjusted until the
+contact forces cause this pressure.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class ElementSimulation(Simulation):
         def run(self) -> ElementRun: ...
 
     def set_up(self) -> None:
-        """Build the model and initialise the attributes that the preparation up to t = 0 changes."""
+        """Build the model, and set the attributes that change before t = 0 to their initial values."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
         # Number of completed intervals of the settling before t = 0. It is None before the settling begins and after it
@@ -76,7 +76,7 @@ class ElementSimulation(Simulation):
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the time series so far, each a dictionary of values by column name."""
+        """Rows of the time series that have been recorded so far, each a dictionary of values by column name."""
         return self.sampler.rows
 
     def unit(self, column: str) -> str:
@@ -195,7 +195,7 @@ class ElementSimulation(Simulation):
             self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
 
     def reaching(self, time: float) -> Coroutine:
-        """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
+        """Advance the simulation to `time` [s]; this coroutine yields the times to which the run loop must step.
 
         A scene may contain a rest, for example ten minutes in which the concrete stands still. The rest is not
         simulated: at its moment, bonds and lubrication layer gain at once the strength that they would gain during the

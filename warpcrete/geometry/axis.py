@@ -70,7 +70,7 @@ class Axis:
         return sum(piece.length for piece in self.pieces)
 
     def segments(self) -> list[dict]:
-        """Return every piece of the axis with its start [m] and its unit tangent there.
+        """Return every piece of the axis as a dictionary with its start [m] and its unit tangent there.
 
         The key `outward` holds the unit vector from an arc's centre to the arc's start; for a line, it is zero.
         """
@@ -221,9 +221,9 @@ class Axis:
     def parametrised(self) -> list[dict[str, Any]]:
         """Return the pieces of the axis, each with the range of the coordinate along it.
 
-        The coordinate is the length [m] along a line or the angle [rad] along an arc. At an end of the axis a line has
-        no limit, because the axis continues there. If the axis begins or ends with an arc, an unlimited straight line
-        is added at that end.
+        The coordinate is the length [m] along a line or the angle [rad] along an arc. The axis continues straight
+        beyond both of its ends, so the coordinate of a line at an end has no limit there. If the axis begins or ends
+        with an arc, an unlimited straight line is added at that end.
         """
         rows = []
         segments = self.segments()

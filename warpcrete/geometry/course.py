@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import between, one_of, positive, refuse
+from ..core.errors import at_least, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit, warn
 from .axis import Arc, Axis, Line
@@ -155,9 +155,9 @@ class Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Let the pipeline continue in the direction `tangent`.
+        """Let the next part of the pipeline start in the direction `tangent`, a vector of any length.
 
-        The horizontal heading changes too, unless the new direction is vertical.
+        The horizontal direction `heading` changes too, unless the new direction is vertical.
         """
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)
@@ -243,7 +243,7 @@ class Course:
         if length < 0.5 * abs(outlet - self.diameter):
             refuse(f"part {number}, reducer: length", length, "is too short: must be at least half of the change of "
                                                               "the diameter",
-                   f"use {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
+                   f"use {at_least(0.5 * abs(outlet - self.diameter))} m or more")  # fmt: skip
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
 

@@ -10,9 +10,8 @@ import numpy as np
 from .axis import Axis
 
 HALF_TURN = 0.51 * math.pi
-"""Two pieces of a pipe are checked for a crossing only if their distance along the axis is at least this number times
-the pipe's diameter. In a tight bend, pieces nearer to each other along the axis may be close together without
-crossing."""
+"""Shortest distance along the axis between two pieces of a pipe that are checked for a crossing, divided by the pipe's
+diameter. In a tight bend, pieces nearer to each other along the axis may be close together without crossing."""
 
 
 def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:

@@ -30,8 +30,10 @@ VISIBILITY_TOLERANCE = 1e-3
 """Largest distance between a facet and a surface in front of it, divided by the pipe's radius, at which the surface
 does not count as hiding the facet."""
 OFFSET = 1e-4
-"""The visibility of a facet is tested at points on both sides of the facet. This number is the distance of these points
-from the facet, divided by the pipe's radius."""
+"""Distance from a facet of two points, one on each side, at which the visibility of the facet is tested.
+
+The distance is divided by the pipe's radius.
+"""
 CORNER_WEIGHT = 0.8
 """Weight of a corner in the weighted mean of this corner and the triangle's centre. The visibility of a triangle is
 tested at its centre, and at the weighted means for its three corners."""
@@ -152,7 +154,7 @@ class InnerSurface:
         return begin, end
 
     def _rim(self, closed: float, beyond: float) -> float:
-        """Return the arc length [m] of the rim at which the mesh ends, found by bisection between two arc lengths.
+        """Return the arc length [m] of the rim at which the mesh ends; bisection finds it between two arc lengths.
 
         At `closed` [m], the wall surrounds the axis completely; `beyond` [m] lies at the rim or outside the mesh.
         """

@@ -17,15 +17,20 @@ AROUND = 36
 ADVANCE = 0.25
 """Distance between neighbouring cross-sections of a bore, divided by the bore's radius."""
 MIN_END_STEP = 1 / 256
-"""Limit of the search for the last cross-section before the end of a bore. The search halves its step as it approaches
-the end, and stops when the step is at most a quarter of this number times the bore's radius."""
+"""Accuracy of the search for the last cross-section before the end of a bore.
+
+The search halves its step as it approaches the end. It stops when the step is at most a quarter of this number times
+the bore's radius.
+"""
 MIN_ADVANCE = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections in the search along a bore, divided by the bore's radius. A
 bore that cannot be followed by this distance has ended."""
 MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
-"""Two constants of the iteration that turns a new cross-section towards the local direction of the bore. The first is
-the number of repetitions. The second is the fraction of the remaining angle by which each repetition turns the
-cross-section."""
+"""Constants of the iteration that turns a new cross-section until it is perpendicular to the bore.
+
+The first is the number of repetitions. The second is the fraction of the remaining angle by which each repetition turns
+the cross-section.
+"""
 MAX_TURN_PER_STEP = 0.6
 """Largest accepted angle between the directions of neighbouring cross-sections of a bore [rad]."""
 END_CHECK_DISTANCES = (0.1, 0.3)
@@ -53,8 +58,8 @@ NEAREST = 1e-3
 """Distance from the start of a bore at which its first cross-section is measured, divided by the longest edge of the
 box around the mesh."""
 ASIDE = 0.02
-"""Largest accepted sideways distance of the centre of the first cross-section from the start of the bore, divided by
-the bore's radius."""
+"""Largest accepted distance, perpendicular to the bore, between the bore's stated start and the centre of its first
+cross-section, divided by the bore's radius."""
 RADIUS_TOLERANCE = 0.02
 """Largest accepted change of a cross-section's radius, as a fraction of the radius, when the cross-section is shifted
 or turned. A larger change means that its rays meet something other than the bore's wall, for example a lid."""

@@ -1,4 +1,4 @@
-"""Pipeline parts whose bore is a mesh from a file: their axis, their fit to the pipeline, and their smallest width."""
+"""Pipeline parts whose bore is a mesh from a file: their axis and smallest width, and checks that they fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pipelines that are simulated as one pipe: scene parameters from a pipeline file or mesh, and limits of the shape."""
+"""Pipelines that a scene simulates as one pipe: parameters from their file or mesh, and checks of their shape."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) 
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths [m] of the start of each part and of the end of a pipeline, shape (parts + 1,)."""
+    """Return the arc lengths [m] at which the parts of a pipeline begin, and that of its end, shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 

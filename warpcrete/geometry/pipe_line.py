@@ -37,7 +37,8 @@ class Part:
     angle: float = 0.0
     """Angle of a bend [degrees]; 0 for other parts."""
     relative_loss: float = 1.0
-    """Friction of a hose by the program's model, divided by that of straight pipe of its length; 1 for other parts."""
+    """Friction of a hose by the program's own model, divided by that of straight pipe of the same length; 1 for other
+    parts."""
     layer: float = 1.0
     """Resistance of the slip layer in a hose divided by that of the slip layer in a pipe; 1 for other parts."""
     mesh: MeshBore | None = None
@@ -83,7 +84,10 @@ class Part:
 
     @property
     def loss_key(self) -> tuple[Any, ...]:
-        """Key that is equal for parts with equal pressure loss, or for straight parts with equal loss per metre."""
+        """Key of the part's pressure loss.
+
+        Parts with equal keys have the same loss, or if they are straight, the same loss per metre.
+        """
         if self.is_by_length:
             return ("straight", self.diameter, self.layer)
         shape = self.mesh.digest if self.mesh else ""

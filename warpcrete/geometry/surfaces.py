@@ -68,9 +68,9 @@ class Surfaces:
     def across(self) -> np.ndarray:
         """Return the neighbours of each face across its three edges, shape (faces, 6).
 
-        Each edge joins the face to a neighbouring face. The first three numbers of a face are the corners of the
-        neighbouring faces that lie opposite to the three edges; the last three are the indices of these faces. If an
-        edge has no neighbour, its corner is replaced by the code `BORDER`. If three or more faces share an edge, its
+        Each edge joins the face to a neighbouring face. The first three columns contain, for each edge, the index of
+        the neighbour's corner opposite the edge. The last three columns contain the indices of the neighbours. If an
+        edge has no neighbour, the corner is replaced by the code `BORDER`. If three or more faces share an edge, the
         corner is replaced by the code ``SHARED - k``, where k is the number of the edge's list in :meth:`ring`.
         """
         across = np.concatenate([np.empty((0, 6), np.int64), *self._across])
@@ -83,12 +83,12 @@ class Surfaces:
     def ring(self) -> np.ndarray:
         """Return an array of the adjacency lists of all corners, then of all edges shared by three or more faces.
 
-        - The list of a corner: the lowest index of the faces at the corner, then the other ends of the edges at the
-          corner.
-        - The list of an edge: the lowest index of the faces at the edge, then the corners of these faces opposite the
-          edge.
+        - The list of a corner contains the lowest index of the faces at the corner, then the other ends of the edges at
+          the corner.
+        - The list of an edge contains the lowest index of the faces at the edge, then the corners of these faces
+          opposite the edge.
 
-        The indices of faces are indices within the mesh.
+        Faces are numbered within their mesh.
         """
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 

@@ -138,7 +138,7 @@ class _Wall:
 
     @property
     def reference_points(self) -> np.ndarray:
-        """Points [m] at which `top_speed` evaluates the speed of the wall, shape (n, 3)."""
+        """Points of the wall [m] at which `top_speed` evaluates the wall's speed, shape (n, 3)."""
         return self.origin[None]
 
     def top_speed(self) -> float:

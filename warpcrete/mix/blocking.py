@@ -18,14 +18,14 @@ from .given import MixEntries
 from .ingredients import powder_mass, water_mass
 
 VERDICTS = ("fine", "unknown", "risky", "blocks")
-"""Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
+"""Verdicts of a rule, from the best to the worst; 'unknown' means that the mix lacks an entry that the rule needs."""
 ANSWERS = {
     "fine": "no, by all rules of practice",
     "unknown": "no rule of practice says so, but not all could be applied",
     "risky": "perhaps, by rules of practice",
     "blocks": "yes, by rules of practice",
 }
-"""Answers to the question whether concrete will block a line, by the worst verdict of the rules."""
+"""Answers to the question whether concrete will block a pump line. The keys are the worst verdict of all rules."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
 """Maximum ratio of stone diameter to bore for which concrete can be pumped: for crushed and for rounded stones (ACI
 304.2R)."""

@@ -8,14 +8,20 @@ from ..core.errors import refuse
 from ..theory.fits import student_t
 
 INSTRUMENTS = 2.0
-"""Maximum gap between the uncertainty bands of a value from a rheometer and of one from a slump cone, as a ratio of
-their nearest ends. With a larger gap, the values contradict each other. The factor is an assumption; even rheometers
-differ from one another (Ferraris & Martys 2003; RILEM TC 266-MRP 2023)."""
+"""Largest accepted ratio between a value from a rheometer and a value from a slump cone for the same property.
+
+If their uncertainty bands do not overlap, the ratio is that of the two band ends that are nearest to each other. With a
+larger ratio, the values contradict each other. The factor is an assumption; even rheometers differ from one another
+(Ferraris & Martys 2003; RILEM TC 266-MRP 2023).
+"""
 
 CONES = 3.0
-"""Maximum gap between the uncertainty bands of two yield stresses, from spread and from slump of one cone, as a ratio
-of their nearest ends. With a larger gap, the two measurements contradict each other. In 80 pairs of measurements by Yeh
-(2007), the gap reaches 1.6."""
+"""Largest accepted ratio between two yield stresses that follow from the spread and from the slump of one cone.
+
+If their uncertainty bands do not overlap, the ratio is that of the two band ends that are nearest to each other. With a
+larger ratio, the two measurements contradict each other. In 80 pairs of measurements by Yeh (2007), the ratio reaches
+1.6.
+"""
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,8 @@ class Figure:
     value: float
     low: float
     high: float
-    """Upper end of the band from `low` to `high` in which the true value is expected, in `unit`."""
+    """Upper end of the uncertainty band, in which the true value is expected; its lower end is `low`, both in
+    `unit`."""
     unit: str
     way: str
     """Entry of the mix from which the value follows, such as 'slump of 200 mm'."""
@@ -51,7 +58,7 @@ def short(value: float) -> str:
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property whose band reaches from (1 - `off`) to (1 + `off`) times its value; `way` is its origin."""
+    """Return a property whose uncertainty band reaches from (1 - `off`) to (1 + `off`) times its value."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
@@ -59,14 +66,14 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
     The values come from different entries of the mix, and each has an uncertainty band. If the band of another value
-    does not overlap the first one, the gap between them, as the ratio of their nearest ends, has a limit:
+    does not overlap the first one, the ratio between the two band ends that are nearest to each other has a limit:
 
-    - Two values from rheometers must not have a gap.
+    - The bands of two values from rheometers must overlap.
     - Between a rheometer and a cone, the limit is :data:`INSTRUMENTS`.
     - Between spread and slump of a cone, the limit is :data:`CONES`. In this case, the band of the result is widened up
       to the other band.
 
-    Raises :class:`SceneError` if a gap is too large.
+    Raises :class:`SceneError` if a ratio is too large.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import between, one_of, positive, refuse
-from ..core.inputs.amounts import amount, is_amount
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
     MIN_AMOUNT,
@@ -83,6 +84,14 @@ KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "
         "fine_sand")  # fmt: skip
 LARGEST_NAMES = ("largest_stone", "largest_size", "size_max", "max_size", "maximum_size", "stone")
 """Names under which users state the largest stone, instead of the entry `sizes`."""
+OTHER_NAMES = {
+    **dict.fromkeys(("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio",
+                     "w c ratio"), "water_binder"),
+    **dict.fromkeys(("slump flow", "slumpflow", "flow"), "spread"),
+    **dict.fromkeys(("air content", "entrained air"), "air"),
+    **dict.fromkeys(("unit weight", "bulk density"), "density"),
+}  # fmt: skip
+"""Other names of entries of a mix, in small letters with single blanks between words, which a message translates."""
 PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
@@ -114,7 +123,8 @@ class MixEntries:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """True if the mix states no density, so that the density is the sum of the masses of the ingredients."""
+    """True if the mix states no density. The density is then the sum of the masses of the ingredients in a cubic
+    metre."""
     share: float | None
     """Volume fraction of coarse aggregate in the concrete; None if the mix does not state it."""
     aggregate_density: float
@@ -199,7 +209,10 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     for key in given:
         with errors_located_at(given, key):
             if key in LARGEST_NAMES:
-                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {given[key]}'")
+                size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
+                refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
+            if (own := OTHER_NAMES.get(re.sub(r"[\W_]+", " ", str(key).casefold()).strip())) is not None:
+                refuse("mix key", key, f"is the entry {own!r} of a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")
@@ -336,7 +349,7 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], whether it is the sum of the ingredients, and the ingredients.
+    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients.
 
     The ingredients are a mapping from names to masses in a cubic metre of concrete [kg/m3]; it is empty if the mix
     lists none. `heavy` is the density of the coarse aggregate [kg/m3].

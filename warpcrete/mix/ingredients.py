@@ -120,10 +120,11 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _noun(name: str) -> str:
-    """Return the word of an ingredient's name that tells what it is, usually the last known one; empty without one.
+    """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
 
-    Limestone sand is sand, silica fume is powder, and limestone that is crushed or has a grain size ("limestone 8/16")
-    is aggregate. "Type" stands for cement only if there is no other known word, as in "Type I/II".
+    The result is empty if no word is known. For example, limestone sand is sand, silica fume is powder, and limestone
+    that is crushed or has a grain size ("limestone 8/16") is aggregate. "Type" stands for cement only if there is no
+    other known word, as in "Type I/II".
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
@@ -161,6 +162,9 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     that load. Raises :class:`SceneError` for other texts.
     """
     field = f"mix parts: {name}"
+    if value is None:
+        refuse(field, value, "has no amount",
+               "a comma inside braces {...} begins another ingredient: put a name with a comma in quotes")  # fmt: skip
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
         refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, because the volume of "
@@ -168,14 +172,19 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
     if liquid:
         noun = _noun(name)
-        if noun not in LIQUIDS:
+        volume = amount(field, value, "m3") / load if whole and load else amount(field, value, "m3/m3")
+        trade_name = not noun and volume * DENSITIES["admixture"] <= UNKNOWN_MASS
+        if noun not in LIQUIDS and not trade_name:
             refuse(field, value, "is a volume, which is accepted for water and liquid admixtures only",
                    "give its mass, for example '340 kg/m3' or '570 lb/yd3'")  # fmt: skip
-        return DENSITIES[noun] * (amount(field, value, "m3") / load if whole and load
-                                       else amount(field, value, "m3/m3"))  # fmt: skip
+        return DENSITIES["admixture" if trade_name else noun] * volume
     if isinstance(value, str) and "cwt" in value:
         refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete",
                "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3")  # fmt: skip
+    if load and not whole and isinstance(value, str) and not is_amount(value, "kg/m3") and value.strip()[-1:].isalpha():
+        units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
+        refuse(field, value, "must be a number with one of {} for the whole load, or with one of {}".format(*units),
+               "leave out separators of thousands" if "," in value else "")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 

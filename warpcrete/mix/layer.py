@@ -23,11 +23,13 @@ PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe.
 Deliveries differ by 15 % on a single site (Mai et al. 2014), and by -38 to +31 % in general (Deng et al. 2024)."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
-"""Constants of the relation in :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the densest
-packing of the powder. Both come from the pressures of the nine families of concretes in level lines that are not held
-out of fits (325 to 1,044 m, water-binder ratios of 0.17 to 0.44). The root mean square of the factor between predicted
-and measured friction is 1.33 there. The best constants, about 150 Pa s/m and 0.95, would give 1.31; they fit hardly
-better, because powder-poor and powder-rich families leave a narrow valley of equally good pairs."""
+"""Constants of :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the powder's densest packing.
+
+They were chosen with pressures measured in level pump lines of 325 to 1,044 m with concretes of nine families
+(water-binder ratios of 0.17 to 0.44). Other measurements were kept for tests. The root mean square of the factor
+between predicted and measured friction is 1.33. The best fit, about 150 Pa s/m and 0.95, would reduce it only to 1.31;
+many pairs of constants fit almost equally well.
+"""
 PASTE_ERROR_FACTOR = 1.7
 """Factor by which the true viscosity of a slip layer may be smaller or larger than that of :func:`paste_layer`. For 90
 % of the concretes to which that function was fitted, the difference is smaller."""
@@ -93,7 +95,8 @@ def slump_layer(slump: float) -> tuple[float, float]:
 
     They follow from the Chinese rule JGJ/T 10, which goes back to Morinaga (1973). For a pipe of radius r and the
     velocity v, the pressure loss by this rule is 2 / r (K1 + 1.3 K2 v) 0.9. Here K1 = 300 - slump [Pa] and K2 = 400 -
-    slump [Pa s/m], with the slump in millimetres.
+    slump [Pa s/m], with the slump in millimetres. The yield stress of the layer is therefore 0.9 K1, and its viscosity
+    is 0.9 times 1.3 K2.
     """
     return 0.9 * 1.3 * (400 - 1e3 * slump), 0.9 * max(300 - 1e3 * slump, 0.0)
 
@@ -102,9 +105,9 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
     """Generate estimates of the slip layer, each a pair of viscosity and yield stress, the most reliable one first.
 
     Sources are, in this order: measurements of the layer, the composition of the paste, the viscosity of the concrete
-    and its aggregate, the slump, and finally an assumption. Sources about which the mix contains nothing are skipped.
-    `concrete` supplies density, yield stress and viscosity of the bulk, and `viscosity` is the bulk's viscosity with
-    its band and origin.
+    and its aggregate, the slump, and finally an assumption. A source is skipped if the mix contains no information on
+    it. `concrete` supplies density, yield stress and viscosity of the bulk, and `viscosity` is the bulk's viscosity
+    with its band and origin.
     """
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)

@@ -20,8 +20,8 @@ other than Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
-"""Map from the name of a slip layer's constant in a mix to the name of the same constant in the table of permitted
-values, `core.inputs.limits`."""
+"""Names of the slip layer's constants in a mix, each mapped to the name of the same constant in `core.inputs.limits`,
+the table of permitted values."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
 
@@ -160,6 +160,10 @@ def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) 
         (x, x_unit), (y, y_unit) = columns.items()
         one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
         other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
+    for column, values in zip(columns, (one, other), strict=True):
+        if min(values, default=0.0) < 0:
+            refuse(f"mix {name}: {column}", min(values), f"must be 0 or more {columns[column]}",
+                   "use magnitudes if the instrument turned backwards")  # fmt: skip
     if len(set(one)) < 2:
         refuse(
             f"mix {name}",

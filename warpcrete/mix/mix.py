@@ -31,8 +31,11 @@ FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
 may state them, to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
-"""Causes of uncertainty, and the constants of the concrete that depend on each cause. The constants of one cause are
-assumed to be at the lower ends of their bands together, or at the upper ends."""
+"""Causes of uncertainty, each with the constants of the concrete whose uncertainty it causes.
+
+If several constants have one cause, they are assumed to be at the lower ends of their uncertainty bands together, or at
+the upper ends.
+"""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -84,7 +87,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """Concrete whose constants are not yet multiplied by the factors for another age or temperature."""
+        """Concrete of the mix before its constants are multiplied by the factors for another age or temperature."""
         return Concrete(name=self.name, **self.flow)
 
     @property
@@ -114,7 +117,10 @@ class Mix:
 
     @property
     def band_origin(self) -> str:
-        """Origin of the band of the slip layer: 'paste' if it holds for nine of ten measured concretes, or 'other'."""
+        """Origin of the uncertainty band of the slip viscosity: 'paste' if it follows from the paste, else 'other'.
+
+        A band that follows from the composition of the paste contains the measured values of nine of ten concretes.
+        """
         return "paste" if self["slip viscosity"].way.endswith(OF_PASTE) else "other"
 
     @property
@@ -153,7 +159,7 @@ class Mix:
         }
 
     def rows(self) -> list[dict[str, str]]:
-        """Return the rows of the table of properties, each a mapping with the keys :data:`COLUMNS`.
+        """Return the rows of the table of properties, each as text by the names of its columns, :data:`COLUMNS`.
 
         The last rows describe the aggregate's share, sizes and shape.
         """

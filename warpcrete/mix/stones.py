@@ -22,7 +22,7 @@ FINEST, COARSEST = 1e-3, 0.3
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
     """Return pairs of sieve opening [m] and mass fraction that passes, from openings in millimetres.
 
-    The fractions may be stated in per cent. Raises :class:`warpcrete.SceneError` if they are no sieve curve.
+    The fractions may be stated in per cent. Raises :class:`warpcrete.SceneError` if they do not form a sieve curve.
     """
     example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
     if not isinstance(given, Mapping) or len(given) < 2:

@@ -22,8 +22,8 @@ LEAST = 12.0
 """Minimum height of a column of concrete, in cubes of the coarse grid, for which the coarse grid is used. Solves for a
 lower column take no longer without it."""
 ABOVE = 1.1
-"""Height of the coarse grid, divided by the height of the column. Particles that rise above the grid are assigned to
-its topmost cubes."""
+"""Height of the coarse grid, divided by the initial height of the column of concrete. Particles that rise above the
+grid are assigned to its topmost cubes."""
 
 
 class CoarseGrid:
@@ -33,7 +33,10 @@ class CoarseGrid:
     """
 
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
-        """Build the cubes from the `layout` of a column, the pipe's `radius` [m] and the `reach` of neighbours [m]."""
+        """Build the cubes from the `layout` of a column and the pipe's `radius` [m].
+
+        Two particles are neighbours if their distance is at most `reach` [m].
+        """
         self.width, self.radius, axes = max(WIDTH * layout.spacing, reach), radius, layout.fluid.shape[1]
         wide, tall = (max(3, math.ceil(size / self.width)) for size in (2 * radius, ABOVE * layout.height))
         self.cells = (*[wide] * (axes - 1), tall)
@@ -49,9 +52,10 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Return the indices of each cube and its neighbours, -1 if missing, shape (3^axes, cubes).
+        """Return for each cube the index of the cube itself and of all cubes around it, shape (3^axes, cubes).
 
-        The first dimension numbers the offsets from the cube, -1 to 1 along each axis, with the first axis fastest.
+        An index of -1 means that there is no cube at this place. The first dimension runs over the offsets from the
+        cube, from -1 to 1 along each axis, in which the first axis varies fastest.
         """
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)

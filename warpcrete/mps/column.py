@@ -41,15 +41,18 @@ MIN_SLIP_RATIO = 0.9
 """Minimum slip velocity, divided by the mean velocity, for simulating a flow as a column on a piston. With less slip,
 the column loses volume and its forces do not balance."""
 MIN_PARTICLES_ACROSS = 4
-"""Minimum number of particles across a pipe for which a coarser spacing is tried when accuracy is traded for run
-time."""
+"""Minimum number of particles across the pipe. A trade-off of accuracy for run time tries no particle spacing that
+would leave fewer."""
 FLOW = 1500e-6
 """Volume flow of the reference case of Xu, Li & Jiang 2021 [m3/s]."""
 NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")
 
 
 def diameter_of_radius(radius: Any) -> Any:
-    """Return twice a radius, so that an option `radius` can set the diameter; return anything but a number as it is."""
+    """Return the diameter that belongs to a radius; return a value that is not a number unchanged.
+
+    An option `radius` uses this function to set the parameter `diameter`.
+    """
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
 
 
@@ -110,9 +113,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the flow constants and, for two phases, the parameters of the aggregate from the concrete's file.
+        """Return the values that these parameters take from the file of the concrete, by name.
 
-        A run's record keeps these values, so that they stay known if the file changes later.
+        They are the flow constants and, for a flow with two phases, the parameters of the aggregate. A run's record
+        keeps these values, so that they stay known if the file changes later.
         """
         return {**file_constants(values), **file_aggregates(values)}
 
@@ -121,7 +125,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def phases(self, concrete: Concrete, dimensions: int) -> tuple[Concrete, Aggregates | None]:
-        """Return the concrete as one fluid, and its coarse aggregate with the mortar; None for a flow with one phase.
+        """Return the concrete as one fluid, and its division into coarse aggregate and mortar; None for one phase.
 
         `concrete` has the constants that the parameters state. Where they state a constant of the mortar, the constant
         of the concrete follows from it by homogenisation, so that theory describes the simulated concrete.
@@ -149,7 +153,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete, Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
-        """Return the volume flow [m3/s]: the parameter `flow`, or the flow that `pressure` drives by theory.
+        """Return the volume flow [m3/s] that the parameters state, or that theory predicts for the stated pressure.
 
         `bulk` is the pipe's radius minus the thickness of the slip layer [m]. Raises :class:`SceneError` if flow and
         pressure are both stated, or if nothing flows.
@@ -256,9 +260,10 @@ PROFILE_ACCURACY = 0.01
 
 
 GRID = "--ends periodic where little slips"
-"""Cure for a flow whose shear a column of particles does not represent."""
+"""Advice to the user if the concrete is sheared more than a column of particles can represent: simulate the flow on a
+grid, which has periodic ends."""
 ONE_PHASE = "one phase without --aggregates where little slips"
-"""Replacement of the cure GRID for flows with aggregates, which cannot be simulated on a grid."""
+"""Advice that takes the place of GRID for flows with aggregates, which cannot be simulated on a grid."""
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
     "steady": "a larger --steadiness, or a larger --time-step",
@@ -273,7 +278,10 @@ CURES = {
 
 
 def _cures(run: Run) -> dict[str, str]:
-    """Return the usual cure of each check, by name, without cures that the scene of the run refuses."""
+    """Return the advice to the user for each check that a run may fail, by the name of the check.
+
+    The advice names no option that the scene of the run refuses.
+    """
     if run.scene.aggregates is None:
         return CURES
     return {name: cure.replace(GRID, ONE_PHASE) for name, cure in CURES.items()}
@@ -352,10 +360,10 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return variants of a one-phase flow, as changes of its parameters.
+    """Return other flows for which settings are tested too, as changes of the parameters of a one-phase flow.
 
-    The accuracy of the variants is measured against theory. They have other concretes, flow rates and pipes. With more
-    or less flow, slip carries a larger or smaller part of the flow; the self-compacting concrete is sheared almost
+    The accuracy of these variants is measured against theory. They have other concretes, flow rates and pipes. With the
+    flow rate, the part of the flow that slip carries changes; the self-compacting concrete is sheared almost
     everywhere. All variants have the same kind of ends (piston or periodic) as the flow itself, because the settings
     found for the flow are applied to its variants.
     """

@@ -29,7 +29,8 @@ from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 # differential operators by at most this skin. Positions are relative to the piston and change slowly, so the lists last
 # about eighty steps.
 SKIN = 0.1
-CORRECTION = 0.2  # Fraction of the density error that one step removes.
+# Fraction of the density error, the relative excess of each particle's density sum, that one step removes.
+CORRECTION = 0.2
 HISTORY = 256  # Maximum number of iterations whose residuals a solve stores.
 
 
@@ -40,24 +41,22 @@ class MovingParticles(Stepping):
     """
 
     flags: wp.array
-    """Control flags, the array `flags` of the flow's state."""
+    """Control flags of the flow on the device, such as the number of completed steps, shape (FLAGS,)."""
     particles: Any
-    """Arrays of the fluid particles, the struct `Particles` of the state."""
+    """Position, velocity and pressure of each fluid particle: arrays in a struct `Particles`."""
     lists: Any
-    """Neighbour lists, a struct `Lists`."""
+    """Neighbour lists, which hold the numbers of the particles near each particle, in a struct `Lists`."""
     fields: Any
-    """Working arrays of a step, a struct `Fields`."""
+    """Working arrays of a time step, such as the apparent viscosity at each particle, in a struct `Fields`."""
     matrix: Any
-    """Coefficients of the linear systems, a struct `Matrix`."""
+    """Coefficients of the linear systems, with one row for each particle, in a struct `Matrix`."""
     viscous: Any
     """Linear system for the velocities of the particles, a struct `Solve` whose unknowns are vectors."""
     projection: Any
     """Linear system for the increment of the pressure in a step, a struct `NumberSolve`."""
     shifting: Any
-    """Linear system whose solution moves particles out of crowded regions, a struct `NumberSolve`.
-
-    The residual of the system is the density error.
-    """
+    """Linear system whose solution moves particles out of crowded regions, a struct `NumberSolve`. The solve starts
+    with the density error of each particle, times the fraction CORRECTION, as the residual."""
 
     def __init__(self, state: FluidState, *, threads: int | None = None) -> None:
         scene = state.scene
@@ -113,8 +112,9 @@ class MovingParticles(Stepping):
     def _coarse(self) -> CoarseGrid | None:
         """Return the coarse grid of cubes that preconditions the linear solves, or None if it would save no time.
 
-        The result is None in two cases. Rigid grains are larger than the cubes. In a short column of concrete, solves
-        with the diagonal preconditioner alone take no longer.
+        The result is None in two cases. The first case is a flow with rigid grains, which are larger than the cubes.
+        The second case is a short column of concrete, in which solves with the diagonal preconditioner alone take no
+        longer.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:

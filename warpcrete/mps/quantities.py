@@ -27,7 +27,7 @@ UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
 
 @dataclass(frozen=True)
 class RunData:
-    """Scene, series and theory from which the quantities of a flow are computed."""
+    """Scene, time series and theoretical steady state of a flow, from which its result quantities are computed."""
 
     scene: FluidScene
     series: dict[str, np.ndarray]

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.device.device import PRECISIONS
 from ..core.drawing.html import Parametrised
 from ..core.drawing.style import pumping_caption
-from ..core.errors import between, one_of, positive, refuse
+from ..core.errors import at_most, between, one_of, positive, refuse
 from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 from .common.settings import STEP_ERROR, check_interval
@@ -245,7 +245,7 @@ class FluidScene(Parametrised, FlowSettings):
             refuse(
                 "time_step", self.time_step, "must be shorter, because the piston moves by more than half a particle "
                                              "per step",
-                f"use {0.5 * self.spacing / self.velocity:.3g} s or less"
+                f"use {at_most(0.5 * self.spacing / self.velocity)} s or less"
             )  # fmt: skip
         if self.duration is not None:
             between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")

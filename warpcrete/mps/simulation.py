@@ -32,8 +32,8 @@ TYPICAL_DURATION = 0.03
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, as fractions of the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Simulated time in which slip must break the thixotropic structure of the slip layer, divided by the time in which the
-structure decays to 1/e."""
+"""Simulated time that a run allows for slip to break the thixotropic structure of the slip layer, divided by the time
+in which the structure decays to 1/e."""
 MIN_SLIP_RATIO = 0.1
 """Ratio of slip velocity to mean velocity above which a run continues until the thixotropic structure of the slip layer
 is broken."""
@@ -167,7 +167,7 @@ class FluidSimulation(FlowRun):
         return found
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result that follow from the time series. A pipe flow has no tables."""
+        """Return entries for the run's result, computed from the time series. A pipe flow has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
         result["profiles"] = [self._profile(part) for part in PROFILE_HEIGHTS]

@@ -115,7 +115,10 @@ class StepPart:
         return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 
     def wall_scale(self) -> list[Any]:
-        """Return the stages that scale the wall areas of particles so that their sum is the wetted wall area."""
+        """Return the stages that scale the wall area which each particle represents.
+
+        After scaling, these areas add up to the area of the pipe's wall that the concrete covers.
+        """
         p = self.p
         weights = {"weight": p.fields.wall_weight}
         result = {"wanted": p.wet_area / p.state.layout.volume, "factor": p.fields.wall_scale}

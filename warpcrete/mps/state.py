@@ -33,9 +33,10 @@ class FluidState:
     flags: wp.array
     """Control flags, indexed by the constants in `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
-    """Arrays of the fluid particles, a struct `Particles`."""
+    """Position, velocity and pressure of each fluid particle: arrays in a struct `Particles`."""
     grain_arrays: Any
-    """Arrays of the rigid grains, a struct `Grains`; None for a flow with one phase."""
+    """Position, spin and rotation of each rigid grain of aggregate: arrays in a struct `Grains`; None for a flow with
+    one phase."""
 
     def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
         self.scene, self.device, self.scalar = scene, device, scalar_of(precision)

@@ -13,7 +13,8 @@ FINITE_COLUMNS = ("pressure", "wall_stress", "fastest", "volume_error", "momentu
 CURES = "a smaller time step, a finer spacing, precision float64"
 COLUMN_CURES = {False: "; for concrete that shears, ends = periodic",
                 True: "; for concrete that shears, one phase without aggregates"}  # fmt: skip
-"""Additional cure for a column of particles on a piston, by whether it contains aggregates, which exclude a grid."""
+"""Further advice in the error message of a column of particles on a piston. The key is True for a column with
+aggregates, which cannot be simulated on a grid."""
 
 
 class WatchedFlow:

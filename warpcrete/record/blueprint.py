@@ -23,7 +23,7 @@ CHAINS, CUT = "scene/network", "scene/cut"
 whole scene hides what is recorded under these paths."""
 PAINT_LEGEND = "legend_of_walls"
 CUT_OPACITY = 150
-"""Minimum opacity of the half of a wall that the cut leaves, from 0 to 255."""
+"""Minimum opacity, from 0 to 255, of the half of a wall that remains in the view of the cut scene."""
 
 
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
@@ -70,7 +70,7 @@ def plot_title(plot: Plot) -> str:
 
 
 def _arranged(display: Display, views: list[Any]) -> Any:
-    """Arrange the views in a row if the scene is tall, or in a column if the scene is long."""
+    """Arrange the views: in a row if the scene is tall, in a column if it is long, and in two columns otherwise."""
     import rerun.blueprint as rrb
 
     wide, _, high = np.ptp(display.bounds(), axis=0)

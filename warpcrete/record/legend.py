@@ -26,7 +26,7 @@ def capitalised(title: str) -> str:
 
 
 def meaning(display: Display) -> str:
-    """Return a sentence that explains the colours of the bodies, or an empty text."""
+    """Return a sentence that explains the colours of the bodies; empty if they need no explanation."""
     scale = display.scale()
     if scale is not None:
         label, lower, upper = scale

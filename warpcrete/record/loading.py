@@ -25,12 +25,13 @@ TABLES = ("stations",)
 
 
 def load(folder: Path | str) -> Run:
-    """Return the run in a folder: its scene, series and results, as far as the files were written.
+    """Return the run that a folder contains: its scene, time series and results, if their files have been written.
 
-    Data that only exists during a simulation, such as the final positions of bodies, is missing. A killed run may
-    lack its result, and a run without samples has an empty series. The scene has only its name and its parameters if
-    it was modified or built in Python, or if it cannot be built again because a file that it read is missing or has
-    changed. Raises :class:`RunFolderError` if the folder is not a run folder of this version.
+    Data that only exists during a simulation, such as the final positions of bodies, is missing. A killed run may lack
+    its result, and a run without samples has an empty series. The scene function builds the scene again. This is
+    impossible if the scene was modified or built in Python, or if a file that it read is missing or has changed. The
+    returned scene then has only its name and its parameters. Raises :class:`RunFolderError` if the folder is not a run
+    folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():

@@ -23,7 +23,7 @@ __all__ = ["SETTINGS", "RunFolder", "Simulation"]
 PIPELINE = ("pipeline_vertical", "pipeline_horizontal", "pipeline_other")
 """Names of the command's options that request an estimate of the pressure of a whole pipeline."""
 SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *PIPELINE, "checkpoint_every", "threads")
-"""Settings stored in scene.json, with which a resumed run continues."""
+"""Names of the settings of a run that scene.json stores, so that the run can be resumed with them."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,17 @@ class RunFolder:
         return (self.path / "scene.json").is_file()
 
     def _chosen(self) -> dict[str, bool]:
-        """Return, by the name of each kind of recording, whether recordings of this kind are written."""
+        """Return which kinds of recordings are written: True or False by the name of each kind."""
         if self.recordings is None:
             return {kind.name: kind.default for kind in RECORDERS}
         return {kind.name: kind.name in self.recordings for kind in RECORDERS}
 
     def recorders(self, simulation: Simulation) -> list[Recorder]:
-        """Return the recorders of this folder; raises :class:`SceneError` for another simulation method's setting."""
+        """Return the recorders that write this folder.
+
+        Raises :class:`SceneError` for a setting that the simulation method does not have, such as lines between bodies
+        for a flow.
+        """
         display = method_of(simulation.scene).display
         if self.colour is not None and self.colour not in display.colourings:
             refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")

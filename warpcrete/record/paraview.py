@@ -21,7 +21,7 @@ from ..core.run.simulation_protocol import RecordedSimulation
 from ..geometry.rotation import rotate
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")
-"""Kinds of cells of PolyData, in the order of the columns of the dataset CellOffsets."""
+"""Names of the kinds of cells in PolyData files, in the order of the columns of the dataset CellOffsets."""
 VERSION = (2, 0)
 
 
@@ -50,7 +50,7 @@ class ParaViewRecorder(Recorder):
         self._files: dict[str, Poly] = {}
 
     def start(self, simulation: RecordedSimulation) -> None:
-        """Prepare the files and the walls; later frames get their data from the display that is made here."""
+        """Prepare the files and the walls; create the display that supplies the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -127,7 +127,7 @@ class ParaViewRecorder(Recorder):
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
     def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
-        """Return the number of frames so far, after the background jobs have ended."""
+        """Wait for the background jobs, then return the number of frames so far as the data for a resumed run."""
         self._later.wait()
         return {"frames": self._frames}
 

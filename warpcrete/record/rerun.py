@@ -30,7 +30,8 @@ from .joining import join
 from .legend import legend, paint_legend
 
 PATIENCE = 4.0
-"""Longest wait [s] for a viewer to receive the remaining data, or for a recording's file that has stopped growing."""
+"""Longest time [s] to wait for a viewer that receives no data, or for Rerun's writer if the recording's file does not
+grow."""
 CLOSE_TIMEOUT = 30.0
 """Longest time [s] for opening the recording's file, or for closing it if a viewer has not received the whole
 recording."""
@@ -43,7 +44,7 @@ outside the triangles at the edges of a mesh, and therefore slightly outside the
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
     """Return the Arrow array of a Rerun tensor with its values replaced by others of the same number and type."""
-    # The values of a Rerun tensor are an Arrow union of list arrays, one for each data type.
+    # Arrow stores the values of a Rerun tensor as a union of list arrays, one for each data type.
     union = tensor.field("buffer")
     kind = union.type_codes[0].as_py()
     members = [union.field(number) for number in range(union.type.num_fields)]
@@ -250,7 +251,7 @@ class RerunRecorder(Recorder):
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
         """Record the texture with all colours of walls that show a quantity, and the legend, as static data.
 
-        For all frames, the viewer uses the last version of static data, so a new scale also applies to earlier frames.
+        The viewer uses the last version of static data for all frames, so a new scale also applies to earlier frames.
         """
         rr = self._rr
         from rerun.components import ImageFormat
@@ -369,7 +370,7 @@ class RerunRecorder(Recorder):
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
-    # The following methods manage the outputs of the recording (file and viewer) and the parts of the file.
+    # The following methods open and close the outputs of the recording, which are a viewer and the parts of the file.
 
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
@@ -418,9 +419,10 @@ class RerunRecorder(Recorder):
             raise self._recording_error(failures[0]) from failures[0]
 
     def _finishes(self, call: Callable[[], None], patience: float) -> bool:
-        """Return whether a call of Rerun ends within `patience` [s]; stop waiting if the disk turns out to be full.
+        """Run a call of Rerun in a thread, and return whether it ends within `patience` [s].
 
-        If the call does not end, Rerun's exit handler is removed, because it would block the exit of the program.
+        The wait is shorter if the disk turns out to be full. If the call does not end, Rerun's exit handler is removed,
+        because it would block the exit of the program.
         """
         calling = threading.Thread(target=call, daemon=True)
         calling.start()

@@ -64,7 +64,7 @@ class TableRecorder(Recorder):
         return self.folder / "series.csv"
 
     def claim(self, simulation: RecordedSimulation) -> None:
-        """Create the run folder or take over the folder of an interrupted run, and lock the folder.
+        """Create the run folder, or reuse that of an interrupted run, and lock it against other processes.
 
         A new folder receives scene.json.
         """
@@ -165,7 +165,7 @@ class TableRecorder(Recorder):
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Refuse a scene.json that belongs to a run other than the one described by `record`."""
+    """Raise an error if the folder's scene.json does not describe the same run as `record`, its new contents."""
     there, here = read_json(path), json.loads(json.dumps(record))
     for name in ("scene", "parameters", "files", "device", "precision", "command"):
         if there.get(name) != here[name]:

@@ -63,7 +63,7 @@ def light(stage: Any, display: Display) -> None:
 
 
 def bodies_look(stage: Any) -> Any:
-    """Return a material that takes its colour from the USD attribute `displayColor`."""
+    """Return a material for bodies, whose colour comes from the USD attribute `displayColor`."""
     from pxr import Sdf
 
     material, surface = _material(stage, "Bodies")
@@ -142,7 +142,7 @@ class Colours:
         self._known: dict[int, int] = {}
 
     def set(self, colours: np.ndarray, code: Any) -> None:
-        """Set the colours of all bodies at a USD time code.
+        """Set the colours of all bodies at a USD time code, a number of milliseconds.
 
         The colours are RGB bytes, shape (n, 3).
         """

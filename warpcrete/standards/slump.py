@@ -46,8 +46,8 @@ def _spread_of_long_heap(k: Outcome) -> float | None:
 def _heap(k: Outcome) -> tuple[float, float] | None:
     """Return the radius and the central depth [m] at which a wide heap comes to rest, according to theory.
 
-    The theory includes the heap's resistance to stretching. The result is None without yield stress, or if the radius
-    would not exceed the depth.
+    The theory includes the heap's resistance to stretching. The result is None for concrete without yield stress, or if
+    the radius would not exceed the depth, because the theory does not hold then.
     """
     if k.concrete.yield_stress == 0:
         return None

@@ -18,11 +18,11 @@ from ..core.units import number
 RESTED = 1.0
 """Simulated time [s] that concrete must stay slow before it counts as being at rest."""
 FASTEST, MOST = "fastest", "speed_of_most"
-"""Columns of the series from which rest follows: the largest speed, and the speed that :attr:`StandardTest.slow_share`
-of the concrete does not exceed [m/s]."""
+"""Names of the columns of the series that show whether the concrete is at rest: its largest speed, and the speed that
+the fraction :attr:`StandardTest.slow_share` of the concrete does not exceed [m/s]."""
 FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "Pa": (1.0, " Pa", 1, 1), "1": (1.0, "", 2, 2)}
-"""Format of a result in the report, by its SI unit: the factor to the displayed unit, the displayed unit, the number of
-decimals of the result, and the number of decimals of the closed forms that predict it."""
+"""Format of results in the report. The keys are SI units. Each value contains the factor to the displayed unit, this
+unit, and the numbers of decimals: of the result, and of the closed forms that predict it."""
 Sizes = Mapping[str, float]
 """Dimensions of a vessel by name [m]."""
 Row = Mapping[str, float]
@@ -64,7 +64,7 @@ class Outcome:
     test: StandardTest
     size: Sizes
     series: Mapping[str, np.ndarray]
-    """Columns of the time series; empty if only closed forms are evaluated."""
+    """Columns of the time series by name; empty if only closed forms are evaluated, without a run."""
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
@@ -128,7 +128,7 @@ class Outflow:
     time: str
     """Name of the result that is the duration of the test."""
     finding: str
-    """Name of the check that is passed if the concrete has flowed out by the end of the run."""
+    """Name of the check in the results that is passed if the concrete has flowed out by the end of the run."""
     height: Callable[[Sizes], float]
     """Function that computes the height of the vessel [m] from its dimensions."""
 

@@ -152,8 +152,9 @@ class Cluster:
 
         `where` holds the arguments `record`, `module` and `folder`. `jobs` yields pairs of a tag and a job. When a job
         has ended, `store_outcome` is called with its tag and its result or exception. With `lazily`, the next job is
-        read from `jobs` only when a worker is free for it. `gap` notices a Ctrl-C. After a Ctrl-C, the callback `asked`
-        returns True in running jobs, so that they end, and waiting jobs are cancelled.
+        read from `jobs` only when a worker is free for it. `gap` tells whether the user has pressed Ctrl-C. After a
+        Ctrl-C, jobs that wait are cancelled, and running jobs end because their argument `asked`, a function, returns
+        True.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet

@@ -148,7 +148,7 @@ def _panel(
                 continue
             scatter = np.nan_to_num([row[f"{each.name}_scatter"] for row in part]) * y_scale[0]
             title = each.title if len(drawn) > 1 or not label else ""
-            # Where a line by theory joins the points, a second line would hide it.
+            # Join the points by lines, unless a line for the values by theory already joins them.
             joined = numeric and f"{each.name}_theory" not in theories
             name_of_series = ", ".join(filter(None, (title, label)))
             curves.append(axes.errorbar(

@@ -302,15 +302,15 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
 
 
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
-    """Return the cases with only those parameters that have an effect in the case.
+    """Return the cases without those parameters that do not affect the results of the case.
 
-    Raises :class:`SceneError` for a parameter that has no effect in any case.
+    Raises :class:`SceneError` if there is a parameter that affects none of the cases.
     """
     found = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            # At least one parameter of this case has no effect in any case, so it is probably a mistake. Creating the
+            # At least one parameter of this case affects none of the cases, so it is probably a mistake. Creating the
             # scene raises an error that names the parameter.
             scene(**case.parameters)
     return found

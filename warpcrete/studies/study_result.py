@@ -186,8 +186,8 @@ class Study:
             for each in self.compared:
                 factor = shown(each.unit)[0]
                 mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
-                text = f"{mean:.2f}" if np.isfinite(mean) else "none"
-                cells.append(text + (f" +- {scatter:.2f}" if np.isfinite(scatter) else ""))
+                text = rounded(mean) if np.isfinite(mean) else "none"
+                cells.append(text + (f" +- {rounded(scatter, 2)}" if np.isfinite(scatter) else ""))
             lines.append("| " + " | ".join([*cells, *(str(row[name]) for name in COUNTS)]) + " |")
         return "\n".join(lines)
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..core.errors import refuse
-from ..kernels.suspension.bodies import body_structs
+from ..core.errors import at_most, refuse
+from ..dem.scene.clumps import ClumpTemplate, sphere
+from ..kernels.suspension.bodies import BodyKind, body_structs
 from ..kernels.suspension.leaving import PARKED
 from ..kernels.suspension.pairs import CAPACITY, LOOKED_AT, pair_struct
 from ..mps.common.allocation import allocate
@@ -23,18 +24,28 @@ STATE_ARRAYS = ("centre", "velocity", "spin", "turn")
 """Names of the arrays in `Bodies` on which the next step depends, so that a checkpoint contains them."""
 
 
+CONTACT_ARRAYS = ("last_other", "last_normal", "last_force")
+"""Names of the arrays in `Pairs` on which friction in the next step depends, with an entry for each contact."""
+
+
 @dataclass(frozen=True)
 class Aggregates:
-    """Spherical aggregates in a mortar at the start of a run."""
+    """Aggregates in a mortar at the start of a run: spheres, or clumps of several spheres."""
 
     centre: np.ndarray
     """Positions of the aggregates' centres in the coordinates of the grid [m], shape (n, 3)."""
     radius: np.ndarray
-    """Radii of the aggregates [m], shape (n,)."""
+    """Radii of spheres with the volumes of the aggregates [m], shape (n,)."""
     density: float
     """Density of the aggregates [kg/m3]."""
     velocity: np.ndarray | None = None
     """Velocities of the aggregates' centres [m/s], shape (n, 3); None if all aggregates are at rest."""
+    shapes: tuple[ClumpTemplate, ...] = field(default_factory=lambda: (sphere(),))
+    """Shapes of the aggregates."""
+    shape: np.ndarray | None = None
+    """Index in `shapes` of each aggregate's shape, shape (n,); None if all have the first shape."""
+    turn: np.ndarray | None = None
+    """Orientations of the aggregates as quaternions (x, y, z, w), shape (n, 4); None if none is turned."""
 
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)
@@ -52,6 +63,76 @@ class Aggregates:
         """Number of aggregates."""
         return len(self.radius)
 
+    @property
+    def clumps(self) -> bool:
+        """True if any shape has more than one sphere."""
+        return any(len(shape.radii) > 1 for shape in self.shapes)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Diameters of spheres with the volumes of the aggregates [m], shape (n,)."""
+        return 2 * self.radius
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """Index in `shapes` of each aggregate's shape, shape (n,)."""
+        return np.zeros(self.count, int) if self.shape is None else np.asarray(self.shape, int)
+
+    @property
+    def turns(self) -> np.ndarray:
+        """Orientations of the aggregates as quaternions (x, y, z, w), shape (n, 4)."""
+        return np.tile([0.0, 0.0, 0.0, 1.0], (self.count, 1)) if self.turn is None else self.turn
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Shortest side of each aggregate's bounding box along its principal axes [m], shape (n,)."""
+        return self.size * np.array([shape.widths.min() for shape in self.shapes])[self.kinds]
+
+
+class Spheres:
+    """Spheres of which aggregates consist, aggregate by aggregate; the number of spheres is m."""
+
+    def __init__(self, aggregates: Aggregates) -> None:
+        kinds, size, shapes = aggregates.kinds, aggregates.size, aggregates.shapes
+        number = np.array([len(shape.radii) for shape in shapes])[kinds]
+        self.first = np.concatenate([[0], np.cumsum(number)])
+        """Index of each aggregate's first sphere, and the number of all spheres, shape (n + 1,)."""
+        self.body = np.repeat(np.arange(aggregates.count), number)
+        """Index of the aggregate to which each sphere belongs, shape (m,)."""
+        scale = np.repeat(size, number)
+        self.offset = np.concatenate([shapes[k].offsets for k in kinds]) * scale[:, None]
+        """Centres of the spheres along the principal axes of their aggregates [m], shape (m, 3)."""
+        self.radius = np.concatenate([shapes[k].radii for k in kinds]) * scale
+        """Radii of the spheres [m], shape (m,)."""
+        self.share = np.concatenate([shapes[k].shares for k in kinds]) * np.pi / 6 * scale**3
+        """Volume that counts as part of each sphere [m3], shape (m,). Overlaps of spheres count once."""
+        self.moments = np.array([shape.inertia for shape in shapes])[kinds] * size[:, None] ** 2
+        """Principal moments of inertia of the aggregates, divided by their masses [m2], shape (n, 3)."""
+
+    @property
+    def count(self) -> int:
+        """Number of spheres."""
+        return len(self.radius)
+
+    def centres(self, centre: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Return the centres of the spheres [m], shape (m, 3).
+
+        `centre` and `turn` are the centres, shape (n, 3), and the orientations of the aggregates, shape (n, 4).
+        """
+        return centre[self.body] + rotated(turn[self.body], self.offset)
+
+
+def _entries(count: np.ndarray) -> np.ndarray:
+    """Return the indices of all contacts in arrays with CAPACITY entries for each sphere, from numbers of contacts."""
+    return np.concatenate([s * int(CAPACITY) + np.arange(n) for s, n in enumerate(count)]).astype(int)
+
+
+def rotated(turn: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return vectors, shape (n, 3), that are rotated by unit quaternions (x, y, z, w), shape (n, 4)."""
+    axis, part = turn[:, :3], turn[:, 3:]
+    across = 2 * np.cross(axis, x)
+    return x + part * across + np.cross(axis, across)
+
 
 def is_inside(centres: np.ndarray) -> np.ndarray:
     """Return a mask of the aggregates that are at least partly in the simulated box; `centres` has the shape (n, 3)."""
@@ -62,32 +143,41 @@ class BodyState:
     """State of the aggregates on a device: motion, neighbours, and the faces and cells of the grid that they cover."""
 
     def __init__(
-        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any, device: Any
-    ) -> None:
+        self, aggregates: Aggregates, layout: GridLayout, density: float, gravity: np.ndarray, scalar: Any,
+        device: Any, friction: float = 0.0,
+    ) -> None:  # fmt: skip
         structs = body_structs(scalar)
         count, radius = aggregates.count, aggregates.radius
         width = min(layout.room.width)
-        if 2 * radius.min() < MIN_CELLS * width:
-            refuse("spacing", width, f"is too coarse: the smallest aggregate, {2 * radius.min():.3g} m, must be at "
-                                     f"least {MIN_CELLS:g} cells wide",
-                   f"use {2 * radius.min() / 4:.3g} m or less, or count smaller aggregates as mortar")  # fmt: skip
+        narrowest = float(aggregates.widths.min())
+        if narrowest < MIN_CELLS * width:
+            refuse("spacing", width, f"is too coarse: the narrowest aggregate, {narrowest:.3g} m, must be at least "
+                                     f"{MIN_CELLS:g} cells wide",
+                   f"use {at_most(narrowest / 4)} m or less, or count smaller aggregates as mortar")  # fmt: skip
         volume = 4 / 3 * np.pi * radius**3
         extra = (aggregates.density - density) * volume
         zero = np.zeros((count, 3))
         self.count, self.radius, self.extra_weight = count, radius, extra[:, None] * gravity
+        self.kind, parts = BodyKind(aggregates.clumps, friction > 0), Spheres(aggregates)
+        self.parts, self.spheres = parts, parts.count
         self.excess = aggregates.density - density
         self.low = np.array(layout.room.origin)
         self.high = self.low + np.array(layout.room.cells) * np.array(layout.room.width)
         self.bodies = allocate(
             structs.Bodies, device, centre=aggregates.centre, spin=count,
             velocity=zero if aggregates.velocity is None else np.asarray(aggregates.velocity, float),
-            turn=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), radius=radius, extra_mass=extra,
+            turn=aggregates.turns, radius=radius, extra_mass=extra,
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
         )  # fmt: skip
-        # Upper bound of the number of faces that a sphere covers: three faces for each cell, and as many cells as a
-        # sphere contains whose radius is larger by two cells.
-        room = np.ceil(3 * 4 / 3 * np.pi * (radius / width + 2) ** 3).astype(int)
+        if self.kind.clumps:
+            allocate(structs.Bodies, device, self.bodies, first=parts.first, body=parts.body, size=parts.radius,
+                     share=parts.share, offset=parts.offset, arm=parts.count, moments=parts.moments, tensor=count,
+                     gyration=count)  # fmt: skip
+        # Upper bound of the number of faces that an aggregate covers: three faces for each cell, and as many cells as
+        # its spheres contain if their radii are larger by two cells.
+        room = np.ceil(3 * 4 / 3 * np.pi * (parts.radius / width + 2) ** 3).astype(int)
+        room = np.add.reduceat(room, parts.first[:-1])
         slots = int(np.prod(layout.shape))
         self.cover = allocate(
             structs.Cover, device, claims=3 * slots, owner=3 * slots, closing=3 * slots, closer=3 * slots, shared=slots,
@@ -95,32 +185,49 @@ class BodyState:
             first=np.concatenate([[0], np.cumsum(room)]), faces=int(room.sum()), part=int(room.sum()),
             lever=int(room.sum()),
         )  # fmt: skip
-        entries = count * int(CAPACITY)
+        entries = parts.count * int(CAPACITY)
         self.pairs = allocate(
-            pair_struct(scalar), device, count=count, other=entries, normal=entries, gap=entries, rough=entries,
-            still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=count, full=1, changed=1,
+            pair_struct(scalar), device, count=parts.count, other=entries, normal=entries, gap=entries, rough=entries,
+            still=entries, lubrication=entries, hold=entries, touching=entries, smallest_gap=parts.count, full=1,
+            changed=1,
         )  # fmt: skip
+
+        if self.kind.friction:
+            allocate(pair_struct(scalar), device, self.pairs, grip=entries, drift=entries, last_count=parts.count,
+                     last_other=entries, last_normal=entries, last_force=entries)  # fmt: skip
 
         # The hash grid finds neighbours from points in single precision, so the largest distance of two neighbours is
         # enlarged slightly to allow for rounding.
         room = layout.room
-        self.span = 1.0001 * (2 * float(radius.max()) + float(LOOKED_AT) * max(room.width))
+        self.span = 1.0001 * (2 * float(parts.radius.max()) + float(LOOKED_AT) * max(room.width))
         lengths = np.array(room.cells) * np.array(room.width)
         self.grid = wp.HashGrid(*np.clip(lengths / self.span, 1, MAX_GRID).astype(int).tolist(), device=device)
-        self.points = wp.zeros(count, dtype=wp.vec3f, device=device)
+        self.points = wp.zeros(parts.count, dtype=wp.vec3f, device=device)
 
     def sort(self) -> None:
-        """Sort the centres of the aggregates into the cells of the hash grid."""
+        """Sort the centres of the spheres into the cells of the hash grid."""
         self.grid.build(self.points, self.span)
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return centres, velocities, spins and orientations of the aggregates, by name."""
-        return {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+        """Return centres, velocities, spins, orientations and, with friction, contacts of the aggregates, by name."""
+        found = {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+        if self.kind.friction:
+            found["last_count"] = self.pairs.last_count.numpy()
+            entries = _entries(found["last_count"])
+            found |= {name: getattr(self.pairs, name).numpy()[entries] for name in CONTACT_ARRAYS}
+        return found
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
-        """Restore centres, velocities, spins and orientations of the aggregates from a `state_dict`."""
+        """Restore the state of the aggregates from a `state_dict`."""
         for name in STATE_ARRAYS:
             getattr(self.bodies, name).assign(found[name])
+        if self.kind.friction:
+            self.pairs.last_count.assign(found["last_count"])
+            entries = _entries(found["last_count"])
+            for name in CONTACT_ARRAYS:
+                whole = getattr(self.pairs, name).numpy()
+                whole[entries] = found[name]
+                getattr(self.pairs, name).assign(whole)
 
     @property
     def inside(self) -> np.ndarray:
@@ -133,18 +240,19 @@ class BodyState:
         The bits of `opens` are 1 for open sides: bit 2 k for the lower side along axis k, and bit 2 k + 1 for the upper
         one.
         """
-        centre, volume = self.bodies.centre.numpy().astype(float), self.radius**3
-        left = np.zeros(self.count)
+        parts = self.parts
+        centre = parts.centres(self.bodies.centre.numpy().astype(float), self.bodies.turn.numpy().astype(float))
+        left = np.zeros(parts.count)
         for side in range(6):
             if opens >> side & 1:
                 axis = side // 2
                 depth = centre[:, axis] - self.low[axis] if side % 2 == 0 else self.high[axis] - centre[:, axis]
-                h = np.clip(self.radius - depth, 0.0, 2 * self.radius)
-                left += h**2 * (3 * self.radius - h) / 4
-        return float(np.sum(np.maximum(volume - left, 0.0)) / np.sum(volume))
+                h = np.clip(parts.radius - depth, 0.0, 2 * parts.radius)
+                left += h**2 * (3 * parts.radius - h) / (4 * parts.radius**3)
+        return float(np.sum(parts.share * np.maximum(1 - left, 0.0)) / np.sum(parts.share))
 
     def smallest_gap(self) -> float:
-        """Return the smallest gap of any aggregate to a neighbour or wall, divided by the radius of that aggregate.
+        """Return the smallest gap of any sphere to a neighbour or wall, divided by the radius of that sphere.
 
         The gaps are those at the start of the last step. A gap is negative for an overlap.
         """

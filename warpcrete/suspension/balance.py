@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernels.mps.grid.cells import DT, FIXED, GHOST, LIQUID
+from ..kernels.mps.grid.cells import DT, FIXED, GHOST, LIQUID, VELOCITY_CORRECTION
 from ..kernels.suspension.pairs import CAPACITY, WALL
 from .flow import SuspensionFlow
 
@@ -37,8 +37,8 @@ class Balance:
     lubrication: float
     """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
     contacts: float
-    """Power that contacts between aggregates, and of aggregates with walls, dissipate. The power that contacts supply
-    to remove overlaps is subtracted."""
+    """Power that contacts between aggregates, and of aggregates with walls, dissipate, also by friction. The power that
+    contacts supply to remove overlaps is subtracted."""
     kinetic: float
     """Increase of the kinetic energy of mortar and aggregates in the step, divided by the length of the step."""
     damping: float
@@ -89,6 +89,8 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     """
     field = _Grid(flow)
     velocity, start = field.faces("velocity"), field.faces("start")
+    # The last correction of the mean velocity acts as a uniform force, and not through friction at walls.
+    velocity[2] -= np.where(field.faces("kind")[2] == int(LIQUID), flow.mesh.drive.numpy()[int(VELOCITY_CORRECTION)], 0)
     stiffness, on, force = (
         field.array(getattr(flow.mesh, name), 9) for name in ("wall_stiffness", "wall_weight", "wall_force")
     )
@@ -103,6 +105,83 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     speed = np.where(known, reached - force / np.where(known, stiffness, 1.0), 0.0)
     shape = (3, 3, *force.shape[1:])
     return force.reshape(shape), speed.reshape(shape), np.where(known, stiffness, 0.0).reshape(shape)
+
+
+@dataclass(frozen=True)
+class PairForces:
+    """Forces between the spheres of aggregates, and of walls on them, at the end of the last step.
+
+    All arrays have one entry for each neighbour of a sphere, so a pair of spheres occurs twice.
+    """
+
+    own: np.ndarray
+    """Index of the sphere."""
+    other: np.ndarray
+    """Index of its neighbour, or WALL."""
+    normal: np.ndarray
+    """Unit vector from the sphere towards the neighbour, shape (n, 3)."""
+    wall_velocity: np.ndarray
+    """Velocity of a wall along `normal`, and along itself if walls rub [m/s], shape (n, 3)."""
+    approach: np.ndarray
+    """Speed at which sphere and neighbour approach each other [m/s]."""
+    sliding: np.ndarray
+    """Velocity of the sphere relative to its neighbour across `normal` [m/s], shape (n, 3); 0 without friction."""
+    lubrication: np.ndarray
+    """Force of lubrication that the grid does not resolve [N]; positive if it pushes both apart."""
+    contact: np.ndarray
+    """Force of the contact along `normal` [N]; positive if it pushes both apart."""
+    rubbing: np.ndarray
+    """Force of the contact's friction on the sphere [N], shape (n, 3)."""
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force on the sphere [N], shape (n, 3)."""
+        return self.rubbing - (self.lubrication + self.contact)[:, None] * self.normal
+
+
+def pair_forces(flow: SuspensionFlow) -> PairForces:
+    """Return the forces between aggregates, and of walls on aggregates, at the end of the last step."""
+    pairs = flow.aggregates.pairs
+    number, rows = pairs.count.numpy(), np.arange(flow.aggregates.spheres)
+    own = np.repeat(rows, number)
+    places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
+    other = pairs.other.numpy()[places]
+    wall = other == int(WALL)
+    normal, gap, rough, still, slow, hold, touching = (
+        getattr(pairs, name).numpy().astype(float)[places]
+        for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
+    )
+    velocity = _velocities_at_gaps(flow, own, np.where(wall, own, other), normal, gap)
+    relative = velocity[0] - np.where(wall[:, None], 0.0, velocity[1])
+    approach = np.sum(relative * normal, 1) - still
+    # Contacts that were found only after the last solve exert no force in this step.
+    hold = hold * (touching == 1)
+    contact = hold * (approach + (rough - gap) / flow.scene.time_step)
+    wall_velocity, sliding, rubbing = still[:, None] * normal, np.zeros_like(normal), np.zeros_like(normal)
+    if flow.aggregates.kind.friction:
+        grip, drift = (getattr(pairs, name).numpy().astype(float)[places] for name in ("grip", "drift"))
+        wall_velocity += drift
+        sliding = relative - np.sum(relative * normal, 1)[:, None] * normal - drift
+        rubbing = -grip[:, None] * sliding
+    return PairForces(own, other, normal, wall_velocity, approach, sliding, slow * approach, contact, rubbing)
+
+
+def _velocities_at_gaps(
+    flow: SuspensionFlow, own: np.ndarray, other: np.ndarray, normal: np.ndarray, gap: np.ndarray
+) -> list[np.ndarray]:
+    """Return the velocities of both spheres of all pairs where they touch [m/s], each of shape (n, 3)."""
+    aggregates = flow.aggregates
+    parts, kind, bodies, found = aggregates.parts, aggregates.kind, aggregates.bodies, []
+    moved, turned = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
+    for sphere, side in ((own, normal), (other, -normal)):
+        lever = np.zeros_like(normal)
+        if kind.clumps:
+            lever += bodies.arm.numpy().astype(float)[sphere]
+        if kind.friction:
+            lever += (parts.radius[sphere] + 0.5 * gap)[:, None] * side
+        body = parts.body[sphere]
+        found.append(moved[body] + np.cross(turned[body], lever))
+    return found
 
 
 class _Grid:
@@ -171,17 +250,21 @@ class _Step:
 
         The implicit Euler method damps kinetic energy in a step of finite length.
         """
-        bodies = self.flow.aggregates.bodies
+        bodies, clumps = self.flow.aggregates.bodies, self.flow.aggregates.kind.clumps
         heavy, round = (a.numpy().astype(float)[:, None] for a in (bodies.extra_mass, bodies.extra_inertia))
         kinetic = damping = 0.0
-        for mass, after, before in (
-            (self.mass, self.u, self.start),
-            (heavy, self.after[0], self.before[0]),
-            (round, self.after[1], self.before[1]),
-        ):
-            change = np.where(mass != 0, after - before, 0.0)
-            kinetic += float(np.sum(mass * change * (after - 0.5 * change)))
-            damping += float(np.sum(0.5 * mass * change**2))
+        changes = [
+            np.where(self.mass != 0, self.u - self.start, 0.0),
+            *(b - a for a, b in zip(self.before, self.after, strict=True)),
+        ]
+        gains = [self.mass * changes[0], heavy * changes[1], round * changes[2]]
+        if clumps:
+            gains[2] = np.einsum("nij,nj->ni", bodies.tensor.numpy().astype(float), changes[2])
+            # The gyroscopic torque turns the angular momentum of a clump, and does no work on it.
+            kinetic -= self.dt * float(np.sum(bodies.gyration.numpy().astype(float) * self.after[1]))
+        for gain, change, after in zip(gains, changes, (self.u, *self.after), strict=True):
+            kinetic += float(np.sum(gain * (after - 0.5 * change)))
+            damping += float(np.sum(0.5 * gain * change))
         ends = [
             float(np.sum(self.mass[2] * u[2]) + np.sum(heavy[:, 0] * bodies[:, 2]))
             for u, bodies in ((self.start, self.before[0]), (self.u, self.after[0]))
@@ -227,28 +310,13 @@ class _Step:
 
         The force is that of the walls on the aggregates, as its component along the last axis of the grid.
         """
-        flow, pairs = self.flow, self.flow.aggregates.pairs
-        number, rows = pairs.count.numpy(), np.arange(flow.aggregates.count)
-        own = np.repeat(rows, number)
-        places = np.concatenate([b * int(CAPACITY) + np.arange(n) for b, n in zip(rows, number, strict=True)])
-        other = pairs.other.numpy()[places]
-        wall = other == int(WALL)
-        normal, gap, rough, still, slow, hold, touching = (
-            getattr(pairs, name).numpy().astype(float)[places]
-            for name in ("normal", "gap", "rough", "still", "lubrication", "hold", "touching")
-        )
-        velocity = self.after[0]
-        relative = velocity[own] - np.where(wall[:, None], 0.0, velocity[np.where(wall, 0, other)])
-        approach = np.sum(relative * normal, 1) - still
-        # Contacts that were found only after the last solve exert no force in this step.
-        hold = hold * (touching == 1)
+        found = pair_forces(self.flow)
+        wall = found.other == int(WALL)
         # Both aggregates of a pair have an entry for it, so each entry counts half of the pair's power.
         share = np.where(wall, 1.0, 0.5)
-        apart = hold / flow.scene.time_step * (rough - gap)
-        force = -((slow + hold) * approach + apart)
         return (
-            float(np.sum(share * slow * approach**2)),
-            float(np.sum(share * (hold * approach + apart) * approach)),
-            float(np.sum(np.where(wall, force * still, 0.0))),
-            float(np.sum(np.where(wall, force * normal[:, 2], 0.0))),
+            float(np.sum(share * found.lubrication * found.approach)),
+            float(np.sum(share * (found.contact * found.approach - np.sum(found.rubbing * found.sliding, 1)))),
+            float(np.sum(found.force[wall] * found.wall_velocity[wall])),
+            float(np.sum(found.force[wall, 2])),
         )

@@ -1,4 +1,4 @@
-"""Display of a mortar with aggregates: the surface of the concrete, and the aggregates as spheres."""
+"""Display of a mortar with aggregates: the surface of the concrete, and the spheres of the aggregates."""
 
 from __future__ import annotations
 
@@ -35,16 +35,22 @@ class SphereDisplay(GridDisplay):
         ball = trimesh.creation.icosphere(subdivisions=DIVISIONS)
         return np.asarray(ball.vertices, float), np.asarray(ball.faces)
 
+    def sphere_centres(self) -> np.ndarray:
+        """Return the centres of the spheres of all aggregates [m], shape (m, 3)."""
+        centres, bodies = self.read("aggregates.centre").astype(float), self.simulation.flow.aggregates
+        return bodies.parts.centres(centres, self.read("aggregates.turn").astype(float))
+
     def with_spheres(
         self, concrete: Surface, centres: np.ndarray, numbers: np.ndarray, cut: float | None = None
     ) -> Surface:
         """Return a surface of the concrete with spheres at `centres` [m], shape (n, 3).
 
-        `numbers` are the indices of the aggregates that the spheres show. With `cut`, only spheres in or behind the
-        plane at this coordinate y [m] are drawn.
+        `numbers` are the indices of the spheres among those of all aggregates. With `cut`, only spheres in or behind
+        the plane at this coordinate y [m] are drawn.
         """
-        radii = self.read("aggregates.radius").astype(float)[numbers]
-        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)[numbers]
+        parts = self.simulation.flow.aggregates.parts
+        radii = parts.radius[numbers]
+        speeds = np.linalg.norm(self.read("aggregates.velocity").astype(float), axis=1)[parts.body[numbers]]
         if cut is not None:
             seen = centres[:, 1] + radii > cut
             centres, radii, speeds = centres[seen], radii[seen], speeds[seen]
@@ -89,10 +95,10 @@ class SuspensionDisplay(SphereDisplay, FreeDisplay):
         return self.derived(("with aggregates", cut), lambda: self._with_spheres(concrete, cut))
 
     def _with_spheres(self, concrete: Surface, cut: bool) -> Surface:
-        centres = self.read("aggregates.centre").astype(float)
-        inside = is_inside(centres)
+        inside = is_inside(self.read("aggregates.centre").astype(float))
+        inside = inside[self.simulation.flow.aggregates.parts.body]
         copies = self._mirrored
-        centres = np.concatenate([centres[inside] * [a, b, 1.0] for a, b in copies])
+        centres = np.concatenate([self.sphere_centres()[inside] * [a, b, 1.0] for a, b in copies])
         return self.with_spheres(
             concrete, centres, np.tile(np.flatnonzero(inside), len(copies)), self.cut if cut else None
         )

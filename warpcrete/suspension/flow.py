@@ -18,7 +18,10 @@ from ..kernels.mps.grid.walls import wall_kernel
 from ..kernels.mps.structs import PRESSURE
 from ..kernels.suspension import coupling
 from ..kernels.suspension.blocks import block_kernel
-from ..kernels.suspension.bodies import cover_kernels, motion_kernels, release_kernels
+from ..kernels.suspension.bodies import motion_kernels, pose_kernel
+from ..kernels.suspension.cover import cover_kernels, release_kernels
+from ..kernels.suspension.entering import entering_kernels
+from ..kernels.suspension.friction import friction_kernels
 from ..kernels.suspension.leaving import leaving_kernels
 from ..kernels.suspension.neighbours import neighbour_kernels
 from ..kernels.suspension.strain import strain_kernels
@@ -27,6 +30,7 @@ from ..mps.grid.geometry import MIRROR, OPEN_SIDE, WALL
 from ..mps.grid.stages import GridStep
 from ..mps.grid.state import GridState
 from .aggregates import Aggregates, BodyState
+from .entrance import Entrance
 from .solve import CoupledSolve, Tolerances
 
 CUTOFF_CELLS = 0.7
@@ -53,10 +57,11 @@ class SuspensionStep(GridStep):
         """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
-        cover, free = cover_kernels(scalar, kind), release_kernels(scalar, kind)
+        bodies = flow.aggregates.kind
+        cover, free = cover_kernels(scalar, kind, bodies), release_kernels(scalar, kind)
         motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
-        neighbours = neighbour_kernels(scalar, kind)
-        count = flow.aggregates.count
+        neighbours, leaving = neighbour_kernels(scalar, kind, bodies), leaving_kernels(scalar, bodies)
+        count, spheres = flow.aggregates.count, flow.aggregates.spheres
         return [
             *self._alone(bins.clear, slots),
             *(self._cells(lift_kernel(scalar, kind), slots=slots, after=flow.state.opened)
@@ -67,22 +72,29 @@ class SuspensionStep(GridStep):
             *self._cells(bins.order),
             *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
             *self._cells(gather_kernel(scalar, kind)),
-            *(self._alone(leaving_kernels(scalar, kind).park, count, opens=flow.opens) if flow.opens else []),
+            *(self._alone(pose_kernel(scalar), count) if bodies.clumps else []),
+            *(self._alone(leaving.park, count, opens=flow.opens) if flow.opens else []),
+            *self._entering("guide"),
             *self._alone(cover.clear, 4 * slots),
             *self._alone(cover.claim, count),
             *self._alone(free.close, slots),
             *self._alone(free.shut, 3 * slots),
             *self._alone(free.share, slots),
+            *self._entering("relax", slots),
             *self._alone(free.release, slots),
             *self._alone(cover.collect, count),
             *self._alone(motion.carry, count),
-            *self._alone(neighbours.locate, count, points=flow.aggregates.points),
+            *self._alone(neighbours.locate, spheres, points=flow.aggregates.points),
             flow.aggregates.sort,
-            *self._alone(neighbours.find, count, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
+            *self._alone(neighbours.find, spheres, grid=flow.aggregates.grid.id, span=flow.aggregates.span,
                          sides=flow.sides, mirrors=flow.mirrors,
                          longest=flow.scene.time_step, cutoff=flow.cutoff, roughness=flow.roughness),
-            *(self._alone(leaving_kernels(scalar, kind).weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
+            *(self._alone(leaving.weigh, count, opens=flow.opens, excess=flow.aggregates.excess)
               if flow.opens else []),
+            *self._entering("ignore"),
+            *self._entering("weigh", excess=flow.aggregates.excess),
+            *(self._alone(friction_kernels(scalar, kind, bodies).rub, spheres, mirrors=flow.mirrors,
+                          friction=flow.friction) if bodies.friction else []),
             *self._alone(strain.rates, slots),
             *self._alone(strain.viscosity, slots),
             *self._cells(wall_kernel(scalar, kind)),
@@ -95,6 +107,17 @@ class SuspensionStep(GridStep):
             *self._complete(flow.projection),
         ]  # fmt: skip
 
+    def _entering(self, name: str, tasks: int | None = None, **named: Any) -> list[Any]:
+        """Return the stage of a kernel for aggregates that enter through a plane; no stage if none enter.
+
+        The number of tasks is that of the aggregates unless stated.
+        """
+        flow = self.flow
+        if flow.entrance is None:
+            return []
+        kernel = getattr(entering_kernels(self.scalar, self.kind, flow.aggregates.kind), name)
+        return self._alone(kernel, tasks or flow.aggregates.count, **named)
+
     def _divergence(self) -> list[Any]:
         """Return the stage that computes the net inflow into each cell, and the matrix of the pressure projection."""
         kernel, system = (
@@ -104,23 +127,35 @@ class SuspensionStep(GridStep):
         return self._cells(kernel, matrix=system.matrix, projection=system.arrays)
 
     def blocks(self) -> list[Any]:
-        """Return the stage that inverts the diagonal block of each aggregate in the matrix of the viscous solve."""
-        kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind)
-        return self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
+        """Return the stages that invert the diagonal block of each aggregate in the matrix of the viscous solve."""
+        kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind, self.flow.aggregates.kind)
+        inverse = self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
+        return [*inverse, *self._entering("fix")]
 
     def after(self) -> list[Any]:
         """Return the stages after the coupled solve, which move the mortar and the aggregates."""
         flow, kind, scalar = self.flow, self.kind, self.scalar
+        fixed = self.layout.periodic and self.layout.mean_velocity_fixed
+        hasten = self._alone(motion_kernels(scalar, kind).hasten, flow.aggregates.count) if fixed else []
         return [
+            *(self._drive() if fixed else []),
+            *hasten,
             *(self._speeds() if flow.adaptive else []),
             # The solve that moves crowded particles apart needs the matrix of the pressure projection. The kernel
             # `resist` has changed this matrix for the coupled solve, so compute it again.
             *([] if flow.full else [*self._divergence(), *self._complete(flow.projection), *self._disperse()]),
             *self._extrapolate(),
             *self._shared(advect_kernel(scalar, kind), flow.count, velocity=flow.extended[0], good=flow.known_faces[0]),
+            *(self._remember() if flow.friction else []),
             *self._alone(motion_kernels(scalar, kind).move, flow.aggregates.count),
             *self._alone(flow.clock_kernels.tick, 1),
         ]
+
+    def _remember(self) -> list[Any]:
+        """Return the stage that stores the normal forces of contacts, on which friction depends in the next step."""
+        bodies = self.flow.aggregates
+        kernel = friction_kernels(self.scalar, self.kind, bodies.kind).remember
+        return self._alone(kernel, bodies.spheres, longest=self.flow.scene.time_step)
 
     def pressure_solve(self, tolerance: float) -> list[Any]:
         """Return the stage that solves for the pressure increment."""
@@ -131,12 +166,14 @@ class SuspensionFlow(GridFlow):
     """Flow of a mortar with rigid aggregates on a three-dimensional grid."""
 
     def __init__(
-        self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, tolerances: Tolerances | None = None
-    ) -> None:
+        self, state: GridState, aggregates: Aggregates, *, roughness: float = 1e-2, friction: float = 0.0,
+        tolerances: Tolerances | None = None, entrance: Entrance | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(state, threads=1)
-        down = np.array([0.0, 0.0, -state.scene.gravity])
+        down = np.array([0.0, 0.0, -state.scene.gravity]) if entrance is None else entrance.gravity
+        self.entrance = None if entrance is None else entrance.on_device(aggregates.centre, self.scalar, self.device)
         self.aggregates = BodyState(
-            aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device
+            aggregates, state.layout, state.scene.concrete.density, down, self.scalar, self.device, friction
         )
         state.aggregates = self.aggregates.bodies
         # The struct `cut` shares all arrays of the flow's struct `mesh`, except for the viscosities. In `cut`, the
@@ -145,15 +182,19 @@ class SuspensionFlow(GridFlow):
         for name in state.structs.Fields.vars:
             setattr(self.cut, name, getattr(self.mesh, name))
         self.cut.in_cell, self.cut.in_corner = wp.zeros_like(self.mesh.in_cell), wp.zeros_like(self.mesh.in_corner)
-        self.roughness, self.cutoff = roughness, CUTOFF_CELLS * max(state.layout.room.width)
+        self.roughness, self.friction = roughness, friction
+        self.cutoff = CUTOFF_CELLS * max(state.layout.room.width)
         self.drag = PORE_DRAG * (min(state.layout.room.width) / float(aggregates.radius.min())) ** 2
         sides = [side for pair in state.layout.room.sides for side in pair]
         self.mirrors = sum(1 << n for n, side in enumerate(sides) if side == MIRROR)
-        self.sides = sum(1 << n for n, side in enumerate(sides) if side in (WALL, MIRROR))
-        # The top of the box, which is the last of its sides, is open as well. Leave it out of the open sides through
-        # which aggregates may leave, because it is above the concrete. The ends of a periodic pipe are connected, so no
-        # aggregate leaves it.
-        leaving = [] if state.layout.periodic else sides[:-1]
+        # The sides of the box around a pipe lie behind the pipe's wall and behind the plane through which aggregates
+        # enter, so aggregates do not meet them.
+        met = (WALL, MIRROR) if entrance is None else (MIRROR,)
+        self.sides = sum(1 << n for n, side in enumerate(sides) if side in met)
+        # In a vessel, the top of the box, which is the last of its sides, is open as well. Leave it out of the open
+        # sides through which aggregates may leave, because it is above the concrete. The ends of a periodic pipe are
+        # connected, so no aggregate leaves it.
+        leaving = [] if state.layout.periodic else sides if entrance is not None else sides[:-1]
         self.opens = sum(1 << n for n, side in enumerate(leaving) if side == OPEN_SIDE)
         self.coupled = CoupledSolve(self, tolerances or Tolerances())
         self._build_stages()
@@ -161,7 +202,8 @@ class SuspensionFlow(GridFlow):
     @property
     def holdings(self) -> dict[str, Any]:
         """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
-        return super().holdings | {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
+        found = {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
+        return super().holdings | found | ({} if self.entrance is None else {"entrance": self.entrance})
 
     def _build_stages(self) -> None:
         part = SuspensionStep(self, range(1))
@@ -185,7 +227,7 @@ class SuspensionFlow(GridFlow):
     def _kernel_arrays(self) -> dict[str, Any]:
         return super()._kernel_arrays | {
             "bodies": self.aggregates.bodies, "cover": self.aggregates.cover, "cut": self.cut,
-            "pairs": self.aggregates.pairs,
+            "pairs": self.aggregates.pairs, "entrance": self.entrance,
         }  # fmt: skip
 
     def invert_blocks(self) -> None:

@@ -1,42 +1,31 @@
-"""Random placement of spherical aggregates without overlaps, for the start of a run."""
+"""Random placement of aggregates without overlaps, for the start of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import product
-
 import numpy as np
 
-from ..core.errors import refuse
+from ..core.errors import at_most, refuse
+from ..core.inputs.limits import warn
 from ..mps.free.layout import free_walls, section_distance
 from ..mps.grid.geometry import MIRROR, nearest_wall
 from ..mps.grid.layout import GridLayout
 from .aggregates import Aggregates
+from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close_pairs, draw_between
+from .placing_clumps import placed_clumps
 from .scene import SphereFields, SuspensionScene
 
-CLEARANCE = 0.02
-"""Minimum gap at the start. Between two spheres it is divided by the mean of their radii, and between a sphere and a
-wall by the sphere's radius."""
-MARGIN = 0.005
-"""Additional gap, beyond CLEARANCE, to which overlapping spheres are pushed apart. Between two spheres it is divided by
-the sum of their radii, and between a sphere and a wall by the sphere's radius. Without this additional gap, overlaps
-would become ever smaller, but never vanish."""
-ITERATIONS = 1000
-"""Maximum number of attempts to place spheres clear of walls, and of iterations that push overlapping spheres apart."""
-SWEEPS = 100
-"""Number of times that each sphere is moved at random after overlaps have been removed."""
+MAX_DEVIATION = 0.1
+"""Largest relative difference between the volume of the placed aggregates and the volume that the scene's fraction
+requires, above which a warning is given."""
 SHRINK = 0.95
 """Factor by which the number of spheres is reduced, repeatedly, if they do not fit. The error message then names the
 volume fraction that fits."""
 
-Distance = Callable[[np.ndarray], np.ndarray]
-"""Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
-
 
 def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
-    """Return randomly placed spheres with the volume fraction and the diameters of a scene.
+    """Return randomly placed aggregates with the volume fraction, the sizes and the shapes of a scene.
 
-    Raises :class:`warpcrete.SceneError` if not all spheres find a place.
+    Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
     """
     nearest, outline = nearest_wall(layout.room, free_walls(scene)), section_distance(scene, scene.outline)
     origin, width = np.array(layout.room.origin), np.array(layout.room.width)
@@ -49,59 +38,78 @@ def placed_aggregates(scene: SuspensionScene, layout: GridLayout) -> Aggregates:
             found = np.minimum(found, x[:, axis] - origin[axis] if side == 0 else top[axis] - x[:, axis])
         return found
 
-    return aggregates_within(scene, layout, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
+    volume = float(np.sum(layout.mass)) * layout.volume
+    return aggregates_within(scene, volume, distance, layout.fluid.min(0), layout.fluid.max(0), scene.seed)
 
 
 def aggregates_within(
-    scene: SphereFields, layout: GridLayout, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
-    periodic: bool = False,
+    scene: SphereFields, volume: float, distance: Distance, low: np.ndarray, high: np.ndarray, seed: int,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> Aggregates:  # fmt: skip
-    """Return randomly placed spheres between the corners `low` and `high` of a box [m], as `random_places` does.
+    """Return randomly placed aggregates between the corners `low` and `high` of a box [m], as `random_places` does.
 
-    Raises :class:`warpcrete.SceneError` if not all spheres find a place.
+    `volume` is the volume of the concrete [m3], of which the aggregates fill the fraction that the scene states.
+    Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
     """
     rng = np.random.default_rng(seed)
-    radii = _radii(scene, layout, rng)
-    centres = random_places(radii, low, high, distance, rng, periodic)
-    if centres is None:
+    radii = _radii(scene, volume, rng)
+    found = _placed(scene, radii, low, high, distance, rng, periodic, draw)
+    if found is None:
         whole, fewer = float(np.sum(radii**3)), rng.permutation(radii)
-        while centres is None and len(fewer) > 1:
+        while found is None and len(fewer) > 1:
             fewer = fewer[: int(SHRINK * len(fewer))]
-            centres = random_places(fewer, low, high, distance, rng, periodic)
-        count, part = (0, 0.0) if centres is None else (len(fewer), float(np.sum(fewer**3)) / whole)
+            found = _placed(scene, fewer, low, high, distance, rng, periodic, draw)
+        count, part = (0, 0.0) if found is None else (len(fewer), float(np.sum(fewer**3)) / whole)
         refuse(
             "aggregate_fraction", scene.aggregate_fraction,
             f"is too large: only {count} of {len(radii)} aggregates found a place",
-            f"use {part * scene.aggregate_fraction:.2g} or less" if count else "use smaller aggregates or a wider box",
+            f"use {at_most(part * scene.aggregate_fraction, 2)} or less" if count
+            else "use smaller aggregates or a wider box",
         )  # fmt: skip
-    return Aggregates(centres, radii, scene.aggregate_density)
+    return found
+
+
+def _placed(
+    scene: SphereFields, radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance,
+    rng: np.random.Generator, periodic: bool, draw: Draw | None,
+) -> Aggregates | None:  # fmt: skip
+    """Return aggregates of a scene at random places without overlaps, or None if they do not fit.
+
+    `radii` are those of spheres of equal volume [m].
+    """
+    shapes = scene.templates
+    if all(len(shape.radii) == 1 for shape in shapes):
+        centres = random_places(radii, low, high, distance, rng, periodic, draw)
+        return None if centres is None else Aggregates(centres, radii, scene.aggregate_density)
+    kinds = rng.integers(len(shapes), size=len(radii))
+    unplaced = Aggregates(np.zeros((len(radii), 3)), radii, scene.aggregate_density, shapes=shapes, shape=kinds)
+    return placed_clumps(unplaced, low, high, distance, rng, periodic, draw)
 
 
 def random_places(
     radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator,
-    periodic: bool = False,
+    periodic: bool = False, draw: Draw | None = None,
 ) -> np.ndarray | None:  # fmt: skip
     """Return random centres of spheres without overlaps, shape (n, 3), or None if the spheres do not fit.
 
     The spheres start at random places between the corners `low` and `high`. Iterations push overlapping spheres apart.
     Random moves without overlaps then spread the spheres like the molecules of a fluid, because pushing leaves too many
-    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis.
+    of them in narrow gaps. If `periodic`, the space from `low` to `high` repeats itself along the last axis. `draw`
+    draws the places at the start; None draws them evenly between the corners.
     """
     period = high[2] - low[2] if periodic else 0.0
-    centres = _start(radii, low, high, distance, rng)
+    centres = _start(radii, draw or draw_between(low, high), distance, rng)
     if centres is None or not _separate(centres, radii, distance, period):
         return None
     _stir(centres, radii, distance, period, rng)
     return low + np.where([False, False, periodic], (centres - low) % (period or 1.0), centres - low)
 
 
-def _start(
-    radii: np.ndarray, low: np.ndarray, high: np.ndarray, distance: Distance, rng: np.random.Generator
-) -> np.ndarray | None:
+def _start(radii: np.ndarray, draw: Draw, distance: Distance, rng: np.random.Generator) -> np.ndarray | None:
     """Return random centres of spheres that overlap no walls, but may overlap each other."""
     centres, left = np.zeros((len(radii), 3)), np.arange(len(radii))
     for _ in range(ITERATIONS):
-        x = rng.uniform(low, high, (len(left), 3))
+        x = draw(rng, len(left))
         free = distance(x) > (1 + CLEARANCE) * radii[left]
         centres[left[free]] = x[free]
         left = left[~free]
@@ -167,52 +175,25 @@ def _stir(centres: np.ndarray, radii: np.ndarray, distance: Distance, period: fl
         size = min(size * (1.1 if np.mean(blocked) < 0.5 else 0.9), float(radii.mean()))
 
 
-def close_pairs(x: np.ndarray, reach: float, period: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pairs of points closer than `reach`: both indices and the vectors from the first to the second point.
+def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.ndarray:
+    """Return random radii [m], largest first, of as many aggregates as the scene's volume fraction requires.
 
-    Each pair occurs once, with the smaller index first. If `period` is above 0, space repeats itself along the last
-    axis with this length, which must be at least twice `reach`.
+    The radii are those of spheres of equal volume. Of a sieve curve, only sizes that the cells resolve are drawn. There
+    is at least one aggregate. Warn if the volume of whole aggregates differs from the wanted volume by more than
+    `MAX_DEVIATION`.
     """
-    count = len(x)
-    origin = np.arange(count)
-    if period > 0:
-        # Copy the points near each end of the period to the space beyond the opposite end, so that pairs across an end
-        # are found.
-        x = x - np.where(np.arange(3) == 2, period * np.floor((x - x.min(0)) / period), 0.0)
-        up, down = (np.flatnonzero(x[:, 2] < x[:, 2].min() + reach), np.flatnonzero(x[:, 2] > x[:, 2].max() - reach))
-        shift = np.array([0.0, 0.0, period])
-        x, origin = np.concatenate([x, x[up] + shift, x[down] - shift]), np.concatenate([origin, up, down])
-    cell = np.floor((x - x.min(0)) / reach).astype(np.int64) + 1
-    shape = [int(n) + 2 for n in cell.max(0)]
-    key: np.ndarray = np.asarray(np.ravel_multi_index(tuple(cell.T), tuple(shape)))
-    order = np.argsort(key, kind="stable")
-    ranked, first, second = key[order], [], []
-    own, own_place = key[:count], np.arange(count)
-    # Points are sorted by the key of their cell. Cells that adjoin along the last axis have consecutive keys, so nine
-    # ranges of keys cover the 27 cells at and around a point.
-    for step in product((-1, 0, 1), repeat=2):
-        middle = own + (step[0] * shape[1] + step[1]) * shape[2]
-        start, end = np.searchsorted(ranked, middle - 1), np.searchsorted(ranked, middle + 1, "right")
-        number = end - start
-        first.append(np.repeat(own_place, number))
-        within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
-        second.append(order[within + np.repeat(start, number)])
-    i, j = np.concatenate(first), np.concatenate(second)
-    kept = i < origin[j]
-    i, j = i[kept], j[kept]
-    d = x[j] - x[i]
-    near = np.einsum("ij,ij->i", d, d) < reach**2
-    return i[near], origin[j[near]], d[near]
-
-
-def _radii(scene: SphereFields, layout: GridLayout, rng: np.random.Generator) -> np.ndarray:
-    """Return random radii [m], largest first, of as many spheres as the scene's volume fraction requires."""
-    wanted = scene.aggregate_fraction * float(np.sum(layout.mass)) * layout.volume
-    radii, volume = [], 0.0
+    wanted = scene.simulated_fraction * volume
+    curve = None if scene.sieve is None else scene.sieve.above(scene.diameters[0])
+    radii, filled = [], 0.0
     while True:
-        radius = 0.5 * rng.uniform(*scene.aggregate_diameters)
+        size = rng.uniform(*scene.diameters) if curve is None else float(curve.sample(1, rng)[0])
+        radius = 0.5 * size
         own = 4 / 3 * np.pi * radius**3
-        if volume + 0.5 * own > wanted and radii:
+        if filled + 0.5 * own > wanted and radii:
+            if abs(filled / wanted - 1) > MAX_DEVIATION:
+                placed = scene.simulated_fraction * filled / wanted
+                warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: whole aggregates of these sizes, "
+                     f"{len(radii)} of them, have a fraction of {placed:.3g}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
-        volume += own
+        filled += own

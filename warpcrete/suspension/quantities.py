@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from ..core.run.method import Quantity
 from ..core.run.run_loop import Run
+from ..core.units import number
 from ..mps.free.quantities import RunData, report
 
 
@@ -33,9 +34,19 @@ QUANTITIES = (
 """Results of tests with a ring of bars."""
 
 
+def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield the line of a report that says how much of the stated aggregates is simulated, for a sieve curve."""
+    found = run.result.get("aggregates", {})
+    if "stated_fraction" in found:
+        part = found["fraction"] / found["stated_fraction"]
+        smallest = 1e3 * number(found["smallest"])
+        yield "simulated", f"{100 * part:.0f} % of the stated aggregates; those below {smallest:.3g} mm count as mortar"
+
+
 def report_aggregates(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the report of a free-surface flow, and the fractions of aggregates and mortar still in the vessel."""
+    """Yield the report of a free-surface flow, and the parts of aggregates and mortar that are simulated and remain."""
     yield from report(run)
+    yield from aggregate_lines(run)
     if "aggregates_inside" in run.series:
         aggregates, fraction = float(run.series["aggregates_inside"][-1]), run.result["aggregates"]["fraction"]
         mortar = mortar_part(float(run.series["inside"][-1]), aggregates, fraction)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InstabilityError
+from ..core.units import quantity
 from ..mps.common.run import FlowRun
 from .flow import SuspensionFlow
 
@@ -44,7 +45,7 @@ class AggregateRun(FlowRun):
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(
                 f"t = {row['time']:.6g} s: two aggregates, or an aggregate and a wall, overlap by "
-                f"{-row['smallest_gap']:.2g} of a radius; use a smaller 'time_step'"
+                f"{-row['smallest_gap']:.2g} of a radius; {self.cure}"
             )
 
     @property
@@ -55,5 +56,13 @@ class AggregateRun(FlowRun):
         return 4 / 3 * np.pi * float(np.sum(self.flow.aggregates.radius**3)) / volume
 
     def aggregate_sizes(self) -> dict[str, Any]:
-        """Return number and volume fraction of the aggregates, for the run's result."""
-        return {"aggregates": {"count": self.flow.aggregates.count, "fraction": self.fraction}}
+        """Return number and volume fraction of the aggregates, for the run's result.
+
+        With a sieve curve, also return the stated fraction and the smallest simulated size. Smaller aggregates count as
+        mortar.
+        """
+        found = {"count": self.flow.aggregates.count, "fraction": self.fraction}
+        if self.scene.sieve is not None:
+            found |= {"stated_fraction": self.scene.aggregate_fraction,
+                      "smallest": quantity(self.scene.diameters[0], "m")}  # fmt: skip
+        return {"aggregates": found}

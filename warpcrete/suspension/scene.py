@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
-from ..core.errors import refuse
-from ..core.inputs.parameters import Above, Declared, Within
+from ..core.errors import at_most, refuse
+from ..core.inputs.parameters import Above, Declared, Needs, Suggests, Within
+from ..dem.scene.clumps import TEMPLATE_SETS, ClumpTemplate, templates
+from ..dem.scene.sizes import SieveCurve
 from ..mps.free.scene import FreeScene
 from .aggregates import MIN_CELLS
 
+UNIFORM = "uniform"
+"""Value of `aggregate_sizes` for a size distribution without a sieve curve."""
 MAX_FRACTION = 0.5
 """Largest volume fraction for which spheres can be placed at random without overlaps, in boxes that are six sphere
 diameters wide."""
 
 
-SmallestDiameter = Annotated[
-    float, "Smallest diameter of the simulated aggregates [m]: at least three cells, preferably four", Above()
-]
-LargestDiameter = Annotated[float, "Largest diameter of the simulated aggregates [m]", Above()]
-"""Declarations of parameters that several scenes with aggregates have."""
+WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
+RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
+
+USUAL_CELLS = 4.0
+"""Number of cells across the narrowest aggregates, unless the user states their size."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SphereFields:
     """Fields of a scene that describe its aggregates."""
 
@@ -31,27 +36,79 @@ class SphereFields:
     aggregate_fraction: float
     """Volume of the aggregates divided by the volume of the concrete."""
     aggregate_diameters: tuple[float, float]
-    """Smallest and largest diameter of the aggregates [m]. Between them, all diameters are equally likely."""
+    """Smallest and largest diameter of the aggregates [m], if `aggregate_sizes` is uniform."""
     aggregate_density: float
     """Density of the aggregates [kg/m3]."""
     roughness: float
     """Gap below which two aggregates with the radii R1 and R2 touch, divided by R1 R2 / (R1 + R2)."""
+    friction: float = 0.0
+    """Coefficient of friction of aggregates with each other and with walls."""
+    aggregate_shapes: str = "spheres"
+    """Shapes of the aggregates: the name of a set of templates, or paths of meshes."""
+    aggregate_sizes: str = UNIFORM
+    """Size distribution: uniform, or a sieve curve as the text 'mm:passing,...'. Sizes are the diameters of spheres of
+    equal volume."""
+
+    @cached_property
+    def templates(self) -> tuple[ClumpTemplate, ...]:
+        """Shapes of the aggregates; all are equally frequent."""
+        return templates(self.aggregate_shapes)
+
+    @cached_property
+    def sieve(self) -> SieveCurve | None:
+        """Sieve curve of the stated aggregates, or None if all diameters in a range are equally likely."""
+        return read_sieve(self.aggregate_sizes)
+
+    @property
+    def cell_width(self) -> float:
+        """Largest width of the cells [m]."""
+        return self.spacing
+
+    @property
+    def narrowest(self) -> float:
+        """Width of the narrowest shape, divided by its size."""
+        return min(float(shape.widths.min()) for shape in self.templates)
+
+    @property
+    def resolved(self) -> float:
+        """Size of the smallest aggregates [m] that the cells resolve."""
+        return MIN_CELLS * self.cell_width / self.narrowest
+
+    @property
+    def simulated_fraction(self) -> float:
+        """Volume fraction of the stated aggregates that are simulated; the others count as mortar."""
+        return self.aggregate_fraction * (1.0 if self.sieve is None else self.sieve.retained(self.resolved))
+
+    @property
+    def diameters(self) -> tuple[float, float]:
+        """Smallest and largest diameter of the simulated aggregates [m], as spheres of equal volume."""
+        if self.sieve is None:
+            return self.aggregate_diameters
+        return max(self.sieve.smallest, self.resolved), self.sieve.largest
 
     def check_aggregates(self) -> None:
         """Raise :class:`SceneError` if sizes of aggregates and cells do not fit each other."""
+        if self.sieve is not None:
+            finest, largest = self.resolved, self.sieve.largest
+            if largest <= finest:
+                refuse("spacing", self.spacing, f"is too coarse: aggregates below {finest:.3g} m count as mortar, but "
+                                                f"the sieve curve ends at {largest:g} m",
+                       f"use {self.spacing * largest / finest / 2:.2g} m or less")  # fmt: skip
+            return
         smallest, largest = self.aggregate_diameters
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
-        if smallest < MIN_CELLS * self.spacing:
-            refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {smallest:g} m, must be at least "
+        narrow = smallest * self.narrowest
+        if narrow < MIN_CELLS * self.cell_width:
+            refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
-                   f"use {smallest / 4:.3g} m or less, or count aggregates of this size as mortar")  # fmt: skip
+                   f"use {at_most(narrow / 4)} m or less, or count aggregates of this size as mortar")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuspensionScene(SphereFields, FreeScene):
-    """Mortar with rigid spherical aggregates in a vessel; `concrete` holds the constants of the mortar alone."""
+    """Mortar with rigid aggregates in a vessel; `concrete` holds the constants of the mortar alone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,39 +117,92 @@ class SuspensionScene(SphereFields, FreeScene):
                    "use half of the width")  # fmt: skip
         self.check_aggregates()
 
+    @property
+    def fluid(self) -> FreeScene:
+        """This scene with the mortar alone."""
+        return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
+
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
 
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters(Declared):
-    """Parameters of the aggregates that are simulated as rigid spheres in the mortar."""
+    """Parameters of the aggregates that are simulated as rigid bodies in the mortar."""
 
     common: ClassVar[tuple[str, ...]] = ("aggregate_fraction",)
 
     aggregate_fraction: Annotated[
         float,
-        "Volume fraction of aggregates that are simulated one by one, as rigid spheres in the mortar; "
+        "Volume fraction of aggregates that are simulated one by one, as rigid bodies in the mortar; "
         "the constants of the concrete are then those of the mortar between them. 0 simulates concrete as one fluid",
         Within(0, MAX_FRACTION),
     ] = 0.0
-    aggregate_smallest: SmallestDiameter = 0.05
-    aggregate_largest: LargestDiameter = 0.05
+    aggregate_smallest: Annotated[
+        float | None,
+        "Smallest diameter of the simulated aggregates [m]: at least three cells; default: that of aggregates whose "
+        "narrowest side is four cells wide",
+        Above(), RANGED,
+    ] = None  # fmt: skip
+    aggregate_largest: Annotated[
+        float | None, "Largest diameter of the simulated aggregates [m]; default: the smallest", Above(), RANGED
+    ] = None
+    aggregate_shapes: Annotated[
+        str,
+        "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
+        "meshes. Diameters are those of spheres of equal volume",
+        Suggests(lambda: TEMPLATE_SETS),
+        WITH_AGGREGATES,
+    ] = "spheres"
+    aggregate_sizes: Annotated[
+        str,
+        "Size distribution: uniform, or a sieve curve 'mm:passing,...' by mass. Of a sieve curve, sizes that the cells "
+        "do not resolve count as mortar",
+        WITH_AGGREGATES,
+    ] = UNIFORM
     aggregate_density: Annotated[float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000)] = 2650.0
     roughness: Annotated[
         float,
         "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
         Within(1e-4, 0.1),
     ] = 0.01
+    friction: Annotated[
+        float, "Coulomb friction coefficient of aggregates with each other and with walls", Within(0, 2)
+    ] = 0.0
+
+    @property
+    def diameters(self) -> tuple[float, float]:
+        """Smallest and largest diameter of the aggregates [m], if `aggregate_sizes` is uniform."""
+        narrowest = min(float(shape.widths.min()) for shape in templates(self.aggregate_shapes))
+        # Every scene with aggregates declares the parameter `spacing`, with a default of its own.
+        usual = USUAL_CELLS * float(vars(self)["spacing"]) / narrowest
+        smallest = self.aggregate_smallest or min(usual, self.aggregate_largest or usual)
+        return smallest, self.aggregate_largest or smallest
+
+    @property
+    def coarsest(self) -> float:
+        """Largest diameter of the aggregates [m]."""
+        curve = read_sieve(self.aggregate_sizes)
+        return self.diameters[1] if curve is None else curve.largest
 
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
         return {
             "aggregate_fraction": self.aggregate_fraction,
-            "aggregate_diameters": (self.aggregate_smallest, self.aggregate_largest),
+            "aggregate_diameters": self.diameters,
             "aggregate_density": self.aggregate_density,
             "roughness": self.roughness,
+            "friction": self.friction,
+            "aggregate_shapes": self.aggregate_shapes,
+            "aggregate_sizes": self.aggregate_sizes,
         }
+
+
+def read_sieve(sizes: str) -> SieveCurve | None:
+    """Return the sieve curve of the parameter `aggregate_sizes`, or None if the sizes are uniform."""
+    if sizes == UNIFORM:
+        return None
+    return SieveCurve.from_text(sizes, "aggregate_sizes", "must be 'uniform' or a sieve curve")
 
 
 def vessel_scene(parameters: AggregateParameters, **fields: Any) -> FreeScene:

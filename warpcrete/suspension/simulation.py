@@ -52,7 +52,7 @@ class SuspensionSimulation(AggregateRun, FreeSimulation):
         self.volume = float(np.sum(layout.mass)) * layout.volume
         return SuspensionFlow(
             GridState(scene, layout, self.device, self.precision), placed_aggregates(scene, layout),
-            roughness=scene.roughness,
+            roughness=scene.roughness, friction=scene.friction,
         )  # fmt: skip
 
     def measured(self) -> dict[str, float]:

@@ -70,14 +70,15 @@ class CoupledSolve:
         serial = not flow.parallel
         self.tasks, self.checked = (CPU_TASKS, CHECKED["cpu"]) if serial else (GPU_TASKS, CHECKED["gpu"])
         kind = flow.state.layout.kind
-        self.search, self.forces = search_kernels(self.scalar, serial, kind), force_kernels(self.scalar, kind)
+        bodies = flow.aggregates.kind
+        self.search, self.forces = search_kernels(self.scalar, serial, kind, bodies), force_kernels(self.scalar, kind)
         self.updates = update_kernels(self.scalar, serial, kind)
         self.residuals = residual_kernels(self.scalar, serial, kind)
         self.pressures = pressure_kernels(self.scalar, serial, kind)
         self.products = product_kernels(self.scalar, serial, kind)
         self.moves = advance_kernels(self.scalar, serial, kind)
         self.add_faces = add_kernel(self.scalar)
-        self.pairs = pair_kernels(self.scalar, flow.state.layout.kind)
+        self.pairs = pair_kernels(self.scalar, bodies)
         self.add_up = sum_kernel(serial)
         self.count = flow.aggregates.count
         slots = flow.state.slots
@@ -177,6 +178,19 @@ class CoupledSolve:
                 "sizes differ less"
             )
 
+    def mean_velocity(self) -> np.ndarray:
+        """Return the mean velocities of mortar and aggregates across all faces [m/s], shape (3, *shape)."""
+        self._launch(self.forces.blend, self.count, x=self._present(), flow=self.product.faces)
+        return self.product.faces.numpy().astype(float).reshape(3, *self.flow.state.shape)
+
+    def _present(self) -> Any:
+        """Return the vector of the present velocities, which uses the arrays of `self.product`."""
+        flow, bodies = self.flow, self.flow.aggregates.bodies
+        present = self.product
+        for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
+            wp.copy(getattr(present, name), array)
+        return present
+
     def _begin(self, again: bool) -> None:
         """Compute the residual of the coupled equations for the current solution.
 
@@ -185,10 +199,7 @@ class CoupledSolve:
         flow, slots = self.flow, self.flow.state.slots
         # Earlier stages computed pressure forces and inflows as if faces that aggregates cover in part were mortar
         # only. Correct both for the covered parts.
-        start = self.product
-        bodies = flow.aggregates.bodies
-        for name, array in (("faces", flow.mesh.velocity), ("linear", bodies.velocity), ("angular", bodies.spin)):
-            wp.copy(getattr(start, name), array)
+        start = self._present()
         self._launch(self.forces.blend, self.count, x=start, flow=start.faces)
         self._launch(self.add_faces, 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
         self._launch(self.residuals.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)
@@ -196,7 +207,7 @@ class CoupledSolve:
                      projection=flow.projection.arrays, inflow=self.inflow, again=int(again),
                      residual=self.residual)  # fmt: skip
         self._launch(self.forces.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
-        self._launch(self.pairs.load, self.count, longest=flow.scene.time_step, force=self.residual.linear)
+        self._launch(self.pairs.load, self.count, longest=flow.scene.time_step, forces=self.residual)
         self._launch(self.residuals.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
         if again:
@@ -260,13 +271,13 @@ class CoupledSolve:
         """
         changed, directions = self.flow.aggregates.pairs.changed, self.directions
         changed.zero_()
-        self._launch(self.pairs.touch, self.count, change=self.solution.linear, certain=certain)
+        self._launch(self.pairs.touch, self.count, change=self.solution, certain=certain)
         if not changed.numpy()[0]:
             return False
         if directions.known > self.tolerances.outer:
             directions.known = 0
         for _, count, changes, effects in directions.before(directions.known):
-            self._launch(self.pairs.stiffen, self.count, count=count, change=changes.linear, effect=effects.linear)
+            self._launch(self.pairs.stiffen, self.count, count=count, change=changes, effect=effects)
         directions.orthogonal = 0
         return True
 

@@ -1,4 +1,4 @@
-"""Uncertainty bands: combination of several independent causes into one band, with the contribution of each cause."""
+"""Uncertainty bands of results: combination of several independent causes of uncertainty into one band."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ class Line(Declared):
 
 @dataclass(frozen=True)
 class Steady:
-    """Steady state of a pipe flow."""
+    """Steady state of the flow of concrete through a pipe."""
 
     form: str
     flow: float
@@ -346,7 +346,7 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
 
 
 def layer_share(concrete: Concrete, line: Line, flow: float) -> float:
-    """Return the slip velocity divided by the velocity on the axis of a round pipe, at a `flow` [m3/s]."""
+    """Return the slip velocity at the wall of a round pipe divided by the velocity on its axis, at a `flow` [m3/s]."""
     state = steady(concrete, line, flow)
     return state.slip_velocity / float(velocity(concrete, line, state, [0.0])[0])
 

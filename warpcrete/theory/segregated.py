@@ -19,7 +19,8 @@ from .pipe import Concrete, Line, Steady
 from .suspension import SUSPENSIONS, power_thickening, thickening
 
 STEPS = 200
-"""Maximum number of bisections, which end earlier when no floating-point number lies between the bounds."""
+"""Maximum number of bisections in the search for a root. The search ends earlier if no floating-point number lies
+between the bounds."""
 
 
 @dataclass(frozen=True)

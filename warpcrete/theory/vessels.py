@@ -20,8 +20,8 @@ import numpy as np
 from .laws import BINGHAM, FlowLaw
 
 LAYERS = 4000
-"""Number of slices into which a cone is divided along its height, or a heap along its radius, for numerical
-integration."""
+"""Number of slices for numerical integration, into which a cone is divided along its height or a heap along its
+radius."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120

@@ -23,6 +23,8 @@ from . import (
     stability,
     starting,
     suspensions,
+    suspensions_clumps,
+    suspensions_friction,
     suspensions_many,
     vessels,
 )
@@ -45,6 +47,8 @@ def cases() -> list[Case]:
         vessels,
         spreading,
         suspensions,
+        suspensions_clumps,
+        suspensions_friction,
         suspensions_many,
     )
     return [case for module in modules for case in module.CASES]
@@ -89,7 +93,8 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
 def summary(results: list[tuple[Case, list[Row]]]) -> str:
     """Return a Markdown table with one line per case.
 
-    Each line shows that computed quantity of the case whose error is largest in relation to its tolerance.
+    The line shows the largest error among the computed quantities of the case, with its tolerance. Errors are compared
+    after division by their tolerances.
     """
     lines = [
         "| case | figures | largest error | its tolerance | source of the expected values |",

@@ -22,9 +22,7 @@ class Row:
     ours: float
     expected: float
     tolerance: float
-    """Allowed error |ours - expected| of the computed value `ours`, relative to `scale` if given, otherwise to
-    |expected|.
-    """
+    """Allowed value of :attr:`error`, the relative error of the computed value `ours`."""
     unit: str = "1"
     scale: float | None = None
     at_least: bool = False
@@ -32,9 +30,10 @@ class Row:
 
     @property
     def error(self) -> float:
-        """Return the relative error |ours - expected| of the computed value `ours`.
+        """Return the relative error of the computed value `ours`, which is |ours - expected| divided by |expected|.
 
-        The difference is divided by `scale` if it is given, otherwise by |expected|.
+        If `scale` is given, the divisor is `scale` instead. The error is 0 if the expected value is a lower limit
+        (`at_least`) that the computed value reaches.
         """
         if self.at_least and self.ours >= self.expected:
             return 0.0
@@ -59,11 +58,11 @@ class Case:
     group: str
     slow: bool = False
     curves: dict[str, Any] = field(default_factory=dict)
-    """Curves for the figure; calling `run` fills them in."""
+    """Data of the curves that the figure shows for this case; empty until `run` has stored them."""
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """Return a stepper for a scene in which the positions of all bodies are given and none are packed."""
+    """Return a stepper, which advances a scene in time, for a scene that states the positions of all its bodies."""
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     stepper.choose_dt()

@@ -24,7 +24,8 @@ from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 STEPS = 2000
-# Largest acceptable gain of energy that is not due to work, divided by the energy scale of the instability check.
+# Limit for the energy that a run gains without work being done, divided by the energy scale of the instability check. A
+# run that gains more is not acceptable.
 ENERGY = 0.1
 RADIUS = 0.03
 AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
@@ -41,7 +42,8 @@ class Outcome:
     """Largest overlap, divided by the overlap at which a sphere lies completely inside the sphere or wall that it
     touches."""
     growth: float
-    """Largest gain of energy that is not due to work, divided by the energy scale of the check for instability."""
+    """Largest energy that the run gained without work being done, divided by the energy scale of the instability
+    check."""
     steps: int
     expected_outcome: str = ""
     """Required result of the run: "run" if it must be completed, otherwise a regular expression that the message of the

@@ -88,15 +88,15 @@ def mortar_state(
 
 def mortar_flow(
     cells: Sequence[int], width: float, aggregates: Aggregates, device: str, precision: str, *,
-    tolerances: Tolerances | None = None, **room: Any,
+    tolerances: Tolerances | None = None, friction: float = 0.0, **room: Any,
 ) -> SuspensionFlow:  # fmt: skip
     """Return a flow of mortar with aggregates.
 
-    `cells` is the number of cells along each axis, `width` the edge length of a cell [m], and `room` holds further
-    arguments of :func:`mortar_state`.
+    `cells` is the number of cells along each axis, `width` the edge length of a cell [m], `friction` the coefficient of
+    friction of the aggregates, and `room` holds further arguments of :func:`mortar_state`.
     """
     state = mortar_state(cells, width, device, precision, **room)
-    return SuspensionFlow(state, aggregates, tolerances=tolerances or Tolerances())
+    return SuspensionFlow(state, aggregates, friction=friction, tolerances=tolerances or Tolerances())
 
 
 def take(flow: SuspensionFlow, steps: int) -> np.ndarray:
@@ -118,11 +118,19 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
     sphere = Aggregates(np.full((1, 3), shift * width), np.array([RADIUS]), DENSITY + 500)
     flow = mortar_flow((wide, wide, high), width, sphere, device, precision, walls=[cylinder])
     free = 2 / 9 * 500 * GRAVITY * RADIUS**2 / VISCOSITY
-    slowed = (1 - 2.105 * ratio + 2.0865 * ratio**3 - 1.7068 * ratio**5 + 0.72603 * ratio**6) / (1 - 0.75857 * ratio**5)
-    return float(-take(flow, 3)[0, 2] / (free * slowed))
+    return float(-take(flow, 3)[0, 2] / (free * slowing_by_cylinder(ratio)))
 
 
-def _shear_room(across: int, wide: int) -> dict[str, Any]:
+def slowing_by_cylinder(ratio: float) -> float:
+    """Return the speed of a sphere on the axis of a cylinder over that without walls (Haberman & Sayre 1958).
+
+    `ratio` is the radius of the sphere divided by that of the cylinder.
+    """
+    upper = 1 - 2.105 * ratio + 2.0865 * ratio**3 - 1.7068 * ratio**5 + 0.72603 * ratio**6
+    return upper / (1 - 0.75857 * ratio**5)
+
+
+def shear_room(across: int, wide: int) -> dict[str, Any]:
     """Return the arguments of :func:`mortar_state` for a shear flow with a shear rate of 1 per second.
 
     The box is a cube with `wide` cells along each edge, between two walls that move in opposite directions along the
@@ -156,7 +164,7 @@ def sheared(across: int, wide: int, shift: Sequence[float], device: str, precisi
     sphere, `wide` the number of cells along each edge of the cubic box, and `shift` the offset of the sphere from the
     centre of the box, in cells.
     """
-    room = _shear_room(across, wide)
+    room = shear_room(across, wide)
     sphere = Aggregates(np.array([shift]) * room["width"], np.array([RADIUS]), DENSITY)
     flow = mortar_flow(
         aggregates=sphere, device=device, precision=precision, tolerances=Tolerances(coupled=1e-5), **room

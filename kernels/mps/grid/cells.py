@@ -26,37 +26,42 @@ from ...common.types import types
 from ..flow_laws import BINGHAM
 from ..structs import mps_types
 
-# Value of `solid` for a cell that concrete may fill; any other value is the number that identifies a wall.
+# The array `solid` tells which wall fills each cell. OPEN is its value for a cell that concrete may fill; any other
+# value is the number that identifies a wall.
 OPEN = wp.constant(0)
-SMOOTH = wp.constant(2)  # Value of `solid` for the frictionless wall, which is an axis or a plane of symmetry.
-GATE = wp.constant(3)  # Value of `solid` for the gate, a wall that opens at given times.
-# The constants AIR, LIQUID, FIXED, INSIDE and GHOST are the kinds of cell faces. ROUGH is another value of `solid`.
+SMOOTH = wp.constant(2)  # Value of `solid` in cells inside the frictionless wall, an axis or a plane of symmetry.
+GATE = wp.constant(3)  # Value of `solid` in cells inside the gate, a wall that opens at given times.
+# A face between two cells has one of five kinds: AIR, LIQUID, FIXED, INSIDE or GHOST. ROUGH is another value of
+# `solid`.
 AIR = wp.constant(0)  # Kind of a face without concrete on either side.
 # LIQUID is the kind of a face with concrete on at least one side, which can flow through it. Its velocity is unknown.
 LIQUID = wp.constant(1)
 FIXED = wp.constant(2)  # Kind of a face that is the side of a wall; its velocity is the wall's velocity normal to it.
-INSIDE = wp.constant(3)  # Kind of a face inside a wall.
-ROUGH = wp.constant(4)  # Value of `solid` for a rough wall, to which concrete sticks; higher values mean moving walls.
+INSIDE = wp.constant(3)  # Kind of a face inside a wall that is no ghost face.
+# Value of `solid` in cells inside a rough wall, to which concrete sticks; higher values stand for moving walls.
+ROUGH = wp.constant(4)
 # GHOST is the kind of a face inside a wall if the shear or stretch of the concrete beside it depends on its velocity.
 GHOST = wp.constant(4)
-# Indices of the array `drive`, which contains the force that drives the flow of a periodic pipe.
-FORCE = wp.constant(0)  # Index of the driving force per volume at the start of the next step [N/m3].
-LAST_FORCE = wp.constant(1)  # Index of the driving force per volume that acted in the completed step [N/m3].
-# VELOCITY_CORRECTION is the index of the velocity that is added to all faces along the pipe at the end of a step [m/s].
+# The following constants are indices of the array `drive`, which holds the force that drives the flow of a periodic
+# pipe.
+FORCE = wp.constant(0)  # Entry of `drive`: driving force per volume at the start of the next step [N/m3].
+LAST_FORCE = wp.constant(1)  # Entry of `drive`: driving force per volume that acted in the completed step [N/m3].
+# Entry of `drive`: velocity that is added to all faces along the pipe at the end of a step [m/s].
 VELOCITY_CORRECTION = wp.constant(2)
 DRIVE = 3
-# Indices of the array `clock`, which contains the time and the variables of the step control.
-DT = wp.constant(0)  # Index of the time step [s].
-NOW = wp.constant(1)  # Index of the present time [s].
-UNTIL = wp.constant(2)  # Index of the simulated time at which the present series of steps must end [s].
-# WANTED is the index of the time step that accuracy allows [s]. A step that ends at a given time may be shorter.
+# The following constants are indices of the array `clock`, which holds the time and the variables of the step control.
+DT = wp.constant(0)  # Entry of `clock`: time step [s].
+NOW = wp.constant(1)  # Entry of `clock`: present simulated time [s].
+UNTIL = wp.constant(2)  # Entry of `clock`: simulated time at which the present series of steps must end [s].
+# Entry of `clock`: time step that error and Courant number allow [s]. A step that ends at a given time may be shorter.
 WANTED = wp.constant(3)
-SPEED = wp.constant(4)  # Index of the root mean square speed of the concrete [m/s].
-CELLS_PER_SECOND = wp.constant(5)  # Index of the number of cells that the fastest concrete crosses per second [1/s].
-BEFORE = wp.constant(6)  # Index of the root mean square speed of the concrete in the previous step [m/s].
-RATE = wp.constant(7)  # Index of the rate of change of the root mean square speed in the previous step [m/s2].
-LAST = wp.constant(8)  # Index of the previous time step [s].
-# GATHERED is the index of the root mean square speed that the particles brought to the grid in this step [m/s].
+SPEED = wp.constant(4)  # Entry of `clock`: root mean square speed of the concrete [m/s].
+# Entry of `clock`: number of cells that the fastest concrete crosses per second [1/s].
+CELLS_PER_SECOND = wp.constant(5)
+BEFORE = wp.constant(6)  # Entry of `clock`: root mean square speed of the concrete in the previous step [m/s].
+RATE = wp.constant(7)  # Entry of `clock`: rate of change of the root mean square speed in the previous step [m/s2].
+LAST = wp.constant(8)  # Entry of `clock`: previous time step [s].
+# Entry of `clock`: root mean square speed that the particles brought to the grid in this step [m/s].
 GATHERED = wp.constant(9)
 CLOCK = 10
 STRIP = wp.constant(64)
@@ -175,10 +180,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # (axes * slots,).
         kind: wp.array(dtype=wp.int32)
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
-        start: wp.array(dtype=scalar)  # Velocity across each face before the forces of the step act [m/s].
+        # Velocity across each face at the start of the implicit solve [m/s], shape (axes * slots,).
+        start: wp.array(dtype=scalar)
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
-        wall_area: wp.array(dtype=scalar)  # Area of the pipe's wall along each face; 0 for faces away from walls.
-        traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
+        # Area of the pipe's wall that lies along each face; 0 for faces away from walls.
+        wall_area: wp.array(dtype=scalar)
+        # Shear stress between the pipe's wall and the concrete at each face [Pa], with the sign of the concrete's
+        # velocity relative to the wall.
+        traction: wp.array(dtype=scalar)
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
         slip: wp.array(dtype=scalar)
@@ -199,7 +208,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         potential: wp.array(dtype=scalar)
         in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
         in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
-        stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
+        # Shear stress at each corner of a pipe's cells in the previous step [Pa]; on a wall, the wall stress.
+        stress: wp.array(dtype=scalar)
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
         # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * slots,).
         strain_without_pair: wp.array(dtype=scalar)
@@ -227,7 +237,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # function of the distance from the centre that also weights particles.
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
-        inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.
+        # Positions at which particles that have left the grid enter again [m]; empty if they do not.
+        inlet: wp.array(dtype=t.vec)
         # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * slots,).
         gap: wp.array(dtype=scalar)
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).

@@ -37,11 +37,9 @@ from .cells import (
 COURANT = wp.constant(wp.float64(1.0))
 """Maximum number of cells that the fastest concrete crosses in a step (Courant number)."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""Limits of the ratio between successive time steps.
-
-LONGER is the maximum ratio of the wanted step to the previous wanted step. SHORTER is the minimum ratio of the wanted
-step to the completed step as far as the error limits the step. The Courant number may shorten the step further.
-"""
+"""Limits of the ratio between successive time steps. A wanted step is at most LONGER times as long as the step that was
+wanted before. If the error of a step was too large, the next step is shorter, but at least SHORTER times as long. The
+Courant number may shorten it further."""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
 """Shortest allowed time step, divided by the longest allowed one."""
@@ -52,11 +50,11 @@ class Pace:
     """Parameters that determine the length of the time steps and the accuracy of the solves."""
 
     longest: wp.float64  # Longest allowed time step [s].
-    # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
+    # Allowed error of a step divided by the rms speed of the concrete; 0 if all steps have the longest allowed length.
     error: wp.float64
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
-    # Allowed error of a step, divided by the change of the rms speed in the transfer from particles to the grid. An
-    # error is allowed if it is below this limit or below that of `error`.
+    # Second limit for the error of a step, divided by the change of the rms speed in the transfer of velocities from
+    # particles to the grid. The larger one of this limit and that of `error` applies.
     transfer: wp.float64
     viscous: wp.float64  # Residual norm at which the viscous solve stops if the time step is `longest`.
     pressure: wp.float64  # Residual norm at which the pressure solve stops if the time step is `longest`.

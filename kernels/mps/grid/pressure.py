@@ -26,13 +26,10 @@ from .levels import system_structs
 from .places import grid_functions
 
 CORRECTED, CORRECTED_MOVING = 0.1, 0.5
-"""Fraction of a cell's excess or lack of particles that one step corrects: in concrete at rest, and in concrete that
-moves by a cell per step.
-
-Particles crowd together as they move, most of all at the surface. With 0.1 throughout, an L-box and a funnel lost 1.5
-and 4 % of their volume, and now lose 0.8 and 1.2 %. With 0.3 throughout, corrections keep concrete moving that should
-come to rest.
-"""
+"""Fraction of a cell's excess or lack of particles that one step corrects. The first value holds for concrete at rest,
+the second for concrete that moves by a cell per step. Particles crowd together as they move, most of all at the
+surface. With 0.1 for both, an L-box and a funnel lose 1.5 and 4 % of their volume, instead of 0.8 and 1.2 % with these
+values. With 0.3 for both, corrections keep concrete moving that should come to rest."""
 
 
 @functools.cache
@@ -74,8 +71,8 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     flux = area * mesh.velocity[r]
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
-                        # A moving wall closes a part of the face. Through this part it carries its own volume into the
-                        # cell.
+                        # The part of this face that a wall closes moves with the wall. Add the volume flow that the
+                        # moving wall causes through this part.
                         if wall > ROUGH:
                             x = f.face_middle(g, face, axis)
                             flux += (f.face_area(g, face, axis) - area) * f.wall_speed(walls, wall, x, axis)

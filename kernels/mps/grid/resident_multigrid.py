@@ -36,9 +36,10 @@ def resident_functions(scalar, width: int) -> SimpleNamespace:
     def precondition(
         thread: wp.int32, parties: wp.int32, gate: wp.array(dtype=wp.int32), matrix: Matrix, system: Solve
     ):
-        """Compute the preconditioned residual, after `start` has run in all blocks and they have met at a barrier.
+        """Compute the preconditioned residual by one multigrid cycle.
 
-        All blocks meet at another barrier at the end.
+        The caller must first run `start` in all blocks and place a barrier. All blocks meet at another barrier at the
+        end.
         """
         turns = matrix.cycle.shape[0] / 4
         for turn in range(turns):
@@ -134,7 +135,7 @@ def resident_multigrid(scalar, width: int = BLOCK):
         maximum: wp.int32,
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The kernel only reads the matrix.
+        # The next argument is the matrix of the linear system, which this kernel only reads.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),

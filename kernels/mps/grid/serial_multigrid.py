@@ -36,7 +36,10 @@ def serial_functions(scalar) -> SimpleNamespace:
         parts: wp.int32, lower: wp.int32, upper: wp.int32, workers: wp.int32, gate: wp.array(dtype=wp.int32),
         matrix: Matrix, system: Solve,
     ):  # fmt: skip
-        """Compute the preconditioned residual, after `start` has run in all threads and they have met at a barrier."""
+        """Compute the preconditioned residual by one multigrid cycle.
+
+        The caller must first run `start` in all threads and place a barrier.
+        """
         turns = matrix.cycle.shape[0] / 4
         few = wp.bool(False)
         for turn in range(turns):
@@ -153,7 +156,7 @@ def serial_multigrid(scalar):
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # The kernel only reads the matrix.
+        # The next argument is the matrix of the linear system, which this kernel only reads.
         matrix: Matrix,
         # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),

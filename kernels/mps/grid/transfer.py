@@ -31,7 +31,10 @@ LIGHT = wp.constant(0.1)
 
 @functools.cache
 def face_functions(scalar, of: GridKind):
-    """Build `kind_of`, which returns the kind of a face, and `needed`, which finds ghost faces inside walls."""
+    """Build `kind_of`, which returns the kind of a face, and `needed`, which finds ghost faces.
+
+    A ghost face is a face inside a wall whose velocity is an unknown of the implicit solve.
+    """
     dims = of.dimensions
     whole = mps_types(scalar, dims).whole
     Grid = grid_parameters_struct(scalar, dims)
@@ -41,7 +44,7 @@ def face_functions(scalar, of: GridKind):
 
     @wp.func
     def kind_of(g: Grid, mesh: Fields, geometry: Geometry, a: wp.int32, b: wp.int32, r: wp.int32, axis: wp.int32):
-        """Return the kind of the face between two cells."""
+        """Return the kind of the face between two cells: AIR, LIQUID, FIXED (side of a wall) or INSIDE (in a wall)."""
         wet = mesh.liquid[a] != 0 or mesh.liquid[b] != 0
         if wp.static(of.cut):
             if geometry.part[r] == scalar(0.0):

@@ -113,7 +113,7 @@ if TYPE_CHECKING:
         ...
 
     def is_struct(value: object) -> bool:
-        """Return whether a value is a struct, as opposed to a number or an array."""
+        """Return whether a kernel argument is a struct of Warp, as opposed to a number or an array."""
         ...
 
 else:
@@ -193,16 +193,16 @@ class Kernel(Protocol):
 
     @property
     def module(self) -> KernelModule:
-        """Unit of compilation that holds the kernel."""
+        """Module of Warp to which the kernel belongs; the kernels of a module are compiled together."""
         ...
 
 
 class KernelModule(Protocol):
-    """Unit of compilation, which holds one kernel or several."""
+    """Module of Warp: one or several kernels that are compiled together."""
 
     @property
     def kernels(self) -> Mapping[str, Kernel]:
-        """Kernels of this unit of compilation, by name."""
+        """Kernels of this module, by name."""
         ...
 
 

@@ -16,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 WINDOW = 0.01
-"""Wall time spent on time steps between two checks for core contention [s]."""
+"""Length of a measuring window [s]. After each window of this wall time, the run checks whether other processes
+occupied the cores of its threads (core contention)."""
 CONTENTION_FRACTION = 0.4
 """Largest acceptable value of a ratio: the time that all threads together waited for a core, divided by the wall time
 of the steps. A larger ratio counts as contention."""

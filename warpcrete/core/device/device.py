@@ -25,8 +25,8 @@ _every_device_parallel = False
 def parallel(device: wp.Device) -> bool:
     """Return whether work on a device is divided as on a GPU: into one independent task per body.
 
-    If the result is False, a few tasks on a CPU loop over many bodies each. Whether neighbour lists are full, how large
-    launches are, how graphs are built and which solver runs depend on this result.
+    If the result is False, a few tasks on a CPU loop over many bodies each. The result also decides which kind of
+    neighbour lists and which solver a run uses, how large its kernel launches are, and how its launch graphs are built.
     """
     return bool(device.is_cuda) or _every_device_parallel
 

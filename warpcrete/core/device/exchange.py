@@ -39,19 +39,19 @@ class PinnedBuffers:
     def gather(self, arrays: Sequence[DeviceArray]) -> None:
         """Copy the arrays into this page-locked memory, in stream order.
 
-        Pass the same arrays each time, because a graph of the copies is reused.
+        Pass the same arrays each time, because the copies are recorded once as a CUDA graph.
         """
         self._launch(lambda: self.copy(arrays))
 
     def copy(self, arrays: Sequence[DeviceArray]) -> None:
-        """Copy the arrays into this page-locked memory one by one; a graph capture may record these copies."""
+        """Copy the arrays into this page-locked memory one by one; a CUDA graph may record these copies."""
         for memory, array in zip(self._memory, arrays):
             copy_array(memory, array)
 
     def scatter(self, arrays: Sequence[DeviceArray]) -> None:
         """Copy this page-locked memory to the arrays, in stream order.
 
-        Pass the same arrays each time, because a graph of the copies is reused.
+        Pass the same arrays each time, because the copies are recorded once as a CUDA graph.
         """
 
         def copy() -> None:
@@ -103,7 +103,7 @@ class LaunchAndRead:
 
 
 class Exchange:
-    """Access of the host to arrays of one device; on a GPU by asynchronous copies, on a CPU directly."""
+    """Access of the host to arrays of one device: by asynchronous copies to and from a GPU, directly on a CPU."""
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device

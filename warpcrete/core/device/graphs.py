@@ -34,7 +34,7 @@ gc.callbacks.append(_hold_lock_during_collection)
 
 
 def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
-    """Return the graph of everything that `launch` launches, without running it.
+    """Return a launch graph of all work that the function `launch` launches, without running the work.
 
     Ctrl-C is deferred until the capture has ended, because an exception inside nested captures would leave Warp in an
     inconsistent state.
@@ -62,7 +62,7 @@ class Copy:
         self.target, self.source = target, source
 
     def record(self) -> None:
-        """Do nothing, because this stage needs no preparation."""
+        """Do nothing, because a copy needs no preparation."""
 
     def __call__(self) -> None:
         copy_array(self.target, self.source)
@@ -75,7 +75,7 @@ class Zero:
         self.array = array
 
     def record(self) -> None:
-        """Do nothing, because this stage needs no preparation."""
+        """Do nothing, because setting an array to zero needs no preparation."""
 
     def __call__(self) -> None:
         self.array.zero_()

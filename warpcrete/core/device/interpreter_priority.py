@@ -1,4 +1,4 @@
-"""Priority of a run over its recorders in the use of Python's interpreter lock.
+"""Priority for Python's interpreter lock: a run comes before its recorders, which write its output.
 
 Each call of a run into the device's driver releases the interpreter lock. If a recorder's thread takes the lock during
 such a call, the thread keeps it for milliseconds, and the run cannot give the device new work. Recorders therefore work

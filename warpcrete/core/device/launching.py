@@ -124,7 +124,7 @@ class Stage:
         return self.kernel.func.__name__
 
     def is_due(self, turn: int, size: int) -> bool:
-        """Return whether this stage runs at step number `turn`, counted from 0, of a graph of `size` steps."""
+        """Return whether this launch is part of the step number `turn`, from 0, in a launch graph of `size` steps."""
         return turn % self.every == 0 and 2 * size >= self.every
 
     def record(self) -> None:
@@ -219,7 +219,10 @@ Step: TypeAlias = list[list[Stage]]
 
 
 def graph_sizes(count: int, largest: int) -> list[int]:
-    """Split `count` steps into graphs whose sizes are powers of two, at most `largest` steps."""
+    """Split `count` time steps into launch graphs, and return the number of steps in each graph.
+
+    A launch graph is a recorded sequence of steps. Its number of steps is a power of two, at most `largest`.
+    """
     rest = [1 << bit for bit in reversed(range(largest.bit_length())) if count % largest >> bit & 1]
     return [largest] * (count // largest) + rest
 
@@ -270,7 +273,7 @@ class Launcher:
         return [Stage(kernel, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Discard all graphs, because their arrays or the division of the work among the threads have changed."""
+        """Discard all launch graphs, because their arrays or the division of work among the threads have changed."""
         self._graphs.clear()
         self._periodic_launch = None
 
@@ -284,9 +287,10 @@ class Launcher:
     ) -> None:
         """Replay one launch graph for each entry of `sizes`, which is the number of steps in the graph.
 
-        `step` contains the stages of each thread. `single_thread_step` returns the same step for one thread that does
-        all the work. The stages of `appended`, which only a GPU uses, are added at the end of each graph. On a CPU,
-        `ended` is called after each graph; if it returns True, the remaining steps would do nothing and are left out.
+        `step` contains the kernel launches of each thread in one step. `single_thread_step` returns the same step for
+        one thread that does all the work. The launches in `appended`, which only a GPU uses, are added at the end of
+        each graph. On a CPU, `ended` is called after each graph; if it returns True, the remaining steps would do
+        nothing and are left out.
         """
         left = list(sizes)
         while left:
@@ -310,10 +314,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Between two launch graphs, run the due stages with `every` > 1, unless the graphs contain these stages.
+        """Between two launch graphs, run the periodic kernel launches that are due and not part of the graphs.
 
-        A stage with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain it. `sizes` are
-        the numbers of steps in the graphs that have just been replayed.
+        A kernel launch (stage) with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain
+        it. `sizes` are the numbers of steps in the graphs that have just been replayed.
         """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:
@@ -386,9 +390,10 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch stages on a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
+    """Launch stages (kernel launches) while a GPU's launch graph is captured; some of them run on a side stream.
 
-    The main stream waits for the side stream before each stage with `joins_side_stream`, and after the last stage.
+    These are the stages with `on_side_stream`. The main stream waits for the side stream before each stage with
+    `joins_side_stream`, and after the last stage.
     """
     main, side, apart = device.stream, None, False
     for stage in stages:

@@ -1,4 +1,4 @@
-"""Recorder thread: it runs the jobs of recorders in order, in parallel with the simulation."""
+"""Recorder thread: it does the work of recorders, which write a run's output, in parallel with the simulation."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from .interpreter_priority import run_is_waiting, yield_to_run
 from .simulation_protocol import SimulationOnDevice
 
 MAXIMUM_JOBS = 8
-"""Maximum number of jobs that wait for the recorder thread. If the run adds more jobs, the run itself waits, so that no
-job is lost and memory stays bounded."""
+"""Maximum number of jobs that wait for the thread that writes a run's output (recorder thread). If the run adds more
+jobs, the run itself waits, so that no job is lost and memory stays bounded."""
 
 
 class RecorderThread:

@@ -1,6 +1,6 @@
 """Exclusive prefix sums on a device: from the lengths of rows that are stored end to end, the start index of each row.
 
-The sums use kernels of this package, so that any graph can contain them.
+The sums use kernels of this package, so that every launch graph can contain them.
 """
 
 from __future__ import annotations

@@ -155,15 +155,19 @@ class Display(ABC):
         self._complete = False
 
     def read(self, path: str) -> np.ndarray:
-        """Return an array of the state by its path, such as "bodies.velocity", at the time that is drawn."""
+        """Return an array of the simulation's state, with its values at the time that is drawn.
+
+        `path` leads from the state to the array, such as "bodies.velocity".
+        """
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
     def snapshot_value(self, name: str, source: Callable[[], object]) -> Any:
-        """Return the value of `source()`, a quantity of the simulation's state, at the time that is drawn.
+        """Return a quantity of the simulation's state as it was at the drawn time.
 
-        While a snapshot (copy of the state at one time) is drawn, the value with the name `name` in the snapshot is
-        returned, and `source` is not called. All displays of a simulation share the values of a snapshot, so the caller
-        must not modify the value. A Warp array is returned as a NumPy array.
+        `source` is a function that returns the quantity's present value. It is not called while a snapshot (copy of the
+        state at one time) is drawn: the result is then the value that the snapshot stores under `name`. All displays of
+        a simulation share the values of a snapshot, so the caller must not modify the value. A Warp array is returned
+        as a NumPy array.
         """
         if self._current_snapshot is not None:
             self._yield_to_run()
@@ -234,7 +238,7 @@ class Display(ABC):
         return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return the quantities of all spheres in SI units, by name; each array has shape (n,) or (n, 3)."""
+        """Return quantities of the n spheres in SI units, by name; each array has shape (n,) or (n, 3)."""
         return {}
 
     @abstractmethod
@@ -265,7 +269,7 @@ class Display(ABC):
 
     @property
     def palette(self) -> str:
-        """Name of the colour map of the scale, as :func:`.colour_map` takes it."""
+        """Name of the colour map for the quantity that colours bodies or surfaces, such as "viridis"."""
         return "viridis"
 
     def profiles(self) -> tuple[Profile, ...]:

@@ -25,7 +25,7 @@ class Parametrised:
     parameters: Mapping[str, Any]
 
     def _repr_html_(self) -> str:
-        """Return the parameters that have a value as an HTML table."""
+        """Return an HTML table of the parameters and their values, without parameters whose value is None or empty."""
         rows = [(name, value) for name, value in self.parameters.items() if value is not None and value != ""]
         if rows and (changed := changed_fields(self)):
             rows.append(("changed after creation", ", ".join(changed)))

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
-"""Numbers of discrete values to which recordings round a quantity that colours walls. The values are evenly spaced on a
-logarithmic scale. The first constant is the total number, and the second is the number in each decade."""
+"""A recording rounds a quantity that colours walls to one of a fixed set of discrete values, evenly spaced on a
+logarithmic scale. The first constant is the number of these values, and the second is their number in each decade."""
 SMALLEST_VALUE = 1e-6
-"""Smallest value that is shown by a colour on a wall, in the displayed unit; smaller values are shown as zero."""
+"""Smallest value that the colour of a wall can show, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
 """Number of discrete colours to which a colour map is reduced."""
 CONCRETE = ("#c9c6be", "#d9b26a", "#c9632f", "#8a1f2d", "#3d0c1f")
 """Colours of the colour map `concrete`, from grey for concrete at rest to dark red for concrete that is sheared fast.
 The colours become steadily darker, so that the map can also be read in black and white."""
 ENDS = {"viridis": ("dark violet", "yellow"), "concrete": ("grey", "dark red")}
-"""Names of the first and the last colour of the maps that colour bodies and surfaces."""
+"""Words for the colours at the lower and at the upper end of each colour map that bodies and surfaces use."""
 
 
 def palette_colours(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
@@ -86,8 +86,9 @@ class Paint:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
         `values` are in the displayed unit, and each index stands for a colour. Between neighbouring vertices, the
-        viewer interpolates the indices instead of the values. If the indices differ greatly, the colours in between are
-        wrong. To reduce these differences, all values that have the first colour of the scale get the same index.
+        viewer interpolates the indices instead of the values, and large differences of the indices give wrong colours.
+        All values that have the first colour of the scale therefore get the same index, which keeps the differences
+        small.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

@@ -15,7 +15,7 @@ SECOND: RGB = (70, 110, 175)
 THIRD: RGB = (60, 140, 100)
 """Colour of a third simulated quantity in the same plot."""
 THEORY: RGB = (130, 130, 130)
-"""Colour of values by closed-form theory."""
+"""Colour of values that a closed-form solution predicts."""
 MEASURED: RGB = (20, 20, 20)
 """Colour of measured or published values."""
 BEND: RGB = (247, 214, 165)
@@ -26,24 +26,27 @@ over the distance along a pipeline."""
 SERIES: tuple[RGB, ...] = (
     RUN, SECOND, THIRD, (150, 80, 150), (200, 160, 30), (80, 170, 190), (150, 90, 60), (190, 110, 140),
 )  # fmt: skip
-"""Colours of the curves of a plot in which several curves show the same quantity, in the order of the curves."""
+"""Colours for several curves that show the same quantity in one plot, in the order of the curves."""
 NAMES: dict[RGB, str] = {RUN: "orange", SECOND: "blue", THIRD: "green", THEORY: "grey", MEASURED: "black"}
 """Names of the colours, for titles of plots that have no room for a legend."""
 
 
 def rgb(colour: RGB) -> tuple[float, float, float]:
-    """Return a colour as Matplotlib takes it, with components from 0 to 1."""
+    """Return a colour as Matplotlib takes it: red, green and blue from 0 to 1."""
     return colour[0] / 255, colour[1] / 255, colour[2] / 255
 
 
 def pumping_caption(name: str, radius: float, concrete: str, flow: float) -> str:
-    """Return scene, diameter, concrete and flow in words, from the pipe's radius [m] and the volume flow [m3/s]."""
+    """Return the caption of a pumping test: its name, pipe diameter, concrete (if named) and volume flow.
+
+    `radius` is the radius of the pipe [m], and `flow` is the volume flow [m3/s].
+    """
     words = [name, f"diameter {2e3 * radius:.4g} mm", *([f"concrete {concrete}"] if concrete else ())]
     return ", ".join([*words, f"{3600 * flow:.3g} m3/h"])
 
 
 def explained(title: str, curves: Sequence[tuple[str, RGB]]) -> str:
-    """Return a plot's title followed by the name and the colour in words of each curve, if there are several curves."""
+    """Return the title of a plot; if it has several curves, add the name of each curve and the word for its colour."""
     if len(curves) < 2:
         return title
     return f"{title}: {', '.join(f'{name} {NAMES[colour]}' for name, colour in curves)}"

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 PLANE_WEIGHT = 1e-6
-"""Weight of a point on a cutting plane or on a side of the grid, divided by the weight of a point on the free surface.
+"""Weight of a point on a cutting plane or on a side of the grid, if a point on the free surface has the weight 1.
 
-Each vertex of a surface is the weighted mean of the points of these kinds that lie on the edges of one grid cell.
+The points lie where the surface of the concrete crosses the edges of the grid. The weighted mean of the points around a
+grid cell is a vertex of the triangulated surface.
 """
 FACETS = 64
 """Number of facets around the axis of a surface of revolution."""
@@ -160,7 +161,10 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, fields: Mapping[str, np.nd
 
 
 class _Net:
-    """Surface net of a level-set function in two or three dimensions: vertices, and sides whose corners they are."""
+    """Surface net (Gibson, MICCAI 1998) of a level-set function in two or three dimensions: vertices and faces.
+
+    The attribute `sides` holds the faces; in two dimensions they are line segments.
+    """
 
     points: np.ndarray
     """Positions of the vertices in d dimensions [m], shape (v, d)."""
@@ -218,7 +222,10 @@ class _Net:
             self._fill(number)
 
     def _numbered(self, cells: np.ndarray) -> np.ndarray:
-        """Return the index of the vertex in each cell of the grid; values of cells without a vertex are not valid."""
+        """Number the grid cells that contain a vertex, and return the array of these numbers.
+
+        Entries of the array for cells without a vertex are meaningless.
+        """
         used = np.zeros(int(np.prod(self._cells)), bool)
         used[cells.ravel()] = True
         self._count = int(np.count_nonzero(used))

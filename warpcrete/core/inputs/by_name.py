@@ -82,7 +82,10 @@ class ByName(CompositeRule):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the fields of the class that `value` names, or of the object `value`, as parameters by name."""
+        """Return the parameters that belong to an object, by name. They are the fields of the object's class.
+
+        `value` is the object itself, or the name of its class.
+        """
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
@@ -190,16 +193,16 @@ def _note_source(kind: type) -> None:
 
 
 def own_fields(name: str, kind: type) -> dict[str, Field]:
-    """Return the fields of the class `kind` as parameters of a scene, by the names `NAME_FIELD` with NAME = `name`."""
+    """Return the fields of the class `kind` as parameters of a scene, which are named NAME_FIELD with NAME = `name`."""
     group = f"Parameters of {name.replace('_', ' ')} {kind.__name__}."
     return {key: replace(field, name=key, group=group) for key, (field, _) in _leaves(name, kind)}
 
 
 def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str, ...]]]]:
-    """Yield each field of the class `kind` that holds a plain value, as (parameter name, (field, attribute path)).
+    """Yield a parameter for each number or text that an object of the dataclass `kind` holds.
 
-    If a field holds a dataclass, the fields of that dataclass follow, and so on. The attribute path leads from an
-    object of the class `kind` to the value.
+    A field that holds another dataclass is replaced by the fields of that dataclass, and so on. Each result is (name of
+    the parameter, (field, path)), where the path names the attributes that lead from the object to the value.
     """
     for own, field in declared_fields(kind).items():
         if is_dataclass(field.kind):

@@ -24,8 +24,8 @@ class Digest(Protocol):
 def fingerprint(value: object) -> str:
     """Return the SHA-256 of a scene or of any part of a scene.
 
-    The field `parameters` is left out: it holds the arguments of the scene function, and the scene's other fields
-    contain everything that the scene function derived from these arguments.
+    The scene's field `parameters` is left out. It holds the arguments from which the scene was made, and the other
+    fields already contain everything that follows from them.
     """
     digest = hashlib.sha256()
     _feed(digest, value)

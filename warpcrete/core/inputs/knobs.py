@@ -77,8 +77,8 @@ def precisions() -> Knob:
 class Trading:
     """Description of a scene for studies that weigh accuracy against computing time.
 
-    It contains the knobs (accuracy parameters with their values), the quantities to compare, and the closed forms. The
-    module of the scene assigns this object to the name `trading`.
+    It contains the knobs (accuracy parameters with their values), the quantities to compare, and a function that tells
+    whether theory is exact. The module of the scene assigns this object to the name `trading`.
     """
 
     knobs: Callable[[Any], Iterator[Knob]]
@@ -86,8 +86,8 @@ class Trading:
     quantities: tuple[str, ...]
     """Names of result quantities whose errors at each setting are computed, unless the user names other quantities."""
     closed_form: Callable[[Any], bool] = lambda given: False
-    """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
-    results have an entry `NAME_error` for each quantity NAME."""
+    """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so, the
+    results of a run contain the error of each quantity NAME, under `NAME_error`."""
     variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
     """Function that takes the scene's parameters and returns changed parameters for each of several similar scenes. The
     key of each entry describes the change in words. Recommended settings are also tested on these scenes."""

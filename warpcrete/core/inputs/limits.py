@@ -18,7 +18,7 @@ from .amounts import UNITS
 
 @dataclass(frozen=True)
 class Limit:
-    """Limits of a quantity's magnitude in the internal unit; zero is always allowed."""
+    """Limits of a quantity's magnitude, in the unit in which the program computes; zero is always allowed."""
 
     low: float
     high: float
@@ -27,8 +27,7 @@ class Limit:
     usual: tuple[float, float] | None = None
     """Lower and upper end of the usual magnitudes; a value outside this range causes a warning."""
     unit: str = ""
-    """Unit of the quantity, for limits that are listed under the name of a quantity. Empty for limits that are listed
-    under a unit."""
+    """Unit of the limits, if they hold for one quantity only. It is empty if they hold for all quantities of a unit."""
 
 
 LIMITS = {

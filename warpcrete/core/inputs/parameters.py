@@ -128,7 +128,10 @@ class CompositeRule:
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the parameters of the object `value` by name, such as `contact_FIELD` for the field `contact`."""
+        """Return the fields of the object `value` as parameters, by name.
+
+        For example, the field FIELD of the contact law is the parameter `contact_FIELD`.
+        """
         raise NotImplementedError
 
     def short_names(self) -> tuple[str, ...]:
@@ -136,10 +139,10 @@ class CompositeRule:
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return a copy of the parameters `values` in which `field` has an object as its value.
+        """Return a copy of the parameters `values` in which one entry holds an object instead of the name of its class.
 
-        The object is made from the value of `field` and from the parameters that belong to the object. These parameters
-        are missing in the copy.
+        This entry is that of the parameter `field`. The object is made from the class name and from the parameters that
+        belong to the object, which are missing in the copy.
         """
         raise NotImplementedError
 
@@ -181,7 +184,10 @@ class Field:
 
     @property
     def described(self) -> str:
-        """Help text, followed by those choices and other names of the parameter that the text does not mention."""
+        """Help text of the parameter, followed by its choices and its other names.
+
+        The choices are left out if the help text mentions all of them.
+        """
         choices = [str(choice) for rule in self.of_kind(OneOf) for choice in rule.choices]
         words = re.findall(r"[\w.-]+", self.help)
         missing = [choice for choice in choices if choice not in words]

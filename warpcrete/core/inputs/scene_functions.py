@@ -125,7 +125,7 @@ class SceneFunction(Generic[P, S]):
             ) from error
 
     def _elsewhere(self, name: str) -> str:
-        """Return a hint if the scene of discrete elements for the same test has the parameter `name`, else ""."""
+        """Return a hint if a discrete-element scene of the same test has the parameter `name`; else an empty text."""
         package = sys.modules.get(self._build.__module__.rpartition(".")[0])
         other = getattr(package, f"{self.__name__}_dem", None)
         if isinstance(other, SceneFunction) and (name == "method" or name in declared_fields(other.parameters)):
@@ -188,7 +188,7 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
     def declared(self, given: Mapping[str, object]) -> Any:
-        """Return an instance of the parameters' dataclass.
+        """Return an object of the dataclass that declares the parameters of this scene.
 
         Each field has its value in `given`. A field that is not in `given` has the value that other parameters in
         `given` imply, or else its default.

@@ -109,12 +109,12 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
 def read_columns(path: Path, field: str) -> tuple[dict[str, tuple[int, str]], list[tuple[int, list[str]]]]:
     """Return index and unit of each column of a CSV file by name, and the rows as :func:`read_rows` returns them.
 
-    The header names columns with their units, such as `flow [m3/h],pressure [bar]`. Columns whose headings have another
-    form are left out.
+    The header names columns with their units, such as `flow [m3/h],pressure [bar]`, in capital or small letters, with
+    brackets or parentheses. Columns whose headings have another form are left out.
     """
     header, rows = read_rows(path, field)
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]
-    return {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}, rows
+    heads = [re.fullmatch(r"\s*(\w+)\s*(?:[\[(]([^\[\]()]+)[\])])?\s*", head) for head in header]
+    return {head[1].lower(): (place, head[2] or "") for place, head in enumerate(heads) if head is not None}, rows
 
 
 def saved_text(path: Path) -> str:
@@ -219,7 +219,10 @@ def parsed_json(text: str) -> object:
 
 
 def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    """Return the header and the rows of a CSV text; semicolons separate columns if the header has no comma."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    separator = ";" if ";" in first and "," not in first else ","
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     found: list[tuple[int, list[str]]] = []
     try:
         for row in reader:
@@ -230,11 +233,7 @@ def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not found:
         raise Unreadable("contains no rows", "write the names of the columns in the first line, and values below them")
     (_, header), rows = found[0], found[1:]
-    if len(header) == 1 and ";" in header[0]:
-        raise Unreadable(
-            "separates columns by semicolons", "separate columns by commas, and write decimal points, as in 10.3"
-        )
-    names = [re.sub(r"\s*\[.*", "", head).strip() for head in header]
+    names = [re.sub(r"\s*[\[(].*", "", head).strip().lower() for head in header]
     for name in names:
         if name and names.count(name) > 1:
             raise Unreadable(f"has the column {name!r} twice", "remove or rename one of the two columns")

@@ -114,7 +114,7 @@ RECORD_KINDS: dict[str, type] = {
     "scene": str, "parameters": dict, "files": dict, "device": str, "precision": str, "command": dict, "modified": dict,
     "threads": int, "cases": list, "name": str, "varied": dict, "quantities": list, "knobs": list, "repeat": int,
     "provenance": dict, "finest": dict, "points": list, "paper": str, "columns": list, "rows": list, "targets": dict,
-    "settings": dict, "rounds": list,
+    "settings": dict, "rounds": list, "units": dict,
 }  # fmt: skip
 """Required types of the entries in a record, which is the JSON file that stores the request for a run, study,
 trade-off, calibration or reproduction."""

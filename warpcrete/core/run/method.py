@@ -61,9 +61,10 @@ def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float
 
 
 def passage_time(series: Mapping[str, np.ndarray], name: str, value: float, falls: bool = False) -> float | None:
-    """Return the time at which a column first passes `value` [s], interpolated linearly; None if it never does.
+    """Return the time [s] at which a column of a time series first reaches `value`, by linear interpolation.
 
-    With `falls` the column must fall to the value instead of rising to it.
+    With `falls` the column must fall to the value instead of rising to it. The result is None if the column never
+    reaches the value, or is at or beyond it from the start.
     """
     time, column = series["time"], series[name]
     if falls:
@@ -77,7 +78,7 @@ def passage_time(series: Mapping[str, np.ndarray], name: str, value: float, fall
 
 
 def report_of(quantities: Sequence[Quantity], run: Run) -> Iterator[tuple[str, str]]:
-    """Yield label and text of every quantity of a run that has a label."""
+    """Yield a label and a text for each line of a run's report: one line for every quantity that has a label."""
     for each in quantities:
         if each.label and each.name in run.result:
             factor, unit = shown(each.unit)

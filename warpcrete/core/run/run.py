@@ -54,7 +54,7 @@ class Run:
 
     scene: Any
     series: dict[str, np.ndarray]
-    """Columns of the run's time series by name, as arrays with one entry per sample."""
+    """Columns of the run's time series by name, as arrays with one entry per measurement (row)."""
     units: dict[str, str]
     """Unit of each column of the time series, by the column's name."""
     result: dict[str, Any]
@@ -168,9 +168,10 @@ class Run:
 
         A run that has a folder is copied with the recordings that it has. For any other run, recordings hold all curves
         but only the last frame; pass `out` to :class:`warpcrete.Simulation` to record every frame. The folder of a run
-        that stopped early at a sample holds a checkpoint, with which `warpcrete run --resume` continues it. A
-        :class:`warpcrete.RunFolder` selects recordings and colours. Raises :class:`RunFolderError` if the folder is not
-        new or cannot be written, and :class:`WarpcreteError` if the run kept no state.
+        that stopped early, after a row of its time series, holds a checkpoint, with which `warpcrete run --resume`
+        continues it. If `folder` is a :class:`warpcrete.RunFolder`, it selects recordings and colours. Raises
+        :class:`RunFolderError` if the folder is not new or cannot be written, and :class:`WarpcreteError` if the run
+        kept no state.
         """
         output = output_of(folder)
         check_new(output.path)

@@ -1,4 +1,4 @@
-"""Run loop that all simulation methods share: samples, frames, checkpoints, interruptions and recorders.
+"""Run loop that all simulation methods share: it steps the state, measures, records, saves and handles interruptions.
 
 Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
 """
@@ -59,8 +59,6 @@ class RunRecord(TypedDict):
 
     recorders: dict[str, object]
     """Data that each recorder needs to go on recording, by the recorder's class name."""
-    samples: int
-    """Number of rows in the time series, not counting the row at t = 0."""
     next_frame: float
     """Simulated time at which recorders record the next frame [s]."""
     spent: dict[str, float]
@@ -177,7 +175,6 @@ class Simulation:
         self._time_before_resume = 0.0
         # Steps taken and wall-clock time [s] at the first and at the last measurement after the start of this process.
         self._paced: tuple[tuple[int, float], tuple[int, float]] | None = None
-        self._samples_taken = 0  # Number of rows in the time series so far, not counting the row at t = 0.
         self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
         self._ended_run: Run | None = None
@@ -309,7 +306,6 @@ class Simulation:
         """Return the present state with the data about the run, as a checkpoint stores them."""
         run: RunRecord = {
             "recorders": recorders,
-            "samples": self._samples_taken,
             "next_frame": self.frames.next,
             "spent": self._wall_times | {"running": self._running()},
             "over": over,
@@ -332,7 +328,7 @@ class Simulation:
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
         """Return the `state_dict` stored in a checkpoint, and restore the data about the run from this checkpoint.
 
-        The data about the run include the wall times, the number of samples and the time of the next frame.
+        The data about the run include the wall times and the time of the next frame.
         """
         return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
 
@@ -340,7 +336,7 @@ class Simulation:
         """Restore the data about the run, such as wall times, from a checkpoint's contents; return the contents."""
         run: RunRecord = contents["run"]
         self._resumed = run
-        self._samples_taken, self.frames.next = run["samples"], run["next_frame"]
+        self.frames.next = run["next_frame"]
         self._wall_times = dict(run["spent"])
         self._time_before_resume = self._wall_times["running"]
         self.at_end = run["over"]
@@ -527,7 +523,8 @@ class Simulation:
             self._sample()
             self._frame()
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
-        for number in range(self._samples_taken + 1, samples + 1):
+        # The first row is that at t = 0, so the number of rows is the number of the next sample.
+        for number in range(len(self.rows), samples + 1):
             if self.stop_requested:
                 self._checkpoint()
                 return False
@@ -536,7 +533,6 @@ class Simulation:
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
-            self._samples_taken = number
             row = self._sample()
             now = (stepper.steps, wall_clock.perf_counter())
             self._paced = (self._paced[0] if self._paced else now, now)
@@ -548,7 +544,7 @@ class Simulation:
             if number < samples:
                 self._checkpoint_if_due()
             figures = {name: row[name] for name in ("pressure",) if name in row}
-            if self._paced[0] != now:  # Up to the first measurement, compilation would count as slow steps.
+            if self._paced[0] != now:  # Before the second new row, the rate would include compilation.
                 figures["steps_per_s"] = self.pace
             if self.may_end_early:
                 figures["at_most"] = 1.0
@@ -582,9 +578,10 @@ class Simulation:
 
     @property
     def pace(self) -> float:
-        """Steps per second of wall time from the first to the last measurement in this process.
+        """Mean number of time steps per second of wall time, in this process.
 
-        Preparation and compilation, which precede the first measurement, are left out, unless there is only one.
+        The mean leaves out the time up to the first new row of the time series, which contains preparation and
+        compilation. If this process has added only one row, the mean is that of all steps.
         """
         if self._paced is not None and self._paced[0] != self._paced[1]:
             (first, begun), (last, ended) = self._paced

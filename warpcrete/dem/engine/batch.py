@@ -1,10 +1,10 @@
-"""Batch of one or many scenes: their arrays joined end to end, and the kernel launches that advance them together.
+"""Batch of one or many scenes: their arrays, joined end to end, and the kernel launches that advance them together.
 
-The scenes of a batch share kernels and launches only; each has its own parameters, walls, time, flags and neighbour
-lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
-goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
-and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time, because
-every kernel visits it; the module `regrouping` removes finished scenes.
+The scenes of a batch share only kernels and launches. Each scene has its own parameters, walls, time, control flags and
+neighbour lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has
+reached its goal (a time or a number of steps), or when it has failed. Every kernel skips halted scenes, so no contact
+is missed however many steps are queued, and a scene gives bitwise identical results alone and in a batch. A finished
+scene still costs a little time, because every kernel visits it; the module `regrouping` removes finished scenes.
 """
 
 from __future__ import annotations
@@ -50,7 +50,10 @@ spheres and 1.25 to 2 for 500 spheres.
 
 
 def batch_key(model: Model) -> tuple[object, ...]:
-    """Return a key of the scene features that kernels depend on; models with equal keys can share a batch."""
+    """Return a key of all features of a scene on which its kernels depend, such as the types of its contact laws.
+
+    Scenes can share a batch if their models, which hold their constant data, have equal keys.
+    """
     worn = len(model.walls) if model.features.wear else 0
     return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
 
@@ -58,10 +61,10 @@ def batch_key(model: Model) -> tuple[object, ...]:
 class Batch(JointArrays):
     """Scenes with the same features on one device; their arrays are slices of joint arrays.
 
-    `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
-    each thread computes a chunk, a range of bodies that are neighbours in memory. A batch of several scenes uses one
-    thread, and a scene of few spheres uses fewer threads. Raises :class:`SceneError` if the scenes need different
-    features.
+    `models` (constant data of the scenes) and `states` (data that change in time) have one entry for each scene. On a
+    CPU, `threads` threads share the work of a single scene: each thread computes a chunk, a range of bodies that are
+    neighbours in memory. A batch of several scenes uses one thread, and a scene of few spheres uses fewer threads.
+    Raises :class:`SceneError` if the scenes need different features.
     """
 
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
@@ -91,7 +94,8 @@ class Batch(JointArrays):
         """Version of the batch at the last measurement of its device memory, and the measured memory [B]."""
         self._chunks: tuple[int, ...] = ()
         self.scenes_with_new_chunks: set[int] = set()
-        """Numbers of the scenes whose division among CPU threads no longer matches their neighbour lists."""
+        """Indices of the scenes whose bodies have been divided anew among the CPU threads, so that their neighbour
+        lists must be rebuilt."""
         self.planner = LaunchPlanner(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
@@ -105,7 +109,7 @@ class Batch(JointArrays):
         self.split()
 
     def split(self) -> None:
-        """Divide bodies and spheres into one chunk for each CPU thread, following the present order of the bodies."""
+        """Divide bodies and spheres, in their present order, into one range (chunk) for each CPU thread."""
         before = self._chunks
         if self.threads == 1:
             self.body_chunks = np.array([0, self.body_count])
@@ -132,7 +136,7 @@ class Batch(JointArrays):
         """Return a launch of `kernel` over `dim` tasks, recorded for later replays.
 
         `named` holds arguments by the names of the kernel's parameters. Missing arguments come from `kernel_arrays`.
-        The meaning of `on_side_stream`, `joins_side_stream`, `every` and `block` is described in :class:`Stage`.
+        :class:`Stage` describes `on_side_stream`, `joins_side_stream`, `every` and `block`.
         """
         arguments = completed(kernel, named, self.kernel_arrays)
         return Stage(
@@ -147,7 +151,7 @@ class Batch(JointArrays):
         )
 
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches, because they refer to arrays or chunks that have been replaced."""
+        """Discard recorded launches, because arrays or the bodies of each CPU thread have changed."""
         self._launcher.invalidate_graphs()
         self.planner.reset_step_count()
         self.version += 1
@@ -172,9 +176,10 @@ class Batch(JointArrays):
         return self._step is not None
 
     def set_goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
-        """Let scene `s` continue until it has completed `steps` steps or has reached the time `until` [s].
+        """Let scene `s` continue until it has completed `steps` steps in total or has reached the time `until` [s].
 
-        The stable step is estimated every `interval` steps. The scene must not have reached either goal yet.
+        Every `interval` steps it halts for a new estimate of its stable time step. The scene must not have reached
+        either goal yet.
         """
         goal = until, min(interval, NEVER)
         if goal != (self.rows["until"][s], self.rows["interval"][s]):
@@ -221,7 +226,7 @@ class Batch(JointArrays):
     def _read_flags(self) -> None:
         """Read the scenes' control flags and times from the device.
 
-        On a CPU, use views of these arrays; views are always up to date.
+        On a CPU, use views of the arrays, which are always up to date, instead of copies.
         """
         if self.parallel:
             flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
@@ -293,9 +298,10 @@ class Batch(JointArrays):
         self._flags_pending = self._row_pending = False
 
     def launch(self) -> None:
-        """Launch as many time steps as the planner chooses; scenes that need attention skip the rest of them.
+        """Launch the next time steps; the launch planner chooses their number.
 
-        On a GPU, the method returns while the steps are still running.
+        A scene that has halted, for example because its neighbour lists are stale, skips the remaining steps. On a GPU,
+        the method returns while the steps are still running.
         """
         launch_sizes = self.planner.launch_sizes(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
@@ -308,9 +314,10 @@ class Batch(JointArrays):
         """Launch the time steps in groups; `launch_sizes` holds the number of steps of each group.
 
         After each group, a GPU also launches the work that :meth:`use_step` has recorded for this purpose: `rebuild` if
-        `interval` is NEVER, and otherwise `between_pieces`.
+        no scene needs estimates of its stable step (`interval` is NEVER), and otherwise `between_pieces`.
         """
-        # A GPU runs all sub-cycling rounds of a step in one kernel, so the rounds add no launches to its graphs.
+        # A GPU runs all sub-cycling rounds (shorter steps of stiff bonds) of a time step in one kernel, so their number
+        # does not change the number of launches.
         rounds = 0 if self.parallel else self.subcycles.rounds
         largest = self.planner.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
@@ -322,8 +329,8 @@ class Batch(JointArrays):
 
         try:
             for count in launch_sizes:
-                # A GPU needs fewer launches if one CUDA graph contains all steps of a group and also the work that
-                # follows the group, such as a rebuild of the neighbour lists.
+                # On a GPU, record all steps of a group in one CUDA graph, together with the work that follows the
+                # group, such as a rebuild of the neighbour lists. This reduces the number of launches.
                 whole = self.parallel and count in (interval, DEVICE_CHECK_INTERVAL) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 appended = between_pieces if whole and self.device.is_cuda else None
@@ -343,11 +350,11 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """True if the device has completed the time steps of the latest launch."""
+        """True if the device has completed all time steps that were launched last."""
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:
-        """Wait until the device has completed the launched steps; return a copy of the control flags of all scenes."""
+        """Wait until the device has completed all launched steps; return a copy of the control flags of all scenes."""
         if self.parallel:
             self._flags, self._clock = self.exchange.finish_read()
         return self.host_flags().copy()
@@ -357,7 +364,7 @@ class Batch(JointArrays):
         return merge_thread_stages(self._step)
 
     def launch_chunks(self, stages: list[Stage]) -> None:
-        """Launch one kernel for each chunk of bodies, each on its own CPU thread."""
+        """Launch one kernel once for each range (chunk) of bodies, each launch on its own CPU thread."""
         self._launcher.apart(stages)
 
     def sync_stages(self) -> list[Stage]:

@@ -25,12 +25,14 @@ from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Wal
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
-"""Fill level, as a fraction of the array size, above which the arrays of a scene grow together with those of another
-scene. Growing any array discards all recorded launches of the batch, so it should happen rarely."""
+"""Fraction of its arrays that a scene must use for them to be enlarged when another scene's arrays are too small.
+
+Growing any array discards all recorded launches of the batch, so arrays of several scenes should grow together.
+"""
 
 
 class JointArrays:
-    """Device arrays of a batch of scenes with the same features; arrays of all scenes are joined end to end."""
+    """Device arrays of all scenes of a batch, joined end to end; the scenes need the same kernels."""
 
     flags: DeviceArray
     """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
@@ -43,9 +45,9 @@ class JointArrays:
     candidates: Candidates
     walls: Walls
     corners: DeviceArray
-    """Corners of all meshes, each in its wall's frame [m], shape (corners,)."""
+    """Corners of the triangles of all mesh walls, each in the coordinate frame of its wall [m], shape (corners,)."""
     faces: DeviceArray
-    """Indices of the three corners of each triangle of all meshes, shape (faces, 3)."""
+    """Indices in `corners` of the three corners of each triangle of all meshes, shape (faces, 3)."""
     across: DeviceArray
     """Neighbours of each triangle across its three edges, shape (faces, 6).
 
@@ -67,9 +69,10 @@ class JointArrays:
     face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: DeviceArray
-    """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
+    """Parameters of the contact laws between bodies for all pairs of materials, as in :class:`Model`, of all scenes end
+    to end."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
+    """Parameters of the contact laws between bodies and walls for all pairs of materials, of all scenes end to end."""
     bond_parameters: DeviceArray
     """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end."""
     segments: DeviceArray
@@ -84,13 +87,16 @@ class JointArrays:
     drive_force: DeviceArray
     """Driving force along the pipe axis on each single body of a group [N], shape (groups,)."""
     rows: np.ndarray
-    """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
+    """Copy of `scenes.row` on the host: the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray
     """Index of the scene to which each entry of `pairs.start` belongs, shape (spheres + scenes,). The array
     `pairs.start` contains the index of each sphere's first list entry and, for each scene, the end of its list."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
-        """Join the arrays of all models and states; each of `threads` CPU threads gets an array of wall forces."""
+        """Join the arrays of all models (constant data) and states (changing data) of the scenes.
+
+        Each of the `threads` CPU threads gets its own array of wall forces.
+        """
         model = models[0]
         self.models, self.states = models, states
         self.features, self.scalar, self.device = model.features, model.scalar, model.device
@@ -104,11 +110,12 @@ class JointArrays:
         if self.parallel:
             make_even(states)
         self.capacity = np.array([len(s.pairs.other) for s in states])
-        """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
+        """Number of neighbour list entries for which each scene has memory, shape (scenes,)."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
-        """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
+        """Number of mesh candidates (pairs of a sphere and a triangle near it) for which each scene has memory, shape
+        (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Allocated number of rows for the forces and moments of each scene's bonds, shape (scenes,).
+        """Number of bonds of each scene for which there is memory for force and moment, in rows, shape (scenes,).
 
         If contacts can form bonds during the run, each entry of the neighbour list has a row, and this number is
         unused.
@@ -151,7 +158,7 @@ class JointArrays:
         """Discard recorded kernel launches, because they refer to arrays that have been replaced."""
 
     def _join_states(self) -> None:
-        """Join the arrays of all states, replace the states' arrays by slices, and allocate arrays that states lack."""
+        """Join the arrays of all states, replace the states' arrays by slices, and allocate the remaining arrays."""
         for struct in STRUCTS:
             setattr(self, struct, struct_of(self.structs, struct)())
         for struct, names in state_fields(self.structs).items():
@@ -296,7 +303,7 @@ class JointArrays:
         self.scenes.row.assign(self.rows)
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
-        """Enlarge the pair arrays to at least `wanted` entries for each scene, without losing their contents.
+        """Give each scene memory for at least `wanted` pairs in its neighbour list; keep the present pairs.
 
         Raises :class:`CapacityError` if the arrays would be too long.
         """
@@ -336,9 +343,9 @@ class JointArrays:
             self._clear_near_candidates()
 
     def _clear_near_candidates(self) -> None:
-        """Allocate an empty list of near candidates (triangles that may touch soon), with room for all mesh candidates.
+        """Allocate an empty list of near candidates, which are the triangles that may touch a sphere soon.
 
-        Each sphere selects its near candidates again in the next step.
+        The list has room for all mesh candidates. Each sphere selects its near candidates again in the next step.
         """
         self.candidates.near = zeros(len(self.candidates.face), dtype=wp.int32, device=self.device)
         self.candidates.chosen.zero_()
@@ -349,8 +356,8 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        # If contacts can heal, every list entry has a row for bond forces, and the number of rows is limited to
-        # MOST_ROWS.
+        # If contacts can form bonds during the run, every list entry has a row for bond forces, and the number of rows
+        # is limited to MOST_ROWS.
         if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])

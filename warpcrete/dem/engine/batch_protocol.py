@@ -1,4 +1,4 @@
-"""Protocols of the class `Batch`, for modules that cannot import this class because the module `batch` imports them."""
+"""Protocols that declare members of the class `Batch`, for modules that cannot import it without a circular import."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BatchArrays(Protocol):
     device: wp.Device
     """Warp device of all arrays."""
     parallel: bool
-    """True if the kernels for GPUs are used, with one thread for each sphere or body."""
+    """True if kernels for GPUs are used, which compute each sphere or body in a thread of its own."""
     threads: int
     """Number of CPU threads that share the work of a step."""
     count: int
@@ -34,11 +34,11 @@ class BatchArrays(Protocol):
     body_count: int
     sphere_count: int
     capacity: np.ndarray
-    """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
+    """Number of neighbour list entries for which each scene has memory, shape (scenes,)."""
     rows: np.ndarray
-    """Host copy of the parameters of all scenes, as a structured array of shape (scenes,)."""
+    """Copy on the host of the parameters of all scenes, as a structured array of shape (scenes,)."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
+    """Parameters of the contact laws between bodies and walls for all pairs of materials, of all scenes end to end."""
     pairs: Pairs
     """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 
@@ -54,7 +54,7 @@ class SceneBatch(BatchArrays, Protocol):
         ...
 
     def barrier(self) -> list[Stage]:
-        """Return the barrier at which CPU threads wait for one another, as a list; it is empty for a single thread."""
+        """Return a list with the barrier at which CPU threads wait for one another; it is empty for a single thread."""
         ...
 
     def invalidate_graphs(self) -> None:

@@ -5,8 +5,8 @@ listed pair encodes the kind of the bond and the number of this row. A bond keep
 neighbour lists are rebuilt.
 
 In a half list (CPU), a pair whose spheres belong to different threads is computed by both threads. Every bond therefore
-has two rows, one for each thread. If contacts can heal, any listed pair may become bonded. Every entry of the list then
-has a row of its own.
+has two rows, one for each thread. If contacts can heal (form bonds during the run), any listed pair may become bonded.
+Every entry of the list then has a row of its own.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from .state import State
 
 
 def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
-    """Bond every unbonded listed pair whose gap is at most `bonds.gap` [m], by a bond without force or moment.
+    """Create bonds, without force or moment, between all unbonded pairs whose gap is at most `bonds.gap` [m].
 
     If `group` is not -1, only pairs inside the body group of this number are bonded. Returns the number of bonds of
     this `kind` afterwards. The neighbour list must be up to date and must contain all pairs up to the gap. Raises
-    :class:`CapacityError` if there are more bonds than can be numbered.
+    :class:`CapacityError` if there are more bonds than the integers that number them allow.
     """
     make, _ = bond_kernels(model.scalar)
     before = state.pairs.bond.numpy().copy()
@@ -42,7 +42,7 @@ def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int =
 
 
 def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: float, seed: int) -> int:
-    """Change a random `fraction` of the bonds of kind `old` to kind `new`.
+    """Change a random `fraction` of the bonds of kind `old` to kind `new`; kinds differ in stiffness and strength.
 
     Returns the number of bonds of kind `new` afterwards.
     """

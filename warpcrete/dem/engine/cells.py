@@ -29,9 +29,10 @@ MOST_CELLS = {"cpu": 2**18, "cuda": 2**24}
 class Cells:
     """Grid with adjacent blocks of cells, one block for each scene.
 
-    Positions wrap around periodically, so every position belongs to a cell. A sphere outside its scene's block, or a
-    grid with too few cells, costs time but cannot change results. The blocks are fitted to the scenes, because in a
-    cubic grid distant parts of a long pipe would wrap onto the same cells and slow down the search.
+    Positions wrap around periodically, so every position belongs to a cell. A sphere outside its scene's block is still
+    found, but the search takes longer. The same holds for a grid with too few cells. The blocks are fitted to the
+    scenes, because in a cubic grid distant parts of a long pipe would wrap onto the same cells and slow down the
+    search.
     """
 
     shift: DeviceArray
@@ -39,7 +40,8 @@ class Cells:
     grid: Grid
     """Cell grid, in a struct `Grid` of device arrays."""
     made: int
-    """Number of times the grid was allocated; when it changes, launches recorded earlier refer to replaced arrays."""
+    """Number of times that the grid's arrays were allocated. If it has changed, launches that were recorded before
+    refer to old arrays."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -125,7 +127,7 @@ class Cells:
         return middle + np.percentile(near, [OUTSIDE_PERCENT, 100 - OUTSIDE_PERCENT], axis=0)
 
     def use_width(self, width: float) -> None:
-        """Set the width of a cell [m] for the next rebuild."""
+        """Set the width of the cells [m] for the next rebuild of the neighbour lists."""
         if width != self._width:
             self._width = width
             self.grid.per_width.fill_(self.batch.scalar(1 / width))

@@ -1,4 +1,4 @@
-"""Neighbour list rebuilds that a GPU decides on and performs by itself, inside a CUDA graph, for a single scene."""
+"""Rebuilds of neighbour lists that a GPU starts and performs without the host, inside a CUDA graph, for one scene."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class DeviceRebuild:
     def possible(batch: Batch) -> bool:
         """Return whether the device can rebuild the neighbour lists of this batch without the host.
 
-        This requires kernels for GPUs and a batch of one scene, whose spheres do not grow. A GPU must also support
-        conditional CUDA graphs.
+        This requires kernels for GPUs and a batch of one scene, which has spheres that do not grow. A GPU must also
+        support conditional CUDA graphs.
         """
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able
@@ -53,7 +53,7 @@ class DeviceRebuild:
         return [self.needs_rebuild, self.fit]
 
     def record(self) -> None:
-        """Record all launches of a rebuild without running them, which loads their kernels beforehand."""
+        """Record all launches of a rebuild without running them; recording loads the kernels."""
         self._rebuild.record()
         for stage in self.stages():
             stage.record()

@@ -19,7 +19,7 @@ def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityE
 
 
 def failed_body(model: Model, state: State, place: int) -> InstabilityError:
-    """Return the error for a run that the device stopped because of the body at index `place` of the arrays."""
+    """Return the error for a run that the device stopped because of one body, whose index in the arrays is `place`."""
     own = np.flatnonzero(state.spheres.body.numpy() == place)
     velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
     body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)

@@ -1,8 +1,8 @@
-"""Decide how many time steps the host launches before it reads a batch's flags again.
+"""Decide how many time steps the host launches before it reads the control flags of a batch again.
 
-A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
-attention halts itself on the device and skips the queued rest. The number of steps per launch therefore affects speed
-only, never results.
+A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs the
+host, for example for new neighbour lists, halts itself on the device and skips the remaining queued steps. The number
+of steps per launch therefore affects speed only, never results.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ...kernels.dem.clock import CLOSE
 from ...kernels.dem.structs import DT, TIME
 
 LAUNCH = {"cpu": 64, "cuda": 512}
-"""Maximum number of steps launched before the host checks for Ctrl-C, by kind of device."""
+"""Maximum number of steps that are launched before the host checks for Ctrl-C. The keys are kinds of devices."""
 BATCH_LAUNCH = 40
 """Maximum number of steps that the host queues on a GPU for a batch of several scenes.
 
@@ -52,14 +52,14 @@ DEVICE_CHECK_INTERVAL = 20
 """Maximum number of steps between two checks with which a GPU finds, without the host, that its neighbour lists are
 stale."""
 MINIMUM_LIFETIME = 8
-"""Minimum expected lifetime of neighbour lists, in steps."""
+"""Minimum number of steps that neighbour lists are expected to stay valid."""
 
 
 class LaunchPlanner:
     """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
 
-    The choices of the planner affect speed only: a scene halts itself where it must, and kernels that are already
-    launched skip a halted scene.
+    The choices of the planner affect speed only: a scene halts itself on the device when it needs the host, and kernels
+    that are already launched skip a halted scene.
     """
 
     def __init__(self, parallel: bool, scenes: int) -> None:
@@ -90,7 +90,8 @@ class LaunchPlanner:
         """Return the maximum number of steps in one recorded graph of launches.
 
         `threads` is the number of CPU threads that take part in a step, and `rounds` is the number of sub-cycling
-        rounds per step. The more rounds a step has, the fewer steps a graph holds.
+        rounds per step. Rounds are shorter steps for stiff bonds within one step; the more of them a step has, the
+        fewer steps a graph holds.
         """
         kind = (
             "cuda"
@@ -131,11 +132,11 @@ class LaunchPlanner:
         return np.flatnonzero(stale | outlived | (chosen & (age >= SHARED_REBUILD_AGE * self._expected_lifetime)))
 
     def note_joined(self, s: int, steps: int) -> None:
-        """Note that scene `s` joined the batch after `steps` completed steps, with neighbour lists of unknown age."""
+        """Record that scene `s` joined the batch after `steps` completed steps, with neighbour lists of unknown age."""
         self._built_at_step[s], self._age_known[s] = steps, False
 
     def note_rebuilt(self, flags: np.ndarray) -> None:
-        """Note that the neighbour lists of all scenes marked as stale in `flags` have been rebuilt."""
+        """Record that the neighbour lists of all scenes that `flags` marks as stale have been rebuilt."""
         stale = flags[:, int(STALE)] != 0
         self._built_at_step[stale], self._age_known[stale] = flags[stale, int(STEPS)], True
 

@@ -35,9 +35,9 @@ def rows_of(features: Features) -> int:
 
 
 def make_links(batch: BatchArrays) -> Links:
-    """Return new, unused links (pairs as the GPU evaluates them) for all listed pairs of a batch.
+    """Return empty arrays for the links of a batch; a link stands for one listed pair, whose force is computed once.
 
-    A CPU uses no links, so its arrays have the length 0.
+    All links are unused at first. A CPU uses no links, so its arrays have the length 0.
     """
     struct = declared(links_struct(batch.scalar))
     lists = int(batch.capacity.sum()) if batch.parallel else 0
@@ -68,10 +68,10 @@ def make_links(batch: BatchArrays) -> Links:
 
 
 def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
-    """Copy the links (pairs of spheres) of each scene from the arrays of `before` into the enlarged arrays of `links`.
+    """Copy the links, one for each listed pair, of all scenes from `before` into the larger arrays of `links`.
 
-    `old` and `capacity` are the numbers of list entries for which each scene had room before and has room now, shape
-    (scenes,).
+    `old` and `capacity` are the numbers of list entries for which each scene had memory before and has memory now,
+    shape (scenes,).
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))

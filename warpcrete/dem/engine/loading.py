@@ -28,7 +28,7 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
 
 
 def _others(batch: Batch) -> list[Stage | Kernel]:
-    """Return the kernels that take measurements, create bonds, or copy the motion of spheres to their bodies."""
+    """Return all other kernels: for measurements, for bonds, and for copying the motion of spheres to their bodies."""
     f, scalar = batch.features, batch.scalar
     found: list[Stage | Kernel] = [
         probes.body_probe(scalar),

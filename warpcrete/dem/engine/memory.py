@@ -28,7 +28,7 @@ PAIRS_PER_SPHERE = (
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
-    """Return the device memory of a body without its spheres, and that of a sphere with its listed pairs [B].
+    """Return the device memory of a body without its spheres, and of a sphere with its neighbours and bonds [B].
 
     `table` must contain at least one body.
     """
@@ -44,9 +44,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = bytes_of(model.scalar)
-    # `listing` is the memory per sphere for neighbour lists and bonds [B]. Its first terms stand for the current and
-    # the previous neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search. The
-    # terms for bonds follow below.
+    # `listing` is the memory per sphere for neighbour lists and bonds [B]. The terms in this line stand for the current
+    # and the previous neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search.
+    # The terms for bonds follow below.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
     # Add memory for the forces and moments of bonds, which half lists may store twice per bond. If bonds may heal, the
     # memory of a listed pair already includes a force and a moment.

@@ -1,4 +1,6 @@
-"""Translate a scene to a model: the constant arrays of a run on a device, and the features that the scene needs."""
+"""Translate a scene to a model, which holds the constant arrays of a run on a device and the features that the scene
+needs.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,19 @@ from .rest import bonds_after_rest, has_layer
 
 @dataclass(frozen=True)
 class Features:
-    """Features that a scene needs; they determine the stages of a step and the specialisation of kernels."""
+    """Features that a scene needs, such as bonds or clumps.
+
+    They determine which kernels a time step launches and how they are compiled.
+    """
 
     pair_law: type[ContactLaw]
     """Class of the contact law that acts between bodies."""
     wall_law: type[ContactLaw]
     """Class of the contact law that acts between bodies and walls."""
     mixed: bool
-    """True if bodies are of several materials, so that the parameters of the contact law may differ between pairs."""
+    """True if the scene has bodies of several materials; contact parameters may then differ between pairs of bodies."""
     history: bool
-    """True if contacts between bodies store a history, for example the force of the shear spring."""
+    """True if contacts between bodies store values from one step to the next, such as the force of the shear spring."""
     bonds: bool
     """True if some pairs of bodies are bonded at the start or may become bonded later."""
     healing: bool
@@ -45,7 +50,7 @@ class Features:
     If False, bonds form only at the start of the run and at a rest.
     """
     subcycling: bool
-    """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
+    """True if stiff bonds are sub-cycled: each time step integrates them with several shorter steps (rounds)."""
     clumps: bool
     """True if the kernel for clumps moves the bodies, because some bodies consist of several spheres or some bonds are
     sub-cycled."""
@@ -60,9 +65,10 @@ class Features:
     strokes: bool
     """True if the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
     structure: bool
-    """True if the lubrication layer on the walls gains strength at rest; slip then wears off this gain."""
+    """True if the lubrication layer on the walls becomes stronger while the concrete rests; slip then reduces this
+    gain."""
     growth: bool
-    """True if the sizes of bodies grow, as during packing."""
+    """True if bodies grow during the run, as in a packing."""
     half_list: bool
     """True if neighbour lists contain a pair only once (CPU); False if they contain it at both spheres (GPU).
 
@@ -87,8 +93,8 @@ class Model:
     groups: tuple[str, ...]
     """Name of each body group, by group number; number 0 means no group."""
     bond_kinds: tuple[Bonds, ...]
-    """Properties of the bond kinds 1, 2, ...; the last kind consists of the bonds that have gained strength at rest, if
-    any."""
+    """Properties of the bond kinds 1, 2, ...; the last kind consists of the bonds that gained strength while the
+    concrete rested, if the scene contains such a rest."""
     walls: tuple[Wall, ...]
     """Walls of the scene in the order of the device arrays: planes and pipes first, then meshes."""
     analytic_walls: int
@@ -119,7 +125,7 @@ class Model:
 
     @property
     def stress_scale(self) -> float:
-        """Largest stress scale [Pa] of all contact laws: the order of magnitude of their contact stresses."""
+        """Order of magnitude of the stress in strongly compressed contacts [Pa]: the maximum over all contact laws."""
         return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
 
     @property
@@ -198,12 +204,12 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
 
 
 def subcycled(scene: Scene) -> bool:
-    """Return whether hydrated bonds are sub-cycled, that is, integrated with several shorter rounds in each step.
+    """Return whether hydrated (stiff) bonds are sub-cycled: integrated with several shorter steps in each time step.
 
     Bonds are sub-cycled if hydrated bonds are much stiffer than all other contacts and bonds, or if the scene requests
-    more than one round.
-    Local damping excludes sub-cycling, because it depends on the sum of all forces, which is not known within a round.
-    Rolling resistance excludes sub-cycling, because the rounds do not implement it.
+    more than one of these shorter steps (rounds). Local damping excludes sub-cycling, because it depends on the sum of
+    all forces, which is not known within a round. Rolling resistance excludes sub-cycling, because the rounds do not
+    implement it.
     """
     hydration, rounds = scene.hydration, scene.time_step.rounds
     if hydration is None or scene.bonds is None or scene.local_damping > 0 or rounds == 1:
@@ -265,7 +271,7 @@ def _wall_rows(
 
 
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Return for every body group the range of segments of its driving axis, and the driving force on each body [N]."""
+    """Return for every body group the pipe axis along which a force drives it, and this force on each body [N]."""
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:
         group = groups.index(drive.group)

@@ -1,9 +1,10 @@
 """Neighbour (Verlet) lists: search on a grid of cells, exact transfer of contact history, and re-sorting of bodies.
 
-A list contains all pairs of spheres whose gap is less than the skin. It serves for many steps, until some sphere may
-have moved too far (L. Verlet, Phys. Rev. 159 (1967) 98). The list stores the neighbours of each sphere together. A full
-list (GPU) contains each pair at both spheres. A half list (CPU) contains each pair at only one of its spheres, with one
-exception: a pair of spheres that belong to different CPU threads is listed at both, once for each thread.
+A list contains all pairs of spheres whose gap is less than a given margin, the skin. It serves for many steps, until
+some sphere may have moved too far (L. Verlet, Phys. Rev. 159 (1967) 98). The list stores the neighbours of each sphere
+together. A full list (GPU) contains each pair at both spheres. A half list (CPU) contains each pair at only one of its
+spheres, with one exception: a pair of spheres that belong to different CPU threads is listed at both, once for each
+thread.
 """
 
 from __future__ import annotations
@@ -36,13 +37,15 @@ from .state import PAIR_ARRAYS, pair_bytes, struct_of
 from .struct_types import Pairs
 
 DRIFT_LANES = 64
-"""Number of threads that sum the velocities of a scene's spheres to find their mean velocity, the common drift."""
+"""Number of threads that together compute the mean velocity of a scene's spheres."""
 OCTANTS = 8
-"""Number of GPU threads that find the neighbours of one sphere if spheres are few, one for each octant around it."""
+"""Number of GPU threads that find the neighbours of one sphere in a small scene, one for each octant around the
+sphere."""
 KEPT = 32
-"""Maximum number of neighbours per sphere that a GPU stores while it counts them.
+"""Maximum number of neighbours per sphere that a GPU stores when it counts them.
 
-These neighbours are later copied into the lists. For a sphere with more neighbours, the search is repeated.
+The GPU later copies these neighbours into the lists, so that it need not search twice. Only for a sphere with more
+neighbours is the search repeated.
 """
 MOST_KEPT = 64
 """Larger value for `KEPT`, used after some sphere has had more than `KEPT` but at most `MOST_KEPT` neighbours."""
@@ -104,7 +107,7 @@ class NeighborLists:
 
     @property
     def builds(self) -> np.ndarray:
-        """Number of list builds of each scene since it joined this batch, shape (scenes,)."""
+        """Number of times that each scene's neighbour lists were built since it joined this batch, shape (scenes,)."""
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
@@ -141,7 +144,7 @@ class NeighborLists:
         if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
-        # For half lists, `_search` has already launched the phases `cells` and `search`.
+        # For half lists, `_search` has already launched the phases `cells` and `search`, so continue after them.
         rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
@@ -162,7 +165,7 @@ class NeighborLists:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Launch the phases `cells` and `search` of a rebuild of half lists, and return all phases of this rebuild.
+        """Launch the first phases, `cells` and `search`, of a rebuild of half lists; return all phases of this rebuild.
 
         If the search buffers are too small, they are enlarged and the search is repeated.
         """
@@ -207,10 +210,10 @@ class NeighborLists:
         self._cells.use_width(width)
 
     def link(self, s: int) -> None:
-        """Build the links of scene `s` from neighbour lists that a checkpoint contained.
+        """Build the links of scene `s`, one for each pair of neighbour lists that a checkpoint contained.
 
-        A link represents a listed pair when a GPU computes contact forces. A CPU has half lists and no links, so the
-        method then does nothing.
+        A GPU computes the contact force of a pair once, for its link. A CPU has half lists and no links, so the method
+        then does nothing.
         """
         if self.batch.features.half_list:
             return
@@ -294,7 +297,7 @@ class NeighborLists:
         return [
             # Copy the motion of single spheres to their bodies, because steps move only the spheres.
             Phase("bodies", b.sync_stages()),
-            # Copy the previous neighbour lists, because the new lists receive their contact history from them.
+            # Copy the previous neighbour lists, from which the new lists receive the contact history.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
             # Sort the spheres' centres into the cells of the grid.
             Phase("cells", [
@@ -405,7 +408,7 @@ class NeighborLists:
         ]
 
     def _face_stages(self) -> tuple[list[Stage], list[Stage], list[Stage]]:
-        """Return three lists of launches for the mesh candidates, the triangles near each sphere.
+        """Return the launches that list the mesh candidates, which are the triangles near each sphere, as three lists.
 
         The first list counts the candidates, the second writes the index of each sphere's first candidate, and the
         third writes the candidates.
@@ -422,10 +425,10 @@ class NeighborLists:
         )
 
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return the number of list entries of each scene, and the number of neighbours for which memory is missing.
+        """Return the number of list entries of each scene, and the size of a larger search buffer if one is needed.
 
         The second result is 0 if the search buffer was large enough for every sphere. Otherwise it is the largest
-        number of neighbours of any sphere for which the buffer was too small. Both results are read from the device
+        number of neighbours among the spheres for which the buffer was too small. Both results are read from the device
         array `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; the message contains
         `what`, the name of the list, and `entries`, the name of its entries.
         """

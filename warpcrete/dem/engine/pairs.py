@@ -8,7 +8,7 @@ from .state import State
 
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sphere indices i and j of every listed pair, and the index of the pair's entry in the neighbour list.
+    """Return the two sphere indices of every pair in the neighbour list, and the index of the pair's list entry.
 
     Each pair is returned once, even if the list contains it at both spheres.
     """
@@ -27,7 +27,7 @@ def chunks_of(state: State) -> list[int] | None:
 def pairs_of(
     start: np.ndarray, other: np.ndarray, chunks: list[int] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sphere indices i and j of every listed pair, and the index of its list entry.
+    """Return the two sphere indices of every pair in a copied neighbour list, and the index of the pair's list entry.
 
     Each pair is returned once. `start` and `other` are host copies of the neighbour list's arrays with these names.
     `chunks` comes from :func:`chunks_of`.
@@ -37,8 +37,8 @@ def pairs_of(
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # If a pair is listed at both spheres, exactly one of its two entries has an `other` that is not negative; use
-        # that entry. If the spheres belong to the same CPU thread, a half list contains the pair only once; always use
-        # that entry.
+        # If a pair is listed at both spheres, the array `other` is negative in one of its two entries; use the other
+        # entry. If the spheres belong to the same CPU thread, a half list contains the pair only once; always use that
+        # entry.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

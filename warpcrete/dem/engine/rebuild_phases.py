@@ -17,7 +17,7 @@ class Phase:
 
     name: str
     stages: Sequence[Recordable]
-    """Launches of the phase in their order; empty if the scenes or the device do not need this phase."""
+    """Kernel launches of this phase in the order in which they run; empty if the scenes or the device need none."""
 
 
 class Chunks:
@@ -37,18 +37,19 @@ class Chunks:
 
 
 class Rebuild:
-    """All phases of a rebuild of the neighbour lists, as launches recorded on the batch's present arrays.
+    """All phases of a rebuild of the neighbour lists, as recorded launches of kernels on the batch's present arrays.
 
-    A section is a sequence of consecutive phases. The host, a CUDA graph that decides by itself when to rebuild, and a
-    restart from a checkpoint launch different sections. Between two sections, the host or the graph checks whether the
-    new lists fit into the arrays.
+    A section is a sequence of consecutive phases. A rebuild by the host, a rebuild that a CUDA graph starts by itself,
+    and a restart from a checkpoint launch different sections. Between two sections, the host or the graph checks
+    whether the new lists fit into the arrays.
     """
 
     def __init__(self, phases: Sequence[Phase], device: wp.Device) -> None:
         self.phases, self._device = list(phases), device
         self._places = {phase.name: place for place, phase in enumerate(self.phases)}
         self.graphs: dict[tuple[str, str], wp.Graph] = {}
-        """CUDA graphs of sections (consecutive phases), by the names of the first and the last phase."""
+        """CUDA graphs of sections, which are sequences of phases. The keys are the names of a section's first and last
+        phase."""
         self._launched: set[tuple[str, str]] = set()
 
     def section(self, first: str, last: str) -> list[Recordable]:

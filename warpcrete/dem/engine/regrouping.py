@@ -19,10 +19,10 @@ LARGEST_SHARE = 0.5
 """Fraction of a batch's spheres. If at most this fraction belongs to running scenes, these scenes move to a smaller
 batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of successive launches with at most `LARGEST_SHARE` of the spheres in running scenes, before these scenes
-move.
+"""Number of successive launches in which few spheres belong to running scenes, before these scenes move.
 
-The delay is useful because the move costs more than it saves if the running scenes end soon.
+Few means at most the fraction `LARGEST_SHARE`. The delay is useful because the move costs more than it saves if the
+running scenes end soon.
 """
 MEMORY_SHARE = 0.5
 """Fraction of the free device memory that the new, smaller batch may use.
@@ -37,7 +37,7 @@ SETTINGS = (
 
 
 class Regrouping:
-    """Rule that decides before each launch of a GPU batch whether its running scenes move to a smaller batch."""
+    """Rule that decides before each launch of steps whether a GPU batch moves its running scenes to a smaller batch."""
 
     def __init__(self) -> None:
         self._few = 0
@@ -60,7 +60,7 @@ class Regrouping:
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move the scenes of some steppers of one batch to a new batch, without changing a single bit of the results."""
+    """Move the scenes of the given steppers, all of one batch, to a new batch; their results stay equal to the bit."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

@@ -1,4 +1,4 @@
-"""Strength that bonds and a lubrication layer on the walls gain while the concrete of a scene rests.
+"""Strength that bonds and the lubrication layer on walls gain while the concrete of a scene stands still (a rest).
 
 A formula gives the gain, so that the rest needs no time steps (Roussel 2006).
 """
@@ -12,7 +12,10 @@ from ..scene.scene import Bonds, Scene
 
 
 def bonds_after_rest(scene: Scene) -> Bonds | None:
-    """Return the scene's bonds with the strength after its rest; None if the scene has no bonds or never rests."""
+    """Return the scene's bonds with the strength that they have after the scene's rest.
+
+    The result is None if the scene has no bonds or no rest, which is a time in which the concrete stands still.
+    """
     if scene.rest is None or scene.bonds is None:
         return None
     gained = scene.rest.gained
@@ -22,5 +25,8 @@ def bonds_after_rest(scene: Scene) -> Bonds | None:
 
 
 def has_layer(scene: Scene, law: type) -> bool:
-    """Return whether the scene contains a rest and the contact `law` of its walls has a lubrication layer."""
+    """Return whether a scene contains a rest and walls with a lubrication layer, which gains strength in a rest.
+
+    `law` is the class of the contact law between bodies and walls.
+    """
     return scene.rest is not None and issubclass(law, LubricationLayer)

@@ -28,7 +28,7 @@ POLL_INTERVAL = 50e-6
 
 
 class _Scene:
-    """Scene of a batch with its coroutine, which yields goals (times or numbers of steps).
+    """Scene of a batch with its coroutine, which yields the times or numbers of steps to which the batch must advance.
 
     `waiting` is True while the coroutine waits for the time steps to its latest goal. `result` is what the coroutine
     has returned or raised at its end.
@@ -68,7 +68,7 @@ class _Scene:
 
 
 class _Drive:
-    """Driver of one batch: launches time steps, then continues the coroutines of the scenes that have reached goals."""
+    """Driver of one batch: it launches time steps, then continues the coroutines of scenes that have reached goals."""
 
     def __init__(
         self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: wp.Stream | None, *, regroups: bool
@@ -92,7 +92,7 @@ class _Drive:
 
     @property
     def results(self) -> dict[int, Any]:
-        """Return value or exception of each coroutine that has ended, by the number of its scene."""
+        """Result of each coroutine that has ended: what it returned or raised, by the number of its scene."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
@@ -112,7 +112,10 @@ class _Drive:
                 self._proceed(member, self.stop)
 
     def launch(self) -> None:
-        """Launch the next time steps of the batch; after an interruption, raise it inside the coroutines instead."""
+        """Launch the next time steps of the batch.
+
+        After an interruption, raise it inside the coroutines instead.
+        """
         self._guarded(self._launch)
 
     def collect(self) -> None:
@@ -163,11 +166,11 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return the two launches of which a GPU inserts one after each piece of a sequence of time steps.
+        """Return the work that a GPU launches after each group of time steps, in two variants.
 
-        The first one rebuilds stale neighbour lists. The second one does the same and then estimates stable time steps.
-        A GPU can rebuild lists without the host only for a batch of one scene; for several scenes, the first launch is
-        None and the second one only estimates. On a CPU, both are None.
+        The first variant rebuilds stale neighbour lists. The second does the same and then estimates stable time steps.
+        A GPU can rebuild lists without the host only for a batch of one scene. For several scenes, the first variant is
+        therefore None, and the second only estimates. On a CPU, both are None.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)
@@ -205,9 +208,10 @@ class _Drive:
 def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
     """Run the coroutines of all scenes of one batch to their ends.
 
-    `scenes` maps the number of each scene to its stepper and its coroutine. The result maps these numbers to what each
-    coroutine returned or raised. Afterwards the steppers may belong to different batches and must not be passed to this
-    function together again. An interruption (Ctrl-C) is raised inside every coroutine that is waiting.
+    `scenes` maps the number of each scene to its stepper, which advances the scene, and its coroutine. The result maps
+    these numbers to what each coroutine returned or raised. Afterwards the steppers may belong to different batches and
+    must not be passed to this function together again. An interruption (Ctrl-C) is raised inside every coroutine that
+    is waiting.
     """
     (results,) = drive_batches([(scenes, None)])
     return results

@@ -14,9 +14,11 @@ from .batch import Batch
 from .state import OF_BATCH, struct_of
 
 SORTED = {"bodies": ("first", *OF_BATCH["bodies"]), "spheres": ("scene", "body", "force", "moment"), "slots": ()}
-"""Names of the arrays that are not permuted when bodies are re-sorted, by the name of their struct. They are
-recomputed, do not depend on the order of bodies, or contain only zeros. All other arrays of the structs named here are
-permuted."""
+"""Names of the arrays that keep their order when bodies are re-sorted, by the name of their struct.
+
+These arrays are recomputed afterwards, do not depend on the order of bodies, or contain only zeros. All other arrays of
+the structs named here are permuted.
+"""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place: DeviceArray) -> None:

@@ -23,10 +23,10 @@ from .struct_types import Estimate
 class StableStep:
     """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
-    The estimate is stored in the entry STABLE of the scene's row in the array `clock`. The step size in the entry DT
-    follows from it and from the settings of the scene. If the program chooses the step, it obeys two more limits.
-    Impacts with little dissipation must keep their energy to about 1 %, and fast bodies must move by no more than a
-    fraction of their radius per step.
+    The estimate is stored in the column STABLE of the array `clock`, which has a row for each scene. The size of the
+    next step, in the column DT, follows from the estimate and from the settings of the scene. If the program chooses
+    the step, it obeys two more limits. Impacts with little dissipation must keep their energy to about 1 %, and fast
+    bodies must move by no more than a fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -80,14 +80,14 @@ class StableStep:
             self._launch(scenes[0])()
 
     def by_device(self, first: Sequence[Recordable] = ()) -> GraphLaunch:
-        """Return a GPU launch that estimates the stable step of every scene that has halted for an estimate.
+        """Return a GPU launch that estimates the stable steps of all scenes that have halted to get an estimate.
 
         The scenes then continue without the host. The launches `first` run before the estimate.
         """
         return GraphLaunch([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
-        """Return all launches of an estimate, so that their kernels can be compiled before the run."""
+        """Return all kernel launches of an estimate, so that their kernels can be compiled before the run."""
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:
@@ -158,7 +158,7 @@ class StableStep:
 
 
 def expected_speed(scene: Scene, horizon: float) -> float:
-    """Return an upper estimate of the speed of walls and bodies within the time `horizon` [s] from now [m/s].
+    """Return an upper estimate of the speeds of walls and bodies [m/s] during the next `horizon` [s].
 
     It is the largest prescribed speed of a wall, plus the speed that gravity or the force on a driven wall can add.
     """

@@ -1,4 +1,4 @@
-"""Stages of one step of the discrete element method: contacts, walls, meshes, motion of walls and bodies, and time."""
+"""Kernel launches (stages) of one time step: contacts, walls, meshes, motion of walls and bodies, simulated time."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ NEAR_LINK_INTERVAL = 20
 It equals the default number of steps between two estimates of the stable step.
 """
 NEAR_MARGIN = 0.25
-"""Largest gap between a sphere and a triangle that becomes a near candidate, as a fraction of the lists' skin.
+"""Largest gap between a sphere and a triangle that is listed as a near candidate, divided by the skin of the lists.
 
 A sphere tests only its near candidates for contact, until it has moved by this gap. A small fraction means frequent
 selection, a large one many tests: in a reducer, CPU steps with the fractions 0.1, 0.5 and 1 take 5, 9 and 15 % longer
 than with 0.25.
 """
 THREADS_PER_LINK = 0.5
-"""Number of GPU threads that compute the forces of near links, divided by the number of all links.
+"""Number of GPU threads that compute contact forces between spheres, divided by the number of all links.
 
-A link is a listed pair of spheres; it is a near link if the spheres may touch soon. If there are more near links than
-threads, some threads compute several links.
+A link is a listed pair of spheres; only near links, whose spheres may touch soon, are computed. If there are more near
+links than threads, some threads compute several links.
 """
 WALL_LANE_BITS = 3
-"""Exponent of the largest number of GPU threads that share the walls (planes and pipes) of one sphere: 2^3 = 8."""
+"""Exponent k of the largest number 2^k of GPU threads that share the planes and pipes near one sphere; 2^3 = 8."""
 WALL_THREADS = 100_000
 """Largest total number of GPU threads for wall contacts, if several threads share the walls of each sphere.
 
@@ -53,7 +53,7 @@ More threads would not hide more memory latency: for 100,000 spheres, eight thre
 one thread per sphere.
 """
 LANE_BITS = 2
-"""Exponent of the number of GPU threads that share the motion of one clump: 2^2 = 4.
+"""Exponent k of the number 2^k of GPU threads that together move one clump; 2^2 = 4.
 
 Several threads share a clump if the scene has few spheres, or if the forces of each contact take more than two rows of
 memory. Otherwise a single thread moves a clump.

@@ -24,7 +24,7 @@ from .model import Model
 from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Walls
 
 STRUCTS = ("scenes", "bodies", "spheres", "slots", "pairs", "candidates", "walls")
-"""Names of the attributes of a state that are structs of arrays."""
+"""Names of the attributes of a state that hold its arrays, grouped in structs."""
 OF_BATCH = {
     "scenes": ("row",),
     "bodies": ("scene",),
@@ -32,8 +32,10 @@ OF_BATCH = {
     "candidates": ("near", "near_count", "chosen"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Names of the arrays that a batch has but the states of its scenes do not store, by the name of their struct. The
-batch calculates these arrays from its models, or needs their values only within a step."""
+"""Names of the arrays that only a whole batch has, not the state of each scene, by the name of their struct.
+
+The batch calculates these arrays from its models, or needs their values only within a step.
+"""
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
@@ -41,7 +43,7 @@ NUMBERS = (
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return for each struct in STRUCTS the names of the arrays that a state stores, all except those in OF_BATCH."""
+    """Return the names of all arrays that a state stores, by the name of their struct, without those in OF_BATCH."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -123,8 +125,8 @@ class State:
     spheres: Spheres
     """Struct `Spheres` of arrays with one row for each sphere, such as positions and forces."""
     slots: Slots
-    """Struct `Slots` of arrays with a row for each sphere. Each column is a slot, which can hold one contact with a
-    wall."""
+    """Struct `Slots` of arrays with a row for each sphere. Each column (slot) has room for one contact of the sphere
+    with a wall."""
     pairs: Pairs
     """Struct `Pairs` of arrays that form the neighbour list, with contact history and bonds."""
     candidates: Candidates
@@ -148,7 +150,8 @@ class State:
         self.smallest_radius = float(offsets[:, 3].min(initial=np.inf)) if self.sphere_count else 0.0
         self.total_mass = float(np.sum(table.mass))
         self.chunks = [0, self.sphere_count]
-        """First sphere of every chunk (the spheres of one CPU thread), and the end of the last chunk."""
+        """Index of the first sphere of every CPU thread, and the number of spheres as the end of the last thread's
+        range."""
         self._batch: HoldingBatch | None = None
         self.index = 0
         """Index of the scene in its batch."""
@@ -263,7 +266,7 @@ class State:
         clock = np.zeros((1, CLOCK))
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
         # Wall forces are summed in fixed point, as 64-bit integers. One unit is between 2^-44 and 2^-43, about 1e-13,
-        # times `typical_force`. The largest possible sum, 2^63 units, is therefore at least 2^19, about 5e5, times
+        # times `typical_force`. The largest possible sum, 2^63 units, is therefore at least 2^19, or about 5e5, times
         # `typical_force`.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self._fill("scenes", clock=clock, scale=np.ones(1), reference_velocity=1)
@@ -285,7 +288,7 @@ class State:
         return self._scratch[name]
 
     def attach_to(self, batch: HoldingBatch, index: int) -> None:
-        """Record that this state is scene `index` of `batch`."""
+        """Record that this state belongs to the scene with the index `index` of `batch`."""
         self._batch, self.index = batch, index
         self._launches = -1, {}
 
@@ -297,10 +300,10 @@ class State:
         self._batch = None
 
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
-        """Return the dict in which the measuring functions of `probes` store their recorded launches by name.
+        """Return the dictionary in which the functions of `probes` keep the recorded launches of their measurements.
 
-        `version` is the present version of the batch. If it has changed since the last call, the dict is emptied,
-        because the recorded launches may refer to arrays that have been replaced.
+        The keys are names of measurements. `version` is the present version of the batch. If it has changed since the
+        last call, the dictionary is emptied, because the recorded launches may refer to arrays that have been replaced.
         """
         if self._launches[0] != version:
             self._launches = version, {}

@@ -19,7 +19,7 @@ EMPTY = {("spheres", "force"), ("spheres", "moment")}
 
 
 def state_dict(state: State) -> dict[str, Any]:
-    """Return everything in the state that the next step depends on: arrays by struct and name, flags and numbers."""
+    """Return all data of a state that the next step depends on: arrays by struct and name, control flags, numbers."""
     stored: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:

@@ -37,7 +37,7 @@ SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
 MESH_SKIN = 4  # Skin of the mesh candidates (triangles near a sphere), as a multiple of the neighbour lists' skin.
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
-"""Number of steps after which the host re-sorts the bodies in memory, by kind of device.
+"""Number of steps after which the host re-sorts the bodies in memory. The keys are kinds of devices.
 
 Neighbour lists are rebuilt 13 to 55 times in this interval. The key "few" stands for a GPU with few bodies. Few bodies
 fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, sorting every 16,000 instead
@@ -66,8 +66,8 @@ class Stepper:
     ) -> None:
         """Create a stepper for one scene of an existing batch, or of a new batch if `among` is None.
 
-        `among` holds three things: the neighbour lists of the existing batch, its :class:`StableStep`, and the index of
-        the scene in the batch. With `resumed`, the `state_dict` of another stepper, the new stepper continues like that
+        `among` is a tuple of the neighbour lists of the existing batch, its :class:`StableStep`, and the index of the
+        scene in the batch. With `resumed`, the `state_dict` of another stepper, the new stepper continues like that
         stepper. Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two
         re-sortings.
         """
@@ -76,8 +76,8 @@ class Stepper:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        # `running` becomes True at t = 0. Before t = 0, an unstable fixed step raises a SceneError, and from then on an
-        # InstabilityError.
+        # `running` becomes True at t = 0, after the preparation of the scene. Before t = 0, an unstable fixed step
+        # raises a SceneError, and from then on an InstabilityError.
         self.running = False
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._goal_is_steps = False
@@ -86,8 +86,10 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest time step [s] in which no wall with prescribed motion moves farther than `LEAP` times the smallest
-        sphere radius."""
+        """Longest time step [s] in which no wall with prescribed motion moves too far.
+
+        The limit is `LEAP` times the radius of the smallest sphere.
+        """
         self.join(*among, resumed=resumed)
 
     def join(
@@ -189,7 +191,9 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Apply the rest of the concrete: strengthen bonds and lubrication layer, and bond all unbonded pairs.
+        """Apply the effects of a time in which the concrete stands still (a rest).
+
+        Bonds and lubrication layer gain strength, and all unbonded pairs are bonded.
 
         Returns the present travel [m] of the wall `Rest.wall`. The slip along the wall after the rest is measured from
         this travel.
@@ -206,7 +210,7 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Add the yield stress that the lubrication layer gained at rest.
+        """Add the yield stress that the lubrication layer gained while the concrete stood still (a rest).
 
         Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
         since the rest. `travel_at_rest` is the total distance [m] that this wall had moved by the time of the rest.

@@ -14,7 +14,7 @@ from ...core.device.arrays import DeviceArray
 
 
 class Scenes(Protocol):
-    """Arrays with one row for each scene, such as parameters, simulated time, time step and factor of sphere sizes."""
+    """Arrays with one row for each scene, such as parameters, simulated time, time step and growth of spheres."""
 
     row: DeviceArray
     clock: DeviceArray
@@ -62,7 +62,7 @@ class Spheres(Protocol):
 
 
 class Slots(Protocol):
-    """Arrays of the contacts of spheres with walls, with one row for each sphere."""
+    """Arrays of wall contacts: a row for each sphere, and a column (slot) for each wall contact that it can have."""
 
     touching: DeviceArray
     history: DeviceArray
@@ -119,7 +119,7 @@ class Walls(Protocol):
 
 
 class Links(Protocol):
-    """Arrays of the links of a GPU; a link represents a pair that a neighbour list contains at both spheres."""
+    """Arrays of the links of a GPU; a link stands for one pair, which a GPU's neighbour list contains twice."""
 
     link: DeviceArray
     scene: DeviceArray

@@ -1,4 +1,4 @@
-"""Sub-cycling of stiff bonds: hydrated bonds are integrated in several shorter rounds within each time step.
+"""Sub-cycling of stiff bonds: within each time step, hydrated bonds are integrated in several shorter steps (rounds).
 
 Sub-cycling is a form of multiple time stepping. The forces of all other contacts on the bodies stay constant during the
 rounds of a step; `kernels/dem/subcycling.py` explains the method. This module manages the sub-cycled pairs and bodies,
@@ -30,8 +30,8 @@ from .struct_types import Subcycled
 MARGIN = 1.1
 """Safety factor for the number of sub-cycling rounds.
 
-The number of rounds is chosen once in a run. With the factor, the rounds stay stable in later time steps that are up to
-`MARGIN` times as long as the step for which the number was chosen.
+The number of rounds is chosen once in a run. With this factor, the rounds (the shorter steps of stiff bonds) stay
+stable in later time steps that are up to `MARGIN` times as long as the step for which the number was chosen.
 """
 ROUND_BLOCK = 128
 """Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
@@ -84,7 +84,7 @@ class Subcycles:
     """Device arrays of the sub-cycled pairs and bodies, in a struct `Subcycled` of `kernels/dem/structs.py`."""
 
     def __init__(self, batch: SceneBatch) -> None:
-        """Prepare the sub-cycling of a batch, without any sub-cycled pairs at first."""
+        """Prepare the sub-cycling of stiff bonds for a batch; at first no pair is sub-cycled."""
         self.batch = batch
         self._by_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
@@ -94,12 +94,12 @@ class Subcycles:
 
     @property
     def rounds(self) -> int:
-        """Largest number of sub-cycling rounds per step among all scenes of the batch."""
+        """Largest number of rounds (shorter steps of stiff bonds) per time step among all scenes of the batch."""
         return int(self._rounds.max(initial=0))
 
     @property
     def concurrent_batches(self) -> int:
-        """Number of batches that may compute sub-cycling rounds on the same GPU at the same time."""
+        """Number of batches that may compute rounds (shorter steps of stiff bonds) on the same GPU at the same time."""
         return self._concurrent_batches
 
     @concurrent_batches.setter
@@ -109,7 +109,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Use the pairs of scene `s` whose bonds are hydrated at present as the sub-cycled pairs of this scene."""
+        """Select the sub-cycled pairs of scene `s`: all pairs whose bonds are hydrated at present."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
@@ -120,7 +120,7 @@ class Subcycles:
         self._restore(s, {"lower": pairs[0], "higher": pairs[1]})
 
     def set_rounds(self, s: int, rounds: int) -> None:
-        """Set the number of rounds per step in which the sub-cycled pairs of scene `s` are integrated."""
+        """Set the number of rounds (shorter steps) per time step for the sub-cycled pairs of scene `s`."""
         self._rounds[s] = rounds
         self.arrays.rounds.assign(self._rounds)
         self.batch.invalidate_graphs()
@@ -210,11 +210,12 @@ class Subcycles:
         self._body_place = zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the bodies of scene `s` with stiff bonds, the number of pair ends on each body, and the ends by body.
+        """Return the bodies of scene `s` that have stiff bonds, and the ends of these bonds on each body.
 
         Each sub-cycled pair k has two ends: 2k is the sphere with the lower permanent number, and 2k + 1 the other
-        sphere. The bodies are given by their permanent numbers, in ascending order. The third array lists the ends of
-        the first body, then those of the second body, and so on.
+        sphere. The first array contains the permanent numbers of the bodies, in ascending order. The second array
+        contains the number of ends on each body. The third array lists the ends of the first body, then those of the
+        second body, and so on.
         """
         pairs = self._by_scene[s]
         if not pairs:

@@ -1,4 +1,4 @@
-"""Growth of the lubrication layer's yield stress while concrete rests, and its loss by slip (Roussel 2006)."""
+"""Growth of the lubrication layer's yield stress while concrete stands still, and its loss by slip (Roussel 2006)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class Structure:
     def __init__(self, batch: SceneBatch) -> None:
         """Prepare the layers of a batch in which every scene has a lubrication layer that gains strength at rest."""
         self.batch = batch
-        # The contact parameters of the model must not change, so the batch stores the changing yield stress in a copy.
+        # The contact parameters in the model are constant. The yield stress changes, so the batch stores it in a copy
+        # of them.
         batch.wall_parameters = clone(batch.wall_parameters)
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = DeviceArray(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)
@@ -65,10 +66,10 @@ class Structure:
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Copy gain and slip of the lubrication layer of scene `index` of `other` to scene `s` of this batch.
+        """Copy the data of the lubrication layer of a scene that has moved from another batch to this one.
 
-        The two are the same scene, which has moved from the batch of `other` to this batch. The copied values are the
-        gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
+        The scene had the index `index` in the batch of `other` and has the index `s` in this batch. The copied values
+        are the gained yield stress [Pa] and the travel of the wall at the time of the rest [m].
         """
         self._set(s, other._gained[index], other._travel_at_rest[index])
 

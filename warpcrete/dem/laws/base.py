@@ -14,14 +14,15 @@ from ...core.errors import between
 from ...core.inputs.parameters import Declared, Field, OneOf, declared_fields
 
 RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
-"""Names of the parameters by which contact laws resist sliding and rolling."""
+"""Names of the parameters of all contact laws that determine the resistance to sliding and rolling."""
 
 
 @dataclass(frozen=True)
 class OnDevice:
     """Rule that a device stores a parameter under another name or with another value.
 
-    `name` is the name on the device. The function `of` computes the device's value from the parameter.
+    `name` is the parameter's name on the device. The function `of` takes the parameter and returns its value on the
+    device.
     """
 
     name: str
@@ -77,7 +78,7 @@ class ContactLaw(Declared, ABC):
     @property
     @abstractmethod
     def stress_scale(self) -> float:
-        """Stress scale of the law [Pa]: the order of magnitude of the stress in a deeply overlapping contact."""
+        """Order of magnitude of the stress in a strongly compressed contact [Pa]: the modulus of a linear law."""
 
     @property
     @abstractmethod
@@ -113,7 +114,7 @@ class ContactLaw(Declared, ABC):
         return _functions(cls, scalar)
 
     def row(self) -> dict[str, Any]:
-        """Return the parameters as they are stored on the device, by the field names of the struct `Parameters`."""
+        """Return the values of the parameters on the device, by their names in the struct `Parameters`."""
         values = {}
         for name, field in declared_fields(type(self)).items():
             value = getattr(self, name)

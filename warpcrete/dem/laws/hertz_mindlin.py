@@ -2,9 +2,9 @@
 """Hertz-Mindlin contact: Hertz' normal force, Mindlin's tangent stiffness without micro-slip, Coulomb slider.
 
 The dashpots follow Tsuji et al. 1992 in the form of Antypov & Elliott 2011, so that the coefficient of restitution does
-not depend on speed. The shear force is incremental. There are two rules for the shear force while the normal load
-falls. With `rescale`, the shear force falls in proportion to the tangent stiffness. This rule never creates energy
-(Thornton et al. 2013). With `hold`, the shear force stays constant, as in the simplest codes.
+not depend on speed. The shear force is incremental. The parameter `unloading` selects one of two rules for the shear
+force while the normal load falls. With `rescale`, the shear force falls in proportion to the tangent stiffness. This
+rule never creates energy (Thornton et al. 2013). With `hold`, the shear force stays constant, as in the simplest codes.
 """
 
 from dataclasses import dataclass, replace

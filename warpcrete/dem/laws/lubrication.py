@@ -98,7 +98,7 @@ class LubricationLayer(ContactLaw):
                 drag = zero
             if touch.gap < zero:
                 drag += p.viscosity * area(touch)
-            # normal force of the dashpot: the total normal force minus the normal force of the spring
+            # The total normal force minus that of the spring is the normal force of the dashpot.
             resisting = wp.dot(alone, n) + spring
             return (normal_part + shear + drag * vs, shear, slid + (resisting * vn + drag * wp.length_sq(vs)) * dt)
 

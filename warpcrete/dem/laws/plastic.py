@@ -98,7 +98,7 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def turned(touch: Touch, v: t.vec3):
-            """Return the force `v` after it has rotated with the pair of bodies; its length does not change."""
+            """Return the force `v` after rotating it as the pair of bodies has rotated; its length does not change."""
             square = wp.length_sq(v)
             after = v + wp.cross(touch.tilt + touch.twist * touch.normal, v)
             longer = scalar(1.0)

@@ -47,7 +47,10 @@ QUADRATURE = 24
 
 
 class BlockageWatch:
-    """Watch that checks the concrete at intervals of piston travel and records the first blockage of the pipe."""
+    """Check for blockage, which compares the motion of concrete and piston at intervals of piston travel.
+
+    It records the first blockage of the pipe.
+    """
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
@@ -55,7 +58,7 @@ class BlockageWatch:
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
         self.bores = varying_bores(model.scene.stations)
-        """Radius of the bore along the axis, if the bore varies; otherwise None."""
+        """Radii of the pipe's bore along its axis; None if the radius is the same everywhere."""
         self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Piston travel [m] during which a part of the concrete must stand still before the pipe counts as blocked."""
         self.found: dict[str, float] = {}
@@ -217,7 +220,7 @@ def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.
 
 
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
-    """Return the arc length [m] of the last cross-section that carries at least half of the largest axial force.
+    """Return the arc length [m] of the last cross-section along the pipe with at least half the largest axial force.
 
     The cross-sections lie at the arc lengths `stations` [m]. The axial force through a cross-section is the sum of the
     `forces` [N] of the contacts that cross it. `places` [m] has the arc lengths of both ends of each contact.

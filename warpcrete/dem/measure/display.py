@@ -45,7 +45,8 @@ The largest depth is unsuitable, because single patches are worn far deeper than
 """
 BONDS = (230, 140, 30)
 ALONG = (("axial", "axial_stress", RUN), ("mean", "pressure", SECOND))
-"""Stresses plotted along the pipe: label, column in the table of the stations (slices of the pipe), and colour."""
+"""Stresses plotted along the pipe: the label of each, its column in the table of stations (slices of the pipe), and its
+colour."""
 MAX_LINE_RADIUS, MIN_LINE_RATIO = 0.12, 0.04
 """Radii of the lines that show contact forces.
 
@@ -77,7 +78,8 @@ class ElementDisplay(Display):
         super().__init__(simulation, colouring)
         self._upper = self._limit()
         self._patches: dict[int, np.ndarray] = {}
-        """Index of the wear patch at each vertex of a worn wall, by the wall's number."""
+        """Index of the wear patch (area over which wear is summed) at each vertex of a worn wall, by the number of the
+        wall."""
         self._worn_most = 0.0
         self._latest: tuple[float, np.ndarray] | None = None
         """Simulated time of the last stress measurement in the slices of the pipe [s], and the measured values."""
@@ -88,8 +90,8 @@ class ElementDisplay(Display):
         """Return the value at the top of the colour scale for the quantity by which the aggregates are coloured.
 
         For contact forces the top is 5 % of the stress scale of the contact law times the square of the largest size
-        [N]. For sizes it is the largest size [m]. For speeds it is 1.5 times the speed of the piston or of the fastest
-        driven wall [m/s].
+        [N]. For sizes it is the largest size [m]. For speeds it is 1.5 times the speed of the piston or, without a
+        pipe, of the fastest wall with prescribed motion [m/s]; if nothing moves, it is 1 m/s.
         """
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
@@ -162,7 +164,7 @@ class ElementDisplay(Display):
         return np.take(self._painted(), self._body_order(), axis=0)
 
     def _painted(self) -> np.ndarray:
-        """Return the colours of all bodies as RGB bytes, in the order of the state's arrays, shape (n, 3)."""
+        """Return the colours of all bodies as RGB bytes, in the order of the bodies in memory, shape (n, 3)."""
         return self.derived(
             f"{self.colouring} up to {self._upper}", lambda: palette_colours(self._shown(), self._upper)
         )
@@ -256,7 +258,7 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        # Find the ranks, in the order of arc length, of the first and the last body of the averaged range.
+        # Average over the bodies between two ranks in the order of arc length; find these ranks.
         low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Give bodies outside the averaged range the weight 0, which is faster than selecting the bodies inside it.

@@ -79,8 +79,9 @@ def main_body(spheres: np.ndarray) -> np.ndarray:
 def spread(spheres: np.ndarray) -> float:
     """Return the mean diameter of a heap about x = y = 0 [m], averaged over all directions.
 
-    The tests of fresh concrete average two perpendicular diameters. In each direction the heap extends to the outermost
-    point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
+    The tests of fresh concrete average two perpendicular diameters. On a ray from the origin, the heap ends at the
+    outermost point that a sphere covers, as seen from above. `spheres` has rows of centre and radius [m], shape (n, 4),
+    n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
     # Speed up the search by leaving out spheres that cannot change the result. The outer spheres alone give a lower
@@ -120,7 +121,7 @@ def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
 
 
 def shadow(spheres: np.ndarray, x: float, y: float, cell: float) -> float:
-    """Return the fraction of a rectangle that spheres cover in plan view.
+    """Return the fraction of a rectangle that is covered by spheres, as seen from above.
 
     The rectangle is centred at the origin and has the half-widths `x` and `y` [m]. Vertical rays, which are `cell` [m]
     apart, test whether a sphere lies above or below a point of the rectangle.

@@ -1,4 +1,7 @@
-"""Measurements on a state: sums over bodies, contacts and walls, added in a fixed order in double precision."""
+"""Measurements on the state of a run: sums over bodies, contacts and walls.
+
+The values are added in a fixed order and in double precision.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ class ContactSums:
     """Mean over touching pairs of the overlap divided by the smaller radius."""
     largest_overlap: float
     deepest: float
-    """Largest overlap of any contact, divided by the overlap at which contact laws lose their meaning.
+    """Largest overlap of any contact, divided by the overlap up to which contact laws are meaningful.
 
     Between spheres that is the overlap at which the larger sphere contains the smaller one, or at which the centres are
     only half as far apart as at first touch, whichever comes first. On walls it is the radius of the sphere.
@@ -194,7 +197,7 @@ def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, max
 
 
 def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
-    """Return a launch of `kernel` with `dim` tasks for the one scene of `state`.
+    """Return a launch of `kernel` with `dim` tasks (threads) for the scene to which `state` belongs.
 
     `named` has arguments of the kernel by name. Parameters that `named` leaves out receive the batch's arrays of the
     same name, and the parameter `s` receives the scene's number in the batch.
@@ -205,7 +208,9 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the kernels of the measurement called `what` as one recorded graph.
+    """Launch the kernels of a measurement together, as one recorded graph.
+
+    `what` is the name of the measurement.
 
     `make` returns the launches to record. It is called at the first launch, and again whenever the batch's arrays have
     changed.

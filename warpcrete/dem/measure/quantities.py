@@ -42,7 +42,7 @@ MEDIAN = 1.4826
 
 @dataclass(frozen=True)
 class Known:
-    """Data of a run from which its results are computed."""
+    """Data of a run from which the results (named numbers) are computed."""
 
     scene: Scene
     walls: Sequence[Wall]
@@ -53,7 +53,7 @@ class Known:
     """Sums over the contacts at the end of the run, coordination number included."""
     wear: WearMap | None = None
     blockage: BlockageWatch | None = None
-    """Watch that has looked for blockages during the run; None if the scene did not request it."""
+    """Outcome of the check for blockage during the run; None if the scene did not request this check."""
     log: StationLog | None = None
     """Measurements in slices (stations) along the pipe; None if the scene does not request them in every sample."""
 
@@ -73,21 +73,21 @@ class Known:
 
     @property
     def peak(self) -> int:
-        """Index of the sample with the largest pressure."""
+        """Index of the sample (row of the time series) with the largest pressure on the piston."""
         return int(np.argmax(self.series["pressure"]))
 
     @property
     def window(self) -> np.ndarray:
-        """Mask of the samples in the final window, shape (samples,).
+        """Mask of the samples over whose mean the final pressure is taken, shape (samples,).
 
-        The final window is the last fraction WINDOW of the piston's travel. If the piston stops between strokes, the
-        window is the last fraction WINDOW of the travel in the last stroke.
+        They form the final window, the last fraction WINDOW of the piston's travel. If the piston stops between
+        strokes, the window is the last fraction WINDOW of the travel in the last stroke.
         """
         return self.series["travel"] >= self.window_begin
 
     @property
     def window_begin(self) -> float:
-        """Travel of the piston at which the final window begins [m]."""
+        """Travel of the piston at which the final window, over which results are averaged, begins [m]."""
         travel = self.series["travel"][-1]
         begun = stroke_start(self.scene, travel)
         return begun + (1 - WINDOW) * (travel - begun)
@@ -221,7 +221,7 @@ def energy_balance(known: Known) -> float | None:
 
 
 def _beside(run: Run, name: str) -> str:
-    """Return a text that states the published value of the pressure `name`; empty if no value is published."""
+    """Return a text with the published value of the pressure called `name`; empty if the scene has no such value."""
     published = run.scene.published
     value = getattr(published, name) if published else None
     return "" if value is None else f"   ({published.source}: {value / 1e3:.2f} kPa)"
@@ -244,8 +244,10 @@ def _gradient_words(name: str):
 
 
 def _middle_words(run: Run) -> str:
-    loss, ratio = number(run.result["middle_loss"]) / 1e3, run.result["middle_ratio"]
-    return f"{loss:.3g} kPa, {ratio:.2f} times the loss of an equally long straight pipe next to it"
+    loss = f"{number(run.result['middle_loss']) / 1e3:.3g} kPa"
+    if "middle_ratio" not in run.result:  # The wall stress in a straight pipe is not positive.
+        return loss
+    return f"{loss}, {run.result['middle_ratio']:.2f} times the loss of an equally long straight pipe next to it"
 
 
 def no_plateau(run: Run) -> str:

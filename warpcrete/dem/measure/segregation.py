@@ -162,7 +162,7 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    # The variance of a random mixture is the mean of apart_wholly / n over all cells, weighted with the number n of
+    # For a random mixture, the variance is the mean of p (1 - p) / n over all cells, weighted with the number n of
     # stones in a cell.
     by_chance = apart_wholly * len(count) / count.sum()
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0

@@ -31,8 +31,8 @@ from .probes import launch_recorded, scene_stage
 RINGS = 5
 """Number of rings of equal width around the axis, in each of which the axial velocity is averaged for a profile."""
 FRONT = 0.98
-"""The front of the concrete is defined as the point along the pipe behind which this fraction of the solid volume lies.
-Ahead of the front, concrete does not fill the whole cross-section."""
+"""Fraction of the solid volume that lies behind the front of the concrete; this defines the front. Ahead of the front,
+concrete does not fill the whole cross-section."""
 FARTHEST = 8
 """The search for the front of the concrete looks only at 1/FARTHEST of all bodies, to save time. These are the bodies
 that are farthest along the pipe."""
@@ -201,7 +201,8 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
       middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
     - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
 
-    A result is left out if concrete fills too few of the slices that it needs.
+    A result is left out if concrete fills too few of the slices that it needs. The result `middle_ratio` is also left
+    out if the wall stress at an end of the middle is not positive.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -344,7 +345,7 @@ class _Spheres:
 
 
 def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.ndarray:
-    """Return mean normal stress and axial stress in each slice, times the slice's volume [J], shape (slices, 2).
+    """Return each slice's mean normal stress and axial stress, both times the slice's volume [J], shape (slices, 2).
 
     Both follow from the sum over contacts of force times branch vector: the first is a third of its trace, the second
     its component along the pipe. Both are positive in compression.
@@ -409,7 +410,7 @@ def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[
 
 
 def _wall_pushes(seen: StationArrays, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return wall forces [N], vectors from sphere centres to contact points [m], and the indices of the walls.
+    """Return the force [N] of each wall contact, the vector from sphere centre to contact [m], and the wall's index.
 
     The arrays have a row for each sphere, in the order given by `order`, and a column for each wall contact that a
     sphere can have.

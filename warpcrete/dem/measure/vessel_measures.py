@@ -68,7 +68,7 @@ def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 
 def outcome(known: Any) -> Outcome | None:
-    """Return the data from which the results of a standard test are computed; None for a run of another kind."""
+    """Return the data from which the results of a standard test are computed; None for a run without such a test."""
     vessel, series, fill = known.scene.vessel, known.series, known.scene.fill
     if vessel is None:
         return None

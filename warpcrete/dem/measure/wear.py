@@ -51,9 +51,9 @@ class Patches(ABC):
         """Return the patch number of each of `points` (n, 3), given in the wall's frame [m]."""
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return vertices [m], triangles, and the patch of each vertex; None if the wall is not drawn.
+        """Return vertices [m], triangles and the patch of each vertex of a mesh that shows the wall, or None.
 
-        The shapes are (v, 3), (f, 3) and (v,).
+        The result is None if the wall is not drawn. The shapes are (v, 3), (f, 3) and (v,).
         """
         return None
 
@@ -74,11 +74,11 @@ class PlanePatch(Patches):
 
 
 class PipePatches(Patches):
-    """Division of a pipe wall into patches: rings of patches (stations) follow one another along the pipe.
+    """Division of a pipe wall into stations, which are rings of patches around the axis.
 
-    All stations have the same number of patches, and patches are numbered station by station. Angles around the axis
-    are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a straight pipe, the angle 0 is
-    the direction of the axis' normal vector.
+    The stations follow one another along the pipe. All have the same number of patches, and patches are numbered
+    station by station. Angles around the axis are 0 on the outside of the pipe's bends (in their plane, away from the
+    centre). In a straight pipe, the angle 0 is the direction of the axis' normal vector.
     """
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:
@@ -187,7 +187,7 @@ class WornWall:
     patches: Any
     """Division of the wall: a :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
     done: np.ndarray
-    """Sums of the wear quantities :data:`COLUMNS` over the time since t = 0, for each patch, shape (patches, 3)."""
+    """Wear quantities of each patch, named in :data:`COLUMNS` and summed since t = 0, shape (patches, 3)."""
     coefficient: float
     """Coefficient K/H of Archard's law [m2/N]: the dimensionless wear coefficient K divided by the hardness H of the
     wall."""
@@ -259,7 +259,10 @@ class WearMap:
 
     @property
     def main(self) -> WornWall | None:
-        """Most worn wall among pipes and meshes; without these, among planes of finite area; otherwise None."""
+        """Most worn wall among pipes and meshes.
+
+        If the scene has none, it is the most worn plane of finite area, or None.
+        """
         found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
         shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

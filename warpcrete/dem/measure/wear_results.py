@@ -14,9 +14,9 @@ from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
-    """Return a function that takes the data of a run and applies `of` to the run's most worn wall.
+    """Return a function that takes the data of a run and evaluates the function `of` for the run's most worn wall.
 
-    It returns None if no wear was measured.
+    Its result is None if the run measured no wear.
     """
 
     def found(known: Any) -> float | None:

@@ -132,13 +132,7 @@ def _distribution(given: AggregateParameters) -> Sizes:
         if deviation is None:
             deviation = max(0.5 * (largest - smallest), 1e-6 * largest)
         return Gaussian(mean, deviation, smallest, largest)
-    try:
-        pairs = [tuple(map(float, part.split(":"))) for part in given.sizes.split(",")]
-        openings, passing = zip(*pairs, strict=True)
-    except ValueError:
-        refuse("sizes", given.sizes, "must be 'gaussian', 'uniform' or a sieve curve",
-               "for example '5:0,10:0.4,20:1', pairs of opening [mm] and share of the mass that passes")  # fmt: skip
-    return SieveCurve(tuple(1e-3 * o for o in openings), tuple(passing))
+    return SieveCurve.from_text(given.sizes, "sizes", "must be 'gaussian', 'uniform' or a sieve curve")
 
 
 def fractions_of(text: str | None) -> tuple[float, ...] | None:

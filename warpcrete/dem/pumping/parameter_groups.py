@@ -20,7 +20,7 @@ UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 
 
 def unit_names() -> tuple[str, ...]:
-    """Return the names of the pipe units."""
+    """Return the names of the pipe units, which are the available shapes of pipe, such as a straight pipe or a bend."""
     return UNITS
 
 

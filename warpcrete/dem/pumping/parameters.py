@@ -33,10 +33,11 @@ from .parameter_groups import (
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
 UPRIGHT = 0.4
-"""Smallest thickness of the plug at the front of the concrete, divided by its diameter, at which the plug does not tip
-over behind a bend. At a ratio of 0.13, plugs tipped over in test runs."""
+"""Thickness of the plug at the front of the concrete, divided by its diameter, from which on the plug does not tip over
+behind a bend. In test runs, plugs with a ratio of 0.13 tipped over."""
 WIDEST_STONE = 0.4
-"""Ratio of the largest pumpable rounded aggregate to the pipe's diameter (ACI 304.2R; for crushed aggregate, 1/3)."""
+"""Largest diameter of rounded aggregate that can be pumped, divided by the pipe's diameter (ACI 304.2R); 1/3 for
+crushed aggregate."""
 
 
 class ConcreteDefaults:
@@ -47,7 +48,7 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return "elements", the name of a section in a concrete's file, and the parameters allowed in this section."""
+        """Return "elements", the section of a concrete's file that sets parameters, and the names allowed in it."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
@@ -161,7 +162,7 @@ class PipeParameters(
 
     @property
     def each(self) -> float:
-        """Travel of the piston in each stroke [m]."""
+        """Travel of the piston in one stroke [m]."""
         return self.distance / self.strokes
 
     @property
@@ -204,7 +205,7 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the stress scale of the contact law between aggregates [Pa]; for the linear law this is its modulus."""
+    """Return the order of magnitude of the stress in strongly compressed contacts [Pa]: the modulus of a linear law."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 
@@ -252,8 +253,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
         # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pumping pressure minus the
-        # counterpressure at the front of the concrete is proportional to the length of the pipe. For each shorter
-        # length, give the factor by which this difference must be multiplied to obtain its value in the full length.
+        # counterpressure at the front of the concrete is proportional to the length of the pipe. A shorter length
+        # therefore comes with the factor by which this difference must be multiplied to obtain its value in the full
+        # length.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

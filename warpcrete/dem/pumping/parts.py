@@ -147,7 +147,7 @@ class Course:
     ramp: float
     """Travel over which the piston's speed rises linearly in time [m]."""
     velocity: float
-    """Final speed of the piston [m/s]."""
+    """Speed of the piston after its ramp [m/s]."""
     middle: tuple[float, float] | None
     """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if the whole part is a
     straight pipe of constant diameter."""
@@ -155,8 +155,8 @@ class Course:
     inserts: tuple[Insert, ...] = ()
     """Sections of the pipe whose bore is a mesh."""
     clear: Bores | None = None
-    """Radii of the largest circles about the axis that lie inside the bore; None if no section of the bore is a
-    mesh."""
+    """Radii, along the axis, of the largest circles about the axis that lie inside the bore; None if no section of the
+    bore is a mesh."""
 
     @property
     def narrowest(self) -> float:
@@ -216,7 +216,7 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if all of it is straight."""
+    """Return the arc lengths between which a pump line is not a straight pipe [m]; None if it is one."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None

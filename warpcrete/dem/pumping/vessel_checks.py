@@ -38,7 +38,7 @@ def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
 
 
 BALANCED = 0.01
-"""Largest error of the momentum balance that a valid run may have, divided by the largest impulse."""
+"""Largest error of the momentum balance that a valid run may have, divided by the largest impulse on the concrete."""
 FEWEST = 200
 """Minimum number of grains that represent concrete in a vessel; with fewer, the outcome depends on single grains."""
 STRAYS = 0.05

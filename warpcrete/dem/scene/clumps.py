@@ -11,6 +11,9 @@ import numpy as np
 
 from ...core.errors import SceneError, between, refuse
 
+SHARE_POINTS = 64
+"""Number of grid points along the longest side of a clump, with which its volume is divided among its spheres."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClumpTemplate:
@@ -39,10 +42,34 @@ class ClumpTemplate:
         return float(np.max(np.linalg.norm(self.offsets, axis=1) + self.radii))
 
     @property
+    def widths(self) -> np.ndarray:
+        """Sides of the bounding box in principal axes, divided by the diameter of the sphere of equal volume."""
+        return np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
+
+    @property
     def shape_factor(self) -> float:
         """Ratio of the longest to the shortest side of the bounding box in principal axes."""
-        widths = np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
-        return float(widths.max() / widths.min())
+        return float(self.widths.max() / self.widths.min())
+
+    @functools.cached_property
+    def shares(self) -> np.ndarray:
+        """Fraction of the clump's volume that belongs to each sphere, shape (k,); the sum is 1.
+
+        A point belongs to the sphere in which it lies deepest below the surface.
+        """
+        if len(self.radii) == 1:
+            return np.ones(1)
+        lower, upper = (self.offsets - self.radii[:, None]).min(0), (self.offsets + self.radii[:, None]).max(0)
+        step = (upper - lower).max() / SHARE_POINTS
+        axes = [np.arange(low + step / 2, high, step) for low, high in zip(lower, upper, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        least, nearest = np.full(len(points), np.inf), np.zeros(len(points), int)
+        for sphere, (centre, radius) in enumerate(zip(self.offsets, self.radii, strict=True)):
+            gap = np.linalg.norm(points - centre, axis=1) - radius
+            nearest[gap < least] = sphere
+            least = np.minimum(least, gap)
+        number = np.bincount(nearest[least < 0], minlength=len(self.radii))
+        return number / number.sum()
 
     def scaled(self, size: float) -> tuple[np.ndarray, np.ndarray]:
         """Return sphere centres, shape (k, 3), and radii, shape (k,), of a body of `size` [m] in its own frame [m]."""
@@ -83,8 +110,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # The integration sums over prisms along z with a rectangular cross-section. In the mean of x^2 over a prism, the
-    # width of the prism in x adds steps[0]^2/12 to the square of its middle; the same holds for y and steps[1].
+    # The integrals are sums over prisms along z with a rectangular cross-section. The mean of x^2 over a prism is the
+    # square of its middle plus steps[0]^2/12, because the prism is steps[0] wide. The same holds for y and steps[1].
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()

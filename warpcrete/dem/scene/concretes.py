@@ -25,7 +25,7 @@ ratio is only 0.02.
 
 
 def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
-    """Return the parameters of discrete elements that the concrete named in `values` implies.
+    """Return the parameters of discrete elements that follow from the concrete in the scene's parameters `values`.
 
     `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete. If
     `values` already contains all of these parameters, as in the stored scene of a run, the result is an empty

@@ -16,7 +16,7 @@ from .sizes import Gaussian, Sizes
 
 START_RADIUS_RATIO = 0.95
 """Radius within which aggregates are placed, divided by the pipe's inner radius at the same arc length. It is below 1,
-so that the aggregates also fit a pipe of eight or more facets."""
+so that aggregates also fit a pipe whose cross-section is a polygon of eight or more sides."""
 
 
 def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarray:
@@ -153,8 +153,8 @@ class Fill:
     sizes: Sizes = field(default_factory=Gaussian)
     templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
     fractions: tuple[float, ...] | None = None
-    """Fraction of the solid volume that the bodies of each template (shape) have, scaled to the sum 1; None means equal
-    fractions."""
+    """Fraction of the solid volume that bodies of each shape (template) make up; None means equal fractions. The sum is
+    scaled to 1."""
     density: float = 2500.0
     """Density of the bodies [kg/m3]."""
     bulk_density: float | None = None
@@ -199,7 +199,7 @@ class Fill:
             refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers, none below 0 and not all 0",
                    "give one fraction for each shape")  # fmt: skip
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
-        # A long aggregate may lie along the container, so only its thickness decides whether it fits.
+        # A long aggregate may lie along the container, so compare only its thickness with the width of the container.
         thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
         if thickest >= self.container.narrowest:
             refuse(

@@ -205,8 +205,8 @@ class Scene(Parametrised):
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
-    """Bonds between the bodies of a group, by the name of the group. They are made before settling. An example is the
-    group of balls that closes the front of the concrete."""
+    """Bonds between the bodies of a group, by the name of the group, for example of the balls that close the front of
+    the concrete. They are created before the bodies come to rest (settle)."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0
@@ -236,8 +236,7 @@ class Scene(Parametrised):
     remarks: tuple[str, ...] = ()
     """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments that the scene's function needs to create this scene again; empty for a scene not created by a
-    function."""
+    """Arguments of the scene function that created this scene, by name; empty if no scene function created it."""
 
     @property
     def caption(self) -> str:
@@ -291,7 +290,7 @@ class Scene(Parametrised):
 
     @property
     def looks_for_blockage(self) -> bool:
-        """True if the scene detects blockage and has the pipe and the piston pressure that this requires."""
+        """True if the scene requests detection of blockage, and has the pipe and the piston pressure needed for it."""
         return self.blockage is not None and self.pipe is not None and self.pressure is not None
 
     def __repr__(self) -> str:

@@ -81,6 +81,33 @@ class SieveCurve:
         object.__setattr__(self, "openings", tuple(openings.tolist()))
         object.__setattr__(self, "passing", tuple(passing.tolist()))
 
+    @classmethod
+    def from_text(cls, text: str, field: str, allowed: str) -> SieveCurve:
+        """Return the curve of a text 'mm:passing,...', with the fraction of the mass that passes each sieve opening.
+
+        Raises :class:`SceneError` for the parameter `field` if the text has another form; `allowed` says what the
+        parameter may be.
+        """
+        try:
+            openings, passing = zip(*(map(float, part.split(":")) for part in text.split(",")), strict=True)
+        except ValueError:
+            refuse(field, text, allowed,
+                   "for example '5:0,10:0.4,20:1', pairs of opening [mm] and passing share of the mass")  # fmt: skip
+        return cls(tuple(1e-3 * opening for opening in openings), tuple(passing))
+
+    def retained(self, size: float) -> float:
+        """Return the mass fraction that is coarser than a size [m]."""
+        return 1 - float(np.interp(np.log(size), np.log(self.openings), self.passing))
+
+    def above(self, size: float) -> SieveCurve:
+        """Return the curve of the part that is coarser than a size [m], which must be below the largest size."""
+        if size <= self.smallest:
+            return self
+        finer, part = 1 - self.retained(size), self.retained(size)
+        coarser = [(o, (p - finer) / part) for o, p in zip(self.openings, self.passing, strict=True) if o > size]
+        openings, passing = zip((size, 0.0), *coarser, strict=True)
+        return SieveCurve(openings, (*passing[:-1], 1.0))
+
     @property
     def smallest(self) -> float:
         """Smallest size of the grading curve [m]."""

@@ -13,8 +13,10 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Length of the last part of a pause of the piston, divided by the length of the pause. The mean pressure in this part
-is reported as the pressure held in the pause."""
+"""Fraction of each pause of the piston, at its end, over which the pressure is averaged.
+
+The mean is reported as the pressure held in the pause.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
 
 
 def _stop(stops: Stops, number: int) -> tuple[float, float]:
-    """Return the times [s] at which the piston stops after stroke `number` and starts again.
+    """Return the two times [s] at which the piston stops after stroke `number` and at which it starts again.
 
     Both are infinite for the last stroke, because no stop follows it.
     """

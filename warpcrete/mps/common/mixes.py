@@ -19,13 +19,13 @@ BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "
 LAW_DEFAULTS = {
     "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
 }  # fmt: skip
-"""Names and default values of the constants that only other laws than Bingham's need. With the default values these
-laws are equal to Bingham's law."""
+"""Constants that Bingham's law lacks but other flow laws have, by name, with their default values. With these values,
+the other laws are equal to Bingham's law."""
 CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
-"""Names of all constants and factors of a concrete. A scene may have parameters with these names; their values replace
-those of the named concrete."""
+"""Names of all constants of a concrete, and of the factors that multiply its yield stresses and viscosities. A scene
+may have parameters with these names; their values replace those of the named concrete."""
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 """Constants of a slip layer on which concrete hardly slips."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
@@ -116,7 +116,7 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the concrete file's section that holds these parameters, and the names allowed in it."""
+        """Return the name of the section of a concrete's file that states these parameters, and its allowed entries."""
         return "flow", CONSTANTS
 
     @classmethod

@@ -52,7 +52,7 @@ class FlowRun(Simulation):
 
     @abstractmethod
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries and tables of the result that follow from a time series with two rows or more."""
+        """Return entries and tables for the run's result, computed from a time series with at least two rows."""
 
     @property
     def prepared(self) -> bool:

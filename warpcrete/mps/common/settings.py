@@ -19,7 +19,7 @@ PressureTolerance = Annotated[
 MaximumIterations = Annotated[
     int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
 ]
-"""Declarations of parameters that all flows on a grid have."""
+"""Type of a parameter that limits the iterations of each linear solve. All flows on a grid have this parameter."""
 
 
 def check_interval(scene: Any) -> None:

@@ -28,7 +28,8 @@ from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 # Maximum number of steps in one launch graph, on one CPU thread, on several CPU threads, and on a GPU.
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
 GRAPHS_PER_CHECK = 4
-"""Maximum number of launches of the largest graph of steps between two reads of the control flags."""
+"""Maximum number of launch graphs that are replayed between two reads of the control flags, if the graphs have the
+maximum number of steps."""
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 VELOCITY_ERROR = 1e-6
 """Tolerance of the viscosity solve, which stops when the norm of its residual is below this fraction of a typical norm.
@@ -76,7 +77,7 @@ class Stepping(ABC):
         """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`.
+        """Return a part of a time step (stage) that launches `kernel`.
 
         The kernel receives the arguments in `named`. All its other parameters receive the flow's arrays of the same
         names.
@@ -133,7 +134,7 @@ class Stepping(ABC):
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal, which a subclass may estimate; at least 1 before the goal is reached."""
+        """Number of steps to the goal, at least 1 before the goal is reached. A subclass may return an estimate."""
         return self._goal - self.steps
 
     def launch(self) -> None:
@@ -151,7 +152,7 @@ class Stepping(ABC):
         return LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
 
     def settle(self) -> None:
-        """Wait for the launched steps, read how many are completed, and rebuild what they request, such as arrays.
+        """Wait for the launched steps, read how many are completed, and rebuild the neighbour lists if necessary.
 
         A launched step does nothing if an earlier step has failed or has requested a rebuild, so not all launched steps
         need be completed. If a step failed, its error is raised.

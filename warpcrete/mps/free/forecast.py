@@ -28,9 +28,11 @@ Simulations gave ratios from 1.0 to 1.3.
 COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
 MAX_SPEEDUP = 3.0
-"""Largest wall time of the first steps over the mean of all steps. Steps get cheaper as a funnel empties."""
+"""Maximum factor by which a forecast assumes that steps get faster: mean wall time of the first steps, divided by the
+mean over all steps. Steps get faster as a funnel empties."""
 CELLS_ACROSS = 4
-"""Minimum number of cells of the coarser copy across the concrete, and across each dimension of the vessel."""
+"""Minimum number of cells that the coarser copy has along each side of the concrete and along each dimension of the
+vessel except its bars."""
 
 
 def forecast(
@@ -61,24 +63,32 @@ def forecast(
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the expected duration, mean time step and mean cost of a step, from a run of a coarser copy.
 
-    The run ends when the concrete rests or a funnel is empty.
+    The run ends when the concrete rests or a funnel is empty. The copy of a mortar with aggregates is the mortar alone,
+    because coarser cells would not resolve the aggregates.
     """
     scene = simulation.scene
     outflow = scene.test.outflow if scene.test else None
     estimate = expected(scene).get(outflow.time) if outflow else None
     if outflow and estimate is None:
         return Course(scene.duration, scene.time_step, ["the yield stress may hold the concrete in the funnel"])
-    across = (*np.ptp(scene.extent, axis=0), *scene.dimensions.values())
+    # Bars are thinner than the cells of the coarser copy, which would otherwise be as fine as the scene itself.
+    across = *np.ptp(scene.extent, axis=0), *(x for name, x in scene.dimensions.items() if name != "bar_diameter")
     spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)
-    coarse = {"spacing": max(spacing, scene.spacing)}
+    coarse = {"spacing": float(max(spacing, scene.spacing))}
+    notes = []
+    if scene.fluid is not scene:
+        simulation = FreeSimulation(scene.fluid, device=str(simulation.device), precision=simulation.precision,
+                                    threads=simulation.threads)  # fmt: skip
+        notes = ["time and steps are those of the mortar alone; aggregates make it slower"]
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", **coarse)
     if outflow and run is not None and outflow.time in run.result:
         remarks = []
+    remarks = [*notes, *remarks]
     if run is None:
         return Course(reached, scene.time_step, remarks)
     duration = min(DURATION_FACTOR * estimate, scene.duration) if estimate else reached
-    # The flow of the scene has the same error per step as the flow of the coarser copy. However, concrete crosses the
-    # scene's smaller cells in less time, so the Courant number limits the steps to shorter ones.
+    # The flow of the scene and its coarser copy adapt their steps to the same error. A step may also be no longer than
+    # the fastest concrete takes to cross a cell (Courant number), which is a shorter time in the scene's smaller cells.
     steps = np.diff(run.series["steps"])
     if scene.step_error:
         steps = np.maximum(steps, np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing)

@@ -101,13 +101,16 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 
 def _standing_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return the distance function and the kind number of each wall, without the gate, which is lifted."""
+    """Return for each wall at rest the function of its signed distance [m] and the number of its kind.
+
+    The gate, which is lifted, is not among these walls.
+    """
     walls: list[tuple[Distance, int]] = [(section_distance(scene, block), ROUGH) for block in scene.blocks]
     return walls + [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
 
 
 def free_walls(scene: FreeScene) -> list[tuple[Distance, int]]:
-    """Return the distance function and the kind number of each wall at the start, the gate included."""
+    """Return for each wall at the start the function of its signed distance [m] and the number of its kind."""
     walls = _standing_walls(scene)
     return [*walls, (section_distance(scene, scene.gate), GATE)] if scene.gate else walls
 

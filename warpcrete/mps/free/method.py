@@ -1,4 +1,4 @@
-"""Record through which the program finds, runs, draws and reports free-surface flows."""
+"""Interface of free-surface flows to the rest of the program, which finds, runs, draws and reports them through it."""
 
 from ...core.run.method import Method
 from ..common.stepping import run_abreast

@@ -25,7 +25,8 @@ UNITS = {
     "steps": "1",
     MOST: "m/s",
 }
-"""Units of the columns of the time series; only tests with a `slow_share` below 1 have the last column."""
+"""Units of the columns of the time series. The last column, the speed that most of the concrete does not exceed, exists
+only for tests whose `slow_share` is below 1."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +59,7 @@ def radii(layout: GridLayout) -> np.ndarray:
 
 
 def _filled_walls(flow: GridFlow, fill: np.ndarray) -> np.ndarray:
-    """Return the filled fractions of the cells of a round vessel, with those of cells inside walls, such as bars.
+    """Return the filled fraction of each cell of a round vessel, with estimates for cells inside walls, such as bars.
 
     A cell inside a wall gets the mean fraction of the other cells at its distance from the axis. Both arrays have the
     shape (nz, ny, nx).
@@ -78,7 +79,7 @@ def beyond(flow: GridFlow, radius: float) -> float:
 
 
 def bases(flow: GridFlow) -> np.ndarray:
-    """Return the height at which the concrete in each column of cells begins [m], 0 where there is none.
+    """Return the lowest height of the concrete in each vertical column of cells [m]; 0 in columns without concrete.
 
     In a cell that a wall cuts, the volume inside the wall is assumed to lie below the concrete.
     """

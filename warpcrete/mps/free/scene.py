@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
-from ...core.errors import between, one_of, positive, refuse
+from ...core.errors import at_most, between, one_of, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
 from ...standards import StandardTest
@@ -114,6 +114,11 @@ class FreeScene(Parametrised, FreeSettings):
     """Arguments of the function that created this scene, stored so that it can be created again; empty if there is no
     such function."""
 
+    @property
+    def fluid(self) -> FreeScene:
+        """This scene with its fluid alone, without aggregates that are simulated one by one."""
+        return self
+
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("width", "height", "spacing"):
@@ -193,14 +198,14 @@ class FreeScene(Parametrised, FreeSettings):
                 "spacing",
                 self.spacing,
                 "is too coarse: at least four cells must fit across the concrete at the start",
-                f"use {smallest / 4:.3g} m or less",
+                f"use {at_most(smallest / 4)} m or less",
             )
         check_interval(self)
         fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))
         if not self.step_error and self.time_step * fall > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that falls at {fall:.3g} m/s "
                                                 "passes through more than one cell per step",
-                   f"use {self.spacing / fall:.2g} s or less")  # fmt: skip
+                   f"use {at_most(self.spacing / fall, 2)} s or less")  # fmt: skip
 
     @property
     def extent(self) -> np.ndarray:

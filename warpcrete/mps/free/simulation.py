@@ -95,7 +95,7 @@ class FreeSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result that follow from the time series and the surface; there are no tables."""
+        """Return entries for the run's result, computed from the time series and the surface; there are no tables."""
         result = results_of(quantities(), RunData(self.scene, series, self.volume))
         across, height = surface(self.flow)
         result["surface"] = {

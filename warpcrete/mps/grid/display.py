@@ -15,7 +15,7 @@ from .layout import GridLayout
 HALF_CELL = 0.5
 """Largest magnitude, in cell widths, of the level-set function whose zero is the surface of the concrete."""
 FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
-"""Name of the field whose values each colouring of the concrete shows."""
+"""Name of the field that the colours of the concrete show, by the value of the display's attribute `colouring`."""
 
 
 class GridDisplay(Display):

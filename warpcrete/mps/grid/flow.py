@@ -45,7 +45,8 @@ class GridFlow(Stepping):
     """Object that advances a flow on a grid in time."""
 
     next_step: float
-    """Length of the next step [s]. The step is shorter if the time up to which the flow runs is reached earlier."""
+    """Length of the next step [s]. The step is cut short if the time up to which the flow must run is reached
+    earlier."""
     rebuilds = 0
     """Number of rebuilds of neighbour lists; always zero, because a grid needs no lists."""
 
@@ -170,9 +171,9 @@ class GridFlow(Stepping):
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal if no time step gets shorter.
+        """Estimated number of steps to the goal, if all of them are as long as the next one.
 
-        The number may be too large, because steps that are launched beyond the goal have no effect.
+        An estimate that is too large does no harm, because steps that are launched beyond the goal have no effect.
         """
         if not self.adaptive:
             return self._goal - self.steps
@@ -243,7 +244,7 @@ class GridFlow(Stepping):
     def _force(self) -> float:
         """Norm that the residual of the velocity solve has if every velocity is wrong by the typical speed of the flow.
 
-        The norm is that in a time step of the longest allowed length.
+        The norm is computed for a time step of the longest allowed length.
         """
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size

@@ -25,7 +25,8 @@ WALL, MIRROR, OPEN_SIDE = "wall", "mirror", "open"
 NO_SLIP_VISCOSITY = 1e8
 """Viscosity of a slip layer on which concrete hardly slips [Pa s/m]."""
 MIN_QUARTER_FRACTION = 1e-3
-"""Minimum open fraction of a quarter of a cell, unless walls close it entirely."""
+"""Minimum open fraction of a quarter of a cell that walls do not close entirely. A cell has four quarters for each pair
+of axes, because it is halved along both axes."""
 MIN_OPEN_FRACTION = 0.01
 """Open fraction of a cell or face below which it counts as closed."""
 ALIGNED, MAX_WALL_OFFSET = 0.999, 0.01
@@ -36,7 +37,8 @@ SAMPLES_PER_CELL = {2: 8, 3: 4}
 """Number of sample points per axis in a cell, from which its open volume is computed, by number of axes. The numbers
 are even, so that the volume is exact for a wall through the centre of the cell."""
 LINES_PER_CELL = 8
-"""Number of parallel lines across a face or cell, over whose open parts the open fraction is averaged."""
+"""Number of parallel lines across a face or cell. Its open fraction is the mean of the open fractions of these
+lines."""
 ROUNDING = 1e-9
 """Difference of two distances, divided by the width of a cell, below which both count as the same."""
 AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
@@ -149,8 +151,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
         # At a face on a side of the box, the velocity normal to the face is that of the side, even where another wall
-        # covers the face. If it were an unknown, an edge between two walls would hardly determine it, and solves would
-        # converge slowly.
+        # covers the face. If this velocity were an unknown, the equations would hardly determine it where two walls
+        # meet, and solves would converge slowly.
         for side, at in zip(room.sides[axis], (1, depth.shape[axis] - 1), strict=True):
             if side == WALL:
                 on_side = closed & (index[axis] == at)
@@ -229,9 +231,11 @@ def nearest_wall(
 
 
 def _distances(distance: Distance, points: np.ndarray) -> np.ndarray:
-    """Return the distances of points, shape (..., axes); for points of a grid, the result may have axes of length 1.
+    """Return the distances of points from a wall [m], with the shape of `points` without its last axis.
 
-    A wall that looks the same everywhere along an axis needs to be evaluated at one place along this axis.
+    `points` has the shape (..., axes). If it holds the points of a grid, and the wall looks the same everywhere along
+    an axis, the distance is computed at one place along this axis only. The result then has the length 1 along this
+    axis.
     """
     axes = points.shape[-1]
     if isinstance(distance, CylindricalDistance) and points.ndim == axes + 1:
@@ -268,9 +272,10 @@ def _weighted_volume(room: Room, ends: np.ndarray, shut: np.ndarray, wall: np.nd
     """Return the open volume around the centre of each cell, weighted as the kernel `fill` weights particles.
 
     The weight is a hat function of the position, which falls from 1 at the centre of a cell to 0 at the centres of its
-    neighbours. A volume therefore counts in parts for several cells. The part that would count for a cell of `wall`
-    counts for the cell in which the volume lies instead. `ends` holds the distances of the wall at the corners of each
-    cell, shape (cells..., 2, ..., 2). Volumes in the cells of `shut` do not count.
+    neighbours. A volume therefore counts in parts for several cells. The part that would count for a wall cell (True in
+    the mask `wall`) counts for the cell in which the volume lies instead. Volumes in closed cells (True in the mask
+    `shut`) do not count. `ends` holds the distances of the wall at the corners of each cell, shape (cells..., 2, ...,
+    2).
     """
     axes = len(room.cells)
     fine = SAMPLES_PER_CELL[axes]
@@ -279,7 +284,8 @@ def _weighted_volume(room: Room, ends: np.ndarray, shut: np.ndarray, wall: np.nd
     full, cut = (low > 0) & ~shut, (low <= 0) & (ends.max(inner) > 0) & ~shut
     radius = None
     if axial:
-        # The parts of a full cell depend on its radius, so they must be computed for every full cell.
+        # In axisymmetric flow, volumes are weighted with the radius. The parts therefore differ from one full cell to
+        # the next, and must be computed for every full cell.
         full, cut = np.zeros_like(full), full | cut
         along = (np.arange(full.shape[0]) - 1)[:, None] + (np.arange(fine) + 0.5) / fine
         radius = np.maximum(along * room.width[0], 0.0)[np.nonzero(cut)[0]]

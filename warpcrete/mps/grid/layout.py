@@ -55,11 +55,11 @@ class GridLayout:
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on ROUGH walls; by default concrete sticks to them."""
     slips: bool = True
-    """True if the slip layer on walls, `slip`, is the concrete's own, which follows its flow law; False if its stress
-    grows linearly with the slip velocity."""
+    """True if the slip layer `slip` obeys the slip law of the concrete; False if its stress grows linearly with the
+    slip velocity."""
     rough_slips: bool = False
-    """True if the slip layer on ROUGH walls, `rough`, is the concrete's own, which follows its flow law; False if its
-    stress grows linearly with the slip velocity."""
+    """True if the slip layer `rough` on ROUGH walls obeys the slip law of the concrete; False if its stress grows
+    linearly with the slip velocity."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()

@@ -45,7 +45,7 @@ class GridState:
     flags: wp.array
     """Control flags, indexed by the constants in `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
-    """Arrays of the particles, a struct `Particles`."""
+    """Position, velocity, velocity gradient, pressure and mass of each particle: arrays in a struct `Particles`."""
     mesh: Any
     """Arrays on the cells, faces and edges of the grid, a struct `Fields`."""
     geometry: Any

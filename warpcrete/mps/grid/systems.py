@@ -55,7 +55,7 @@ class System:
     matrix: Any
     """Coefficients of the linear systems of all multigrid levels, a struct `Matrix`."""
     arrays: Any
-    """Working arrays of the solve, a struct `Solve`."""
+    """Working arrays of the conjugate-gradient solve, such as residuals and search directions, in a struct `Solve`."""
 
 
 def system_of(scalar: Any, device: wp.Device, shape: tuple[int, ...], copies: int, near: int) -> System:

@@ -64,8 +64,7 @@ class Frame:
 
 def part_room(scene: PartScene) -> Room:
     """Return the box of cells around the simulated part of the pump line."""
-    frame, size = Frame(scene), scene.radius
-    h = size / max(3, round(size / scene.spacing))
+    frame, size, h = Frame(scene), scene.radius, scene.rounded_spacing
     wide = scene.widest
     # The number of sample points grows with the length of the part, so that they do not miss the farthest point of a
     # bend.

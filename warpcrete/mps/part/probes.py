@@ -155,28 +155,31 @@ def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
             first = None
 
 
-def measured(flow: GridFlow) -> dict[str, float]:
+def measured(
+    flow: GridFlow, friction: tuple[np.ndarray, np.ndarray] | None = None, velocity: np.ndarray | None = None
+) -> dict[str, float]:
     """Measure a flow through a part of a pump line and return a row of the time series.
 
-    The entry `pressure` is the pressure at the start of the part that balances friction and weight.
+    The entry `pressure` is the pressure at the start of the part that balances friction and weight. `friction` replaces
+    the result of `friction_ahead`, and `velocity` the velocities across faces [m/s], shape (3, *shape).
     """
     scene: PartScene = flow.scene
     if not flow.steps:
         return dict.fromkeys(UNITS, 0.0)
-    before, behind = straight_lines(scene, *friction_ahead(flow))
+    before, behind = straight_lines(scene, *(friction or friction_ahead(flow)))
     begin, end = scene.middle
     outcomes = flow.outcomes()
     layout = flow.state.layout
     top = layout.shape[0] - 1
-    out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
+    velocity = flow.state.faces("velocity") if velocity is None else velocity
+    out = velocity[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
     # Only half of the control volume of a face on the open side lies in the grid. The area of the face is therefore the
     # volume of this half, divided by half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
-    velocity = flow.state.faces("velocity")
     moving = flow.state.faces("kind") == int(LIQUID)
-    weight = scene.concrete.density * scene.gravity * scene.rise
+    weight = scene.density * scene.gravity * scene.rise
     return {
         "time": flow.time,
         "pressure": float(np.polyval(before, 0.0)) + weight,

@@ -21,8 +21,8 @@ class RunData:
     series: dict[str, np.ndarray]
     """Time series by column name; each column has two values or more."""
 
-    def last(self, name: str) -> float:
-        """Return the last value of a column of the time series."""
+    def final(self, name: str) -> float:
+        """Return the value of a column of the time series that is the run's result, which is the last one."""
         return float(self.series[name][-1])
 
     @property
@@ -42,7 +42,7 @@ class RunData:
 
 def _weight(scene: PartScene) -> float:
     """Return the pressure that lifts the concrete from the inlet to the outlet [Pa]; negative if the pipe descends."""
-    return scene.concrete.density * scene.gravity * scene.rise
+    return scene.density * scene.gravity * scene.rise
 
 
 def _pressure_of_theory(k: RunData) -> float:
@@ -84,21 +84,22 @@ def _middle_text(run: Run) -> str:
 
 
 QUANTITIES = (
-    Quantity("pressure", "Pa", lambda k: k.last("pressure"), "pressure", _pressure_text, True),
+    Quantity("pressure", "Pa", lambda k: k.final("pressure"), "pressure", _pressure_text, True),
     Quantity("pressure_theory", "Pa", _pressure_of_theory),
-    Quantity("friction", "Pa", lambda k: k.last("pressure") - _weight(k.scene), "of it friction", _friction_text, True),
+    Quantity("friction", "Pa", lambda k: k.final("pressure") - _weight(k.scene), "of it friction", _friction_text,
+             True),
     Quantity("weight", "Pa", lambda k: _weight(k.scene), "of it weight", _weight_text),
-    Quantity("upstream_gradient", "Pa/m", lambda k: k.last("upstream_gradient"), "friction upstream",
+    Quantity("upstream_gradient", "Pa/m", lambda k: k.final("upstream_gradient"), "friction upstream",
              _gradient_text("upstream_gradient"), True),
     Quantity("upstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(0.0).pressure),
-    Quantity("middle_loss", "Pa", lambda k: k.last("middle_loss") if k.has_middle else None, "bend, taper",
+    Quantity("middle_loss", "Pa", lambda k: k.final("middle_loss") if k.has_middle else None, "bend, taper",
              _middle_text, True),
-    Quantity("middle_ratio", "1", lambda k: k.last("middle_loss") / k.as_straight if k.has_middle else None,
+    Quantity("middle_ratio", "1", lambda k: k.final("middle_loss") / k.as_straight if k.has_middle else None,
              compared=True),
-    Quantity("downstream_gradient", "Pa/m", lambda k: k.last("downstream_gradient"), "friction downstream",
+    Quantity("downstream_gradient", "Pa/m", lambda k: k.final("downstream_gradient"), "friction downstream",
              _gradient_text("downstream_gradient"), True),
     Quantity("downstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(k.scene.axis.length).pressure),
-    Quantity("outflow_error", "1", lambda k: k.last("outflow_error")),
+    Quantity("outflow_error", "1", lambda k: k.final("outflow_error")),
 )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.drawing.style import pumping_caption
-from ...core.errors import between, positive, refuse
+from ...core.errors import at_least, at_most, between, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import Bores
@@ -49,6 +49,12 @@ class PartSettings(Declared):
     regularisation: Annotated[float, "Parameter beta of the regularised flow law [s]", Above()] = 100.0
     tolerance: PressureTolerance = 1e-3
     maximum_iterations: MaximumIterations = 5000
+    symmetry: Annotated[
+        str,
+        "Simulated part of a pipe whose axis lies in a plane: the half on one side of the plane, or the whole pipe; "
+        "no aggregate crosses the plane of a half",
+        OneOf(("half", "whole")),
+    ] = "half"
     steadiness: Annotated[
         float,
         "Steadiness: largest relative change of the pressure in ten steps, and in the ten before, that counts "
@@ -57,7 +63,7 @@ class PartSettings(Declared):
     ] = 1e-3
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "Random seed; without effect, because nothing in this flow is random", Within(0)] = 0
+    seed: Annotated[int, "Random seed of the places and sizes of aggregates; nothing else is random", Within(0)] = 0
 
 
 @dataclass(frozen=True)
@@ -158,7 +164,7 @@ class PartScene(Parametrised, PartSettings):
         if self.spacing > least / MIN_ACROSS:
             refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest "
                                             f"bore, {least:.4g} m",
-                   f"use {least / MIN_ACROSS:.3g} m or less")  # fmt: skip
+                   f"use {at_most(least / MIN_ACROSS)} m or less")  # fmt: skip
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
@@ -167,12 +173,12 @@ class PartScene(Parametrised, PartSettings):
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
-                       f"use {wanted:.3g} m or more")  # fmt: skip
+                       f"use {at_least(wanted)} m or more")  # fmt: skip
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
                                                 "passes through more than one cell per step",
-                   f"use {self.spacing / fastest:.2g} s or less")  # fmt: skip
+                   f"use {at_most(self.spacing / fastest, 2)} s or less")  # fmt: skip
         between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")
         check_interval(self)
 
@@ -230,8 +236,18 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def is_half(self) -> bool:
-        """True if only one half of the part is simulated, because it has a plane of symmetry."""
-        return self.wall is None and self.axis.is_plane
+        """True if only one half of the part is simulated, because the part has a plane of symmetry."""
+        return self.symmetry == "half" and self.wall is None and self.axis.is_plane
+
+    @property
+    def rounded_spacing(self) -> float:
+        """Width of the cells [m], which divides the radius at the start of the part."""
+        return self.radius / max(3, round(self.radius / self.spacing))
+
+    @property
+    def simulated_share(self) -> float:
+        """Share of the part's cross-sections that is simulated: 0.5 if only one half of the part is, otherwise 1."""
+        return 0.5 if self.is_half else 1.0
 
     @property
     def caption(self) -> str:
@@ -310,10 +326,15 @@ class PartScene(Parametrised, PartSettings):
         ends, _ = self.axis.at([0.0, self.axis.length])
         return float(ends[1, 2] - ends[0, 2])
 
+    @property
+    def density(self) -> float:
+        """Density of the concrete with its aggregates [kg/m3]."""
+        return self.concrete.density
+
     def weight(self, s: np.ndarray) -> np.ndarray:
         """Return the hydrostatic pressure of the concrete from arc lengths `s` [m] to the end [Pa], shape as `s`."""
         height = self.axis.at(np.append(s, self.axis.length))[0][:, 2]
-        return self.concrete.density * self.gravity * (height[-1] - height[:-1])
+        return self.density * self.gravity * (height[-1] - height[:-1])
 
     def theory(self, s: float) -> Steady:
         """Return the steady state in one metre of straight, level pipe with the bore's radius at arc length `s` [m]."""

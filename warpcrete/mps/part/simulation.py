@@ -64,7 +64,7 @@ class PartSimulation(FlowRun):
             return False
         # Subtract the hydrostatic pressure, which does not depend on the flow, so that the relative change is that of
         # the frictional pressure.
-        weight = scene.concrete.density * scene.gravity * scene.rise
+        weight = scene.density * scene.gravity * scene.rise
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
         self.steady = abs(now - before) < least and abs(before - long_before) < least
@@ -81,6 +81,10 @@ class PartSimulation(FlowRun):
             "flow": quantity(scene.flow, "m3/s"),
         }
 
+    def friction_profile(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return arc lengths [m] and the loss by friction from each of them to the end, for the run's result [Pa]."""
+        return friction_ahead(self.flow)
+
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return the entries of the result, and a table of the pressure along the part of the pump line.
 
@@ -88,7 +92,7 @@ class PartSimulation(FlowRun):
         """
         scene = self.scene
         result = results_of(QUANTITIES, RunData(scene, series))
-        s, pressure = friction_ahead(self.flow)
+        s, pressure = self.friction_profile()
         result["profile"] = {
             "place": {"value": s.tolist(), "unit": "m"},
             "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"},

@@ -11,7 +11,7 @@ from ...core.units import quantity
 from ...geometry.pumps import Pump
 from ...mix.layer import PIPE_UNCERTAINTY, TRIBOMETER_RATIO
 from ...mix.mix import WEIGHING
-from ...mix.rheology import RHEOMETER
+from ...mix.rheology import RHEOMETER, RHEOMETER_OVER_HEAP
 from ...theory.bands import Band
 
 EFFICIENCY = 25 / 36
@@ -34,8 +34,8 @@ ADVICE = {
 }
 """Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""
 WORTHWHILE = 0.95
-"""Largest ratio of the width of a pressure's band after a measurement to the present width at which the measurement is
-recommended."""
+"""Limit for recommending a measurement: width of the pressure's band after the measurement, divided by its present
+width. A measurement that narrows the band less is not recommended."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Measurement:
     advice: str
     """Advice to the user to make this measurement."""
     factors: tuple[float, float]
-    """Ratios of the lower and the upper end of the band that the measurement leaves to the measured value."""
+    """Lower and upper end of the uncertainty band that remains after the measurement, each divided by the measured
+    value."""
 
 
 MEASUREMENTS = {
@@ -56,7 +57,7 @@ MEASUREMENTS = {
         Measurement("measure it with a tribometer", TRIBOMETER_RATIO),
     ),
     "viscosity of the bulk": (Measurement("measure it with a rheometer", (1 - RHEOMETER, 1 + RHEOMETER)),),
-    "yield stress of the bulk": (Measurement("measure it with a rheometer", (1 - RHEOMETER, 1 + RHEOMETER)),),
+    "yield stress of the bulk": (Measurement("measure it with a rheometer", (1 / RHEOMETER_OVER_HEAP, 1 + RHEOMETER)),),
     "density": (Measurement("weigh a known volume", (1 - WEIGHING, 1 + WEIGHING)),),
 }
 """Measurements that may narrow the band of a pressure, by the cause of uncertainty that they measure."""

@@ -38,12 +38,17 @@ LEAST = (1e-2, -1.0, 0.0)
 friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
 NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
-"""Reasons for the value of a slip yield of zero, and of a factor of bends that was left out of a fit."""
+"""Texts that tell why a fit left out a constant: NO_YIELD for a slip yield of zero, NO_FACTOR for the factor of
+bends."""
+SCALED = "not determined by these points; what was known before of the layer changes it like the viscosity"
+"""Text on a slip yield that the measured pressures do not determine. What was known of the slip layer before the
+measurement changes it in proportion to the slip viscosity."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
 and friction factor of bends (index 2). Such a constant gets its default value."""
 LAYER_FACTORS, BISECTIONS = (1e-6, 1e6), 60
-"""Smallest and largest factor on a fitted slip layer that is considered, and number of steps of the search for it."""
+"""Range of factors, and number of bisection steps, in the search for the factor by which a fitted slip layer is
+multiplied to include what was known before the measurement."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -226,12 +231,20 @@ def fit_line(
     measurement. With it, the friction of straight pipe becomes the mean of the fitted friction and that of `concrete`,
     weighted by the inverse squares of their bands, so that the band of a fit is narrower than both.
 
+    Points with the same place, flow and pressure count once, because a repeated row makes the band narrower without a
+    further measurement.
+
     Raises :class:`SceneError` for too few measured points or an impossible result.
     """
+    different: dict[tuple[float, float, float], Tap] = {}
+    for tap in taps:
+        different.setdefault((tap.place, tap.flow, tap.pressure), tap)
+    taps = tuple(different.values())
     _check_pressures(line, concrete, taps)
     fit = None
     if any(_is_free(part) for part in line.parts):
-        # Errors of the gauges may give an impossible factor, which a fit without the factor does not need.
+        # Errors of the gauges may give an impossible factor of bends, which raises an error. A fit without this factor
+        # may still be possible.
         with suppress(SceneError):
             fit = _fitted(line, concrete, taps, factor=True)
     if fit is None or not _is_better_than_published(fit.constants[2]):
@@ -248,7 +261,7 @@ def _is_better_than_published(factor: FittedConstant) -> bool:
 def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
     """Refuse pressures that are too few, below the weight of the concrete, or that grow along the line."""
     if len(taps) < 2:
-        counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
+        counted = f"{len(taps)} different point{'s' if len(taps) != 1 else ''}"
         refuse(
             "fit",
             counted,
@@ -268,7 +281,10 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
 
 
 def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: bool) -> LineFit:
-    """Return the fit with those constants that the pressures determine; the factor of bends only if `factor`."""
+    """Return the fit of those constants that the measured pressures determine.
+
+    The friction factor of bends is among them only if `factor` is True.
+    """
     model = _Model(line, concrete, taps, bends=factor)
     measured = np.array([tap.pressure for tap in taps])
     flows = np.array([tap.flow for tap in taps])
@@ -346,7 +362,8 @@ def _combined(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Con
     narrower = math.sqrt(1 - share)
     layer = [replace(each, value=factor * each.value,
                      low=factor * (each.value + narrower * (each.low - each.value)),
-                     high=factor * (each.value + narrower * (each.high - each.value)))
+                     high=factor * (each.value + narrower * (each.high - each.value)),
+                     reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
              for each in fit.constants[:2]]  # fmt: skip
     constants = (*layer, *fit.constants[2:])
     bends = constants[2] if len(constants) > 2 else None

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.inputs.amounts import PSI
 from ...geometry.pipe_line import PipeLine
-from .answers import beside
+from .answers import CUSTOMARY_SIZES, beside
 from .fit import LineFit
 from .fittings import MODEL_ERRORS
 
@@ -53,11 +52,13 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
             found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
                       f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
                       "factor: check the taps before you use it.", ""]  # fmt: skip
-    size, unit = (PSI, "psi") if line.customary else (1e5, "bar")
-    found += [f"| place [m] | flow [m3/h] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
+    names = ("ft", "yd3/h", "psi") if line.customary else ("m", "m3/h", "bar")
+    place, rate, size = (CUSTOMARY_SIZES[name] for name in names) if line.customary else (1.0, 1 / 3600, 1e5)
+    unit = names[2]
+    found += [f"| place [{names[0]}] | flow [{names[1]}] | measured [{unit}] | fitted [{unit}] | deviation [{unit}] |",
               "|---|---|---|---|---|"]  # fmt: skip
     for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
-        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / size:.4g}", f"{fitted / size:.4g}",
-                 f"{each / size:+.2g}")  # fmt: skip
+        cells = (f"{tap.place / place:.4g}", f"{tap.flow / rate:.4g}", f"{tap.pressure / size:.4g}",
+                 f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found

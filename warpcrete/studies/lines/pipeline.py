@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...core.errors import RunFolderError, between, one_of, refuse
+from ...core.errors import RunFolderError, at_least, between, one_of, refuse
 from ...core.run.run_loop import Run
 from ...core.units import number, quantity
 from ...dem.measure.quantities import WINDOW, past_ramp
@@ -43,7 +43,7 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
         refuse(
             "travel", pipe.travel, "is too short for a plateau of the pressure, which Eq. 13 needs (ramp "
                                    f"{pipe.ramp:g} m)",
-            f"set 'travel' to {pipe.ramp / (1 - WINDOW):.3g} m or more, or reduce 'ramp'",
+            f"set 'travel' to {at_least(pipe.ramp / (1 - WINDOW))} m or more, or reduce 'ramp'",
         )  # fmt: skip
     if other is not None:
         if not other.get("finished") or "plateau_pressure" not in other or "concrete_length" not in other:

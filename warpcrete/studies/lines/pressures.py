@@ -135,10 +135,11 @@ class LinePressures:
         return places, found
 
     def measured(self, cause: str, factors: tuple[float, float]) -> Self:
-        """Return a copy for which the properties of one cause of uncertainty were measured, with the present values.
+        """Return a copy with the uncertainty that would remain after a measurement of some properties of the concrete.
 
-        `factors` are the ratios of the lower and the upper end of the band that the measurement leaves to the value.
-        The cause is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'.
+        The measurement is assumed to confirm the present values. The properties are those of one cause of uncertainty,
+        which is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'. `factors` are the lower and the upper
+        end of the uncertainty band that remains after the measurement, each divided by the measured value.
         """
         low, high = (
             with_layer_factor(self.concrete, x) if cause == "slip layer"

@@ -34,7 +34,7 @@ STRAIGHT_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
 diameters."""
 CURE = "; usual cure: "
-"""Words that precede the parameters of a scene that may mend a failed check, at the end of the check's text."""
+"""Words in the text of a failed check. The parameters of the scene that may mend the failure follow them."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
 """Options of `warpcrete line` that may mend a failed check of a simulated part, by name of the check."""
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -142,7 +142,7 @@ def run_line(
 
 
 def _failure(check: str, found: str) -> str:
-    """Return what a failed check of a part found, with the option of the line that may mend it."""
+    """Return the finding of a failed check, with the option of `warpcrete line` that may mend the failure."""
     text = f"{check}: {found.split(CURE)[0]}"
     return f"{text}{CURE}{LINE_CURES[check]}" if check in LINE_CURES else text
 

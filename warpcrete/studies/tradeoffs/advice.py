@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import RunFolderError, refuse
+from ...core.errors import RunFolderError, at_least, refuse
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
@@ -133,7 +133,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
             "continue the trade with 'warpcrete trade --resume'")  # fmt: skip
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
                                                     "best",
-               f"use {100 * best:.2g} % or more, or {more}")  # fmt: skip
+               f"use {at_least(100 * best, 2)} % or more, or {more}")  # fmt: skip
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}

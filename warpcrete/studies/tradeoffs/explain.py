@@ -15,7 +15,7 @@ from ...core.device.device import checked_threads, find_device
 from ...core.errors import RunFolderError, SceneError, refuse
 from ...core.inputs.fingerprints import fingerprint
 from ...core.inputs.origin import arguments_of
-from ...core.run.files import read_json, write_json
+from ...core.run.files import read_json, read_record, write_json
 from ...core.run.forecast import Forecast
 from ...core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
 from ...core.run.provenance import provenance
@@ -81,6 +81,8 @@ def explain(
     """
     found = find_device(device)
     threads = checked_threads(threads)
+    # Read the trade-off record first, so that a wrong folder is refused before the measurements.
+    savings, source = _measured_savings(scene, Path(trade) if trade else None, found.is_cuda)
     path = _cached(scene, found, threads) if cache else None
     forecast = _read(path) if path is not None else None
     if forecast is None:
@@ -96,8 +98,8 @@ def explain(
                 write_json(path, asdict(forecast))
             except (OSError, RunFolderError):  # the forecast is valid even if it cannot be cached
                 pass
-    savings, source = _savings(scene, forecast, Path(trade) if trade else None, found.is_cuda)
-    return Explanation(scene.name, forecast, savings, source)
+    savings = sorted((*_time_step_savings(forecast), *savings), key=lambda each: each.ratio)
+    return Explanation(scene.name, forecast, tuple(savings), source)
 
 
 def _frames(simulation: Any) -> dict[str, float]:
@@ -139,15 +141,15 @@ def _read(path: Path) -> Forecast | None:
         return None
 
 
-def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
-    """Return the known savings, and the source of the trade-off record from which their errors come.
-
-    The savings come from this record and from the forecast, which says what limits the time step.
-    """
-    found = list(_time_step_savings(forecast))
+def _measured_savings(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[list[Saving], str]:
+    """Return the savings that a trade-off record contains for a scene, and a description of the record's source."""
     record, source = _trade_of(scene, trade, on_gpu)
-    found += _knob_savings(record.get("points", []), _knobs_of(scene))
-    return tuple(sorted(found, key=lambda each: each.ratio)), source
+    try:
+        return list(_knob_savings(record.get("points", []), _knobs_of(scene))), source
+    except (AttributeError, KeyError, TypeError) as error:
+        raise RunFolderError(
+            f"trade = {source}: contains a damaged trade.json ({error!r}); give a folder made by 'warpcrete trade'"
+        ) from error
 
 
 def _knobs_of(scene: Any) -> set[str]:
@@ -208,7 +210,7 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
                 f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
                 "trade.json); give such a folder"
             )
-        record = read_json(trade / "trade.json")
+        record = read_record(trade / "trade.json")
         if record.get("scene") != scene.name:
             refuse(
                 "trade",

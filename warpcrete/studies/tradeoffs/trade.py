@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.device.device import default_threads, find_device
-from ...core.errors import RunFolderError, between, positive, refuse
+from ...core.errors import RunFolderError, at_least, between, positive, refuse
 from ...core.inputs.by_name import names_from_file
 from ...core.inputs.limits import check_limit
 from ...core.inputs.origin import check_files, check_named
@@ -258,7 +258,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
-            f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
+            f"one run takes {given.cost:.3g} s; give {at_least(5 * needed, 2)} s or more",
         )  # fmt: skip
     missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
     if missing:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from ...core.units import number
 from ...methods import method_of
+from ...mix.rheology import FLATTEST
 from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...scenes import modules
 from ...theory.bands import Band
@@ -34,8 +35,8 @@ def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: 
     """Predict a case by simulating its standard test as a flow.
 
     `spacing` is the edge length of the cells [m], by default that of the scene. The uncertainty band has the same
-    relative width as that of the closed-form prediction. Raises :class:`WarpcreteError` if the run fails, and
-    KeyboardInterrupt if it is interrupted.
+    relative width as that of the closed-form prediction, but no slump exceeds that of a flat heap. Raises
+    :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is interrupted.
     """
     scene, quantity, more = SIMULATED[case.kind]
     concrete = mix_of_case(case).concrete
@@ -47,5 +48,7 @@ def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: 
         raise KeyboardInterrupt
     value = number(run.result[quantity])
     form = compare(case)
-    low, high = form.band.low / form.band.value, form.band.high / form.band.value
-    return Comparison(case, held_out, form.measured, Band(value, value * low, value * high, form.band.shares), True)
+    low, high = (value * end / form.band.value for end in (form.band.low, form.band.high))
+    if case.kind == "slump":
+        high = max(value, min(high, FLATTEST))
+    return Comparison(case, held_out, form.measured, Band(value, low, high, form.band.shares), True)

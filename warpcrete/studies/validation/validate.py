@@ -172,7 +172,7 @@ def validate(
     kinds = tuple(kinds)
     for kind in kinds:
         one_of("kind", kind, UNITS)
-    if not quick:
+    if device is not None or not quick:
         find_device(device)
     everything = list(cases) if cases is not None else shipped_cases()
     held = held_out_groups(everything)

@@ -31,6 +31,11 @@ class StretchSimulation(AggregateRun):
     scene: StretchScene
     cure = "use a smaller 'courant'"
 
+    @property
+    def may_end_early(self) -> bool:
+        """False, because a run always lasts as long as the scene states."""
+        return False
+
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
         return (UNITS | SHARED_UNITS)[column]
@@ -44,7 +49,10 @@ class StretchSimulation(AggregateRun):
         check_memory(stretch_room(self.scene).cells, self.device, self.precision, more=SOLVE_BYTES)
         layout, aggregates = stretch_layout(self.scene)
         return SuspensionFlow(
-            GridState(self.scene, layout, self.device, self.precision), aggregates, roughness=self.scene.roughness
+            GridState(self.scene, layout, self.device, self.precision),
+            aggregates,
+            roughness=self.scene.roughness,
+            friction=self.scene.friction,
         )
 
     def measured(self) -> dict[str, float]:
@@ -52,8 +60,9 @@ class StretchSimulation(AggregateRun):
         return measured(self.flow) | self.aggregate_columns()
 
     def ended_early(self) -> bool:
-        """Find whether the flow is steady, and return False: a run always lasts as long as it should."""
-        time, flow = (np.array([row[name] for row in self._rows]) for name in ("time", "flow"))
+        """Find whether flow or gradient is steady, and return False: a run always lasts as long as it should."""
+        name = "flow" if self.scene.mean_velocity is None else "gradient"
+        time, flow = (np.array([row[column] for row in self._rows]) for column in ("time", name))
         late = flow[time >= 0.75 * time[-1]]
         self.steady = len(late) > 1 and float(np.ptp(late)) <= STEADINESS * abs(float(late[-1]))
         return False

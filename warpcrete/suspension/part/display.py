@@ -1,0 +1,40 @@
+"""Display of a part of a pump line for recorders: mortar behind the axis, all aggregates, and a transparent wall."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.drawing.surfaces import Surface
+from ...mps.part.display import PartDisplay
+from ...mps.part.layout import Frame
+from ..aggregates import is_inside
+from ..display import SphereDisplay
+from .scene import PartSuspensionScene
+
+
+class PartSuspensionDisplay(SphereDisplay, PartDisplay):
+    """Display of a part with aggregates.
+
+    The mortar in front of the middle of the pipe is left out, so that the aggregates in it are visible.
+    """
+
+    @property
+    def _suspension(self) -> PartSuspensionScene:
+        return self.simulation.scene
+
+    @property
+    def cut(self) -> float | None:
+        """Coordinate y [m] of the cutting plane, which contains the start of the axis."""
+        return float(self._suspension.axis.at(0.0)[0][0, 1])
+
+    def surface(self, cut: bool = False) -> Surface:
+        """Return the surfaces of mortar and aggregates; with `cut`, only aggregates behind the cutting plane."""
+        mortar = super().surface(True)
+        return self.derived(("with aggregates", cut), lambda: self._with_aggregates(mortar, cut))
+
+    def _with_aggregates(self, mortar: Surface, cut: bool) -> Surface:
+        inside = is_inside(self.read("aggregates.centre").astype(float))
+        chosen = np.flatnonzero(inside[self.simulation.flow.aggregates.parts.body])
+        frame, signs, centres = Frame(self._suspension), self._mirror_signs, self.sphere_centres()[chosen]
+        places = np.concatenate([frame.to_scene(centres * [1.0, sign, 1.0]) for sign in signs])
+        return self.with_spheres(mortar, places, np.tile(chosen, len(signs)), self.cut if cut else None)

@@ -1,0 +1,31 @@
+"""Matplotlib figures of parts of pump lines with aggregates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...core.drawing.style import SECOND, rgb
+from ...core.run.run_loop import Run
+from ...mps.part.pictures import plot_part
+
+
+def plot_part_with_aggregates(run: Run) -> Any:
+    """Return a figure of pressures as of a part without aggregates, and of the fraction of aggregates along the axis.
+
+    Loss and fraction along the axis are means over the late part of the run.
+    """
+    figure = plot_part(run)
+    along = figure.axes[0]
+    fraction = along.twinx()
+    place, values = (np.array(run.result["profile"][name]["value"]) for name in ("place", "fraction"))
+    fraction.plot(place, values, color=rgb(SECOND), linewidth=1)
+    fraction.set(ylim=(0, max(0.7, 1.05 * float(values.max()))))
+    fraction.set_ylabel("fraction of aggregates", color=rgb(SECOND))
+    return figure
+
+
+def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
+    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
+    return plot_part_with_aggregates(run) if "profile" in run.result else None

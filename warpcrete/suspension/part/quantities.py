@@ -1,0 +1,99 @@
+"""Result quantities of mortar with aggregates that flows through a part of a pump line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
+from ...core.units import number
+from ...mps.part.quantities import QUANTITIES as PART_QUANTITIES
+from ...mps.part.quantities import RunData, report
+from ..quantities import aggregate_lines
+from .blockage import is_blocked
+from .scene import PartSuspensionScene
+
+LATE = 0.5
+"""Part of the simulated time, at its end, over which results are averaged, because the pressure fluctuates."""
+BLOCKS = 5
+"""Number of equal parts of the late time whose means give the standard error of a mean."""
+
+
+def late_rows(time: np.ndarray) -> np.ndarray:
+    """Return a mask of the rows of a time series over which results are averaged, from the rows' times [s]."""
+    return (time > 0) & (time >= (1 - LATE) * time[-1])
+
+
+@dataclass(frozen=True)
+class SuspensionData(RunData):
+    """Scene and series, with two rows or more, from which the quantities of a run are computed."""
+
+    scene: PartSuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
+    place: float = np.nan
+    """Arc length of the steepest loss at the end [m]."""
+
+    def final(self, name: str) -> float:
+        """Return the mean of a column of the time series over the late part of the run."""
+        return float(self.series[name][late_rows(self.series["time"])].mean())
+
+    def error(self, name: str) -> float | None:
+        """Return the standard error of the mean of a column; None if the late part of the run has too few rows."""
+        values = self.series[name][late_rows(self.series["time"])]
+        if len(values) < 2 * BLOCKS:
+            return None
+        means = [float(part.mean()) for part in np.array_split(values, BLOCKS)]
+        return float(np.std(means, ddof=1) / np.sqrt(BLOCKS))
+
+    def at_end(self, name: str) -> float:
+        """Return the last value of a column of the time series."""
+        return float(self.series[name][-1])
+
+    @property
+    def blocked(self) -> bool:
+        """True if the part was blocked when the run ended."""
+        names = list(self.series)
+        rows = [dict(zip(names, map(float, row), strict=True)) for row in zip(*self.series.values(), strict=True)]
+        return is_blocked(self.scene, rows)
+
+    def if_blocked(self, value: float) -> float | None:
+        """Return a value if the part was blocked, otherwise None."""
+        return value if self.blocked else None
+
+
+def _counts(run: Run) -> str:
+    entered, left, present = (
+        int(number(run.result[name])) for name in ("aggregates_entered", "aggregates_left", "aggregates_present")
+    )
+    return f"{entered} entered, {left} left, {present} inside"
+
+
+QUANTITIES = (
+    *PART_QUANTITIES,
+    Quantity("pressure_error", "Pa", lambda k: k.error("pressure"), "error of pressure",
+             lambda run: f"{number(run.result['pressure_error']) / 1e3:.2g} kPa, standard error of the mean"),
+    Quantity("aggregates_entered", "1", lambda k: k.at_end("aggregates_entered"), "aggregates", _counts),
+    Quantity("aggregates_left", "1", lambda k: k.at_end("aggregates_left")),
+    Quantity("aggregates_present", "1", lambda k: k.at_end("aggregates_present")),
+    Quantity("smallest_gap", "1", lambda k: float(k.series["smallest_gap"][1:].min())),
+    Quantity("blocked", "1", lambda k: float(k.blocked), rare=True, compared=True),
+    Quantity("blocked_at", "m", lambda k: k.if_blocked(k.place)),
+    Quantity("blocked_time", "s", lambda k: k.if_blocked(k.at_end("time"))),
+    Quantity("blocked_pressure", "Pa", lambda k: k.if_blocked(k.at_end("pressure"))),
+)  # fmt: skip
+"""Results of a part with aggregates. Pressures and losses are means over the last half of the run, and the theory is
+that of the mortar alone. Names of blockages are those of discrete elements."""
+
+
+def report_part(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield further lines of the report: those of a part without aggregates, and whether the part was blocked."""
+    yield from report(run)
+    yield from aggregate_lines(run)
+    if run.result.get("blocked"):
+        at, time, pressure = (number(run.result[f"blocked_{name}"]) for name in ("at", "time", "pressure"))
+        yield (
+            "BLOCKED",
+            f"at {at:.3g} m from the start, after {time:.3g} s, with a pressure of {pressure / 1e3:.4g} kPa",
+        )

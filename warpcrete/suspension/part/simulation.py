@@ -1,0 +1,120 @@
+"""Simulation of mortar with aggregates that flows through a part of a pump line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...core.run.method import results_of
+from ...core.run.tables import Table
+from ...mps.grid.state import GridState, check_memory
+from ...mps.part.layout import part_layout, part_room
+from ...mps.part.simulation import PartSimulation
+from ..flow import SuspensionFlow
+from ..runs import SOLVE_BYTES, AggregateRun
+from ..runs import UNITS as SHARED_UNITS
+from .blockage import blocked_place, is_blocked
+from .display import PartSuspensionDisplay
+from .layout import placed_entering
+from .probes import UNITS, Census, measured
+from .quantities import QUANTITIES, SuspensionData, late_rows
+from .scene import PartSuspensionScene
+
+STEADINESS = 0.05
+"""Largest relative difference of the mean frictional pressures in the third and the last quarter of a steady run."""
+
+
+class PartSuspensionSimulation(AggregateRun, PartSimulation):
+    """Simulation of a part with aggregates; parameters and errors are those of :class:`warpcrete.Simulation`."""
+
+    scene_type = PartSuspensionScene
+    scene: PartSuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def set_up(self) -> None:
+        """Start with an empty time series."""
+        super().set_up()
+        # Stations, losses and fractions of aggregates along the part for each row of the time series, and the arc
+        # lengths of the aggregates in the last row.
+        self._profiles: list[np.ndarray] = []
+        self._places = np.zeros(0)
+
+    def unit(self, column: str) -> str:
+        """Return the unit of a column of the time series."""
+        return (UNITS | SHARED_UNITS)[column]
+
+    def display(self, colouring: str | None = None) -> PartSuspensionDisplay:
+        """Return the display, which tells recorders what to draw: mortar, aggregates, walls, colours and curves."""
+        return PartSuspensionDisplay(self, colouring)
+
+    def place_flow(self) -> SuspensionFlow:
+        """Return the flow in its initial state, with particles, aggregates and grid."""
+        scene = self.scene
+        check_memory(part_room(scene).cells, self.device, self.precision, more=SOLVE_BYTES)
+        layout = part_layout(scene)
+        aggregates, entrance = placed_entering(scene, layout)
+        self.entering = entrance.enters
+        """Time at which each aggregate has entered entirely [s], shape (n,)."""
+        return SuspensionFlow(
+            GridState(scene, layout, self.device, self.precision), aggregates, roughness=scene.roughness,
+            friction=scene.friction, entrance=entrance,
+        )  # fmt: skip
+
+    def measured(self) -> dict[str, float]:
+        """Measure the flow and return the values of one row of the time series, by column name."""
+        census = Census(self.flow, self.entering)
+        travel = self.scene.velocity * (self.flow.time - self._rows[-1]["time"]) if self._rows else 0.0
+        row, profiles = measured(census, self._places, travel)
+        self._places = census.place
+        self._profiles.append(profiles)
+        return row | self.aggregate_columns()
+
+    def ended_early(self) -> bool:
+        """Find whether the flow is steady, and return whether the part is blocked."""
+        rows, scene = self._rows, self.scene
+        time, pressure = (np.array([row[name] for row in rows]) for name in ("time", "pressure"))
+        pressure = pressure - scene.density * scene.gravity * scene.rise
+        last, third = time >= 0.75 * time[-1], (time >= 0.5 * time[-1]) & (time < 0.75 * time[-1])
+        if third.any():
+            now, before = pressure[last].mean(), pressure[third].mean()
+            self.steady = bool(abs(now - before) <= STEADINESS * abs(now))
+        return len(rows) > 1 and is_blocked(scene, rows)
+
+    @property
+    def fraction(self) -> float:
+        """Volume of the placed aggregates, in the part and behind its start, over the volume of the concrete there."""
+        return self.scene.simulated_fraction
+
+    def sizes(self) -> dict[str, Any]:
+        """Return sizes of the model and of the part, such as the number of cells, for the run's result."""
+        return super().sizes() | self.aggregate_sizes()
+
+    def friction_profile(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return arc lengths [m] and the mean loss from each of them to the end of the part [Pa]."""
+        place, friction, _ = self._late()
+        return place, friction
+
+    def _late(self) -> np.ndarray:
+        """Return arc lengths [m], and the means over late rows of losses [Pa] and fractions, shape (3, stations)."""
+        late = late_rows(np.array([row["time"] for row in self._rows]))
+        return np.mean(np.array(self._profiles)[late], axis=0)
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return the entries of the result, and a table of means of pressure and fraction along the part."""
+        result, tables = super().outcome(series)
+        place = blocked_place(self.scene, *self._profiles[-1][:2])
+        result |= results_of(QUANTITIES, SuspensionData(self.scene, series, place))
+        fraction = self._late()[2]
+        result["profile"]["fraction"] = {"value": fraction.tolist(), "unit": "1"}
+        stations = tables["stations"]
+        with_fraction = Table({**stations.columns, "fraction": fraction}, {**stations.units, "fraction": "1"})
+        return result, tables | {"stations": with_fraction}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the flow, the rows so far, and what the next row and the results depend on."""
+        return super().state_dict() | {"profiles": np.array(self._profiles), "places": self._places}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore a run from a `state_dict`."""
+        super().load_state_dict(state)
+        self._profiles, self._places = list(state["profiles"]), np.array(state["places"])

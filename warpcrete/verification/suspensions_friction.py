@@ -1,0 +1,70 @@
+"""Verification of friction between aggregates in a mortar and walls: a sphere that is pushed along a floor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..suspension.aggregates import Aggregates
+from ..suspension.flow import SuspensionFlow
+from ..suspension.solve import Tolerances
+from .case import Case, Row
+from .suspensions import DENSITY, RADIUS, mortar_flow
+
+WIDTH = RADIUS / 2
+FLOOR = -6 * WIDTH
+"""Height of the floor [m]."""
+TOUCHING = 0.00997 * RADIUS
+"""Gap to the floor at the start [m], at which a sphere touches it."""
+PRESS = 0.02
+"""Force that presses the sphere onto the floor [N]."""
+LEVER = 1.005 * RADIUS
+"""Distance of the centre from the point at which friction acts [m]: half of the gap beyond the surface."""
+FRICTION, STEPS = 0.3, 25
+
+
+def pushed(
+    friction: float, force: float, torque: float, device: str, precision: str, steps: int = STEPS
+) -> SuspensionFlow:
+    """Return the flow around a sphere after it was pressed onto a floor and pushed along it, from rest.
+
+    The sphere has the density of the mortar. `force` is the force along the first axis [N], and `torque` is the torque
+    about the second axis [N m].
+    """
+    sphere = Aggregates(np.array([[0.0, 0.0, FLOOR + RADIUS + TOUCHING]]), np.array([RADIUS]), DENSITY)
+    flow = mortar_flow(
+        (16, 12, 12), WIDTH, sphere, device, precision, friction=friction, time_step=0.02,
+        tolerances=Tolerances(coupled=1e-6 if precision == "float64" else 1e-5),
+    )  # fmt: skip
+    flow.aggregates.bodies.force.assign(np.array([[force, 0.0, -PRESS]]))
+    flow.aggregates.bodies.torque.assign(np.array([[0.0, torque, 0.0]]))
+    flow.take(steps)
+    return flow
+
+
+def motion(flow: SuspensionFlow) -> tuple[float, float]:
+    """Return the velocity of a sphere along the first axis [m/s], and its spin about the second axis [rad/s]."""
+    bodies = flow.aggregates.bodies
+    return float(bodies.velocity.numpy()[0, 0]), float(bodies.spin.numpy()[0, 1])
+
+
+def friction_case(device: str, precision: str) -> list[Row]:
+    """Check that a sphere that is pushed along a floor rolls below the limit of friction, and slides above it.
+
+    Friction that slides acts like a force mu N and its torque, where N is the normal force. The flow of the mortar is
+    linear, so a sphere without friction moves in the same way if both act on it as external loads.
+    """
+    velocity, spin = motion(pushed(FRICTION, 0.2 * PRESS, 0.0, device, precision))
+    flow = pushed(FRICTION, PRESS, 0.0, device, precision)
+    normal = float(flow.aggregates.pairs.last_force.numpy()[0])
+    found = motion(flow)
+    force = float(flow.aggregates.pairs.grip.numpy()[0]) * (found[0] - LEVER * found[1])
+    loaded = motion(pushed(0.0, PRESS - FRICTION * normal, FRICTION * normal * LEVER, device, precision))
+    return [
+        Row("speed of the surface over velocity, pushed with 0.2 N", LEVER * spin / velocity, 1.0, 0.01),
+        Row("friction over mu times normal force, pushed with 1 N", force / (FRICTION * normal), 1.0, 0.015),
+        Row("velocity over that with the same loads", found[0] / loaded[0], 1.0, 0.01),
+        Row("spin over that with the same loads", found[1] / loaded[1], 1.0, 0.025),
+    ]
+
+
+CASES = [Case("sphere pushed along a floor", "Coulomb's law", friction_case, "aggregates in mortar")]
