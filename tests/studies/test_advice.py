@@ -127,6 +127,7 @@ def test_the_nearest_shipped_trade_is_taken():
     # No trade of a vessel has aggregates, which limit the cells.
     assert nearest_shipped("slump", modules()["slump"], {"yield_stress": 100.0}, False).stem == "slump"
     assert nearest_shipped("slump", modules()["slump"], {"aggregate_fraction": 0.2}, False) is None
+    assert nearest_shipped("channel", channels, {"aggregate_fraction": 0.2}, False) is None
 
 
 @pytest.mark.thorough
