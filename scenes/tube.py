@@ -6,25 +6,38 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.inputs.scene_functions import scene_function
-from warpcrete.mps.column import FlowParameters, check_flow, column_scene, flow_trading
+from warpcrete.mps.column import column_scene
 from warpcrete.mps.scene import FluidScene
+from warpcrete.suspension.stretch.columns import ColumnWithAggregates, check_column, column_trading, suspended_column
+from warpcrete.suspension.stretch.scene import StretchScene
+
+suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
+"""Parameters that `--method suspension` sets unless they are given."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class TubeParameters(FlowParameters):
+class TubeParameters(ColumnWithAggregates):
     """Parameters of a concrete column in a round pipe."""
 
-    spacing: Annotated[float, "Spacing of the particles [m], rounded so that it divides the radius"] = 10e-3
+    spacing: Annotated[
+        float,
+        "Spacing of particles, or width of cells with aggregates [m], rounded so that it divides the radius",
+    ] = 10e-3
 
 
 @scene_function(TubeParameters)
-def scene(parameters: TubeParameters) -> FluidScene:
+def scene(parameters: TubeParameters) -> FluidScene | StretchScene:
     """Model concrete that a piston drives up a round pipe, by implicit moving particles (MPS) in three dimensions.
+
+    With `aggregate_fraction` and without `aggregates`, a stretch of an endless pipe is simulated on a grid, in which
+    aggregates move in the mortar as rigid bodies. The driving force keeps the flow constant.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated, and if nothing would flow.
     """
+    if parameters.suspended:
+        return suspended_column("tube", 3, parameters)
     return column_scene("tube", 3, parameters)
 
 
-check = check_flow
-trading = flow_trading(3)
+check = check_column
+trading = column_trading(3)

@@ -24,7 +24,7 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.types import types
-from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import DT, VELOCITY_CORRECTION, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
 
@@ -299,10 +299,11 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `carry` and `move`, with one task per aggregate.
+    """Build the kernels `carry`, `move` and `hasten`, with one task per aggregate.
 
-    `carry` sets the velocities of the faces that move with an aggregate. `move` moves and turns the aggregate by one
-    time step.
+    - `carry` sets the velocities of the faces that move with an aggregate.
+    - `move` moves and turns the aggregate by one time step.
+    - `hasten` changes its velocity as that of all mortar in a periodic pipe, so that the mean velocity stays constant.
     """
     vec, quat = mps_types(scalar, 3).vec, types(scalar).quat
     Grid = grid_parameters_struct(scalar, 3)
@@ -337,7 +338,16 @@ def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if size > scalar(0.0):
             bodies.turn[b] = wp.normalize(wp.mul(wp.quat_from_axis_angle(angle / size, size), quat(bodies.turn[b])))
 
-    return SimpleNamespace(carry=carry, move=move)
+    @wp.kernel(enable_backward=False, module="unique")
+    def hasten(flags: wp.array(dtype=wp.int32), mesh: Fields, bodies: Bodies):
+        if flags[HALTED] != 0:
+            return
+        b = wp.tid()
+        velocity = bodies.velocity[b]
+        velocity[2] = velocity[2] + scalar(mesh.drive[VELOCITY_CORRECTION])
+        bodies.velocity[b] = velocity
+
+    return SimpleNamespace(carry=carry, move=move, hasten=hasten)
 
 
 @functools.cache

@@ -490,6 +490,8 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
         (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be the diameter"),
         (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have two or more different values"),
+        (BULK | {"layer": {"tribometer": [[-0.1, 50], [0.2, 90]]}}, "must be 0 or more"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50], [0.2, -90]]}}, "must be 0 or more"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}},
          "mix slip viscosity = -50.0: follows from a straight line"),
         (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"},

@@ -108,7 +108,7 @@ def test_the_core_is_a_parabola_above_a_slip_velocity():
     curve = scene.gradient / (4 * 1.7 * 20.0)
     velocity = 0.03 + curve * (0.04**2 - radius**2)
     velocity[radius > 0.025] = 0.5
-    assert core(scene, radius, velocity) == pytest.approx((1.7, 0.03), rel=1e-9)
+    assert core(scene, radius, velocity, scene.gradient) == pytest.approx((1.7, 0.03), rel=1e-9)
 
 
 def test_a_stretch_goes_on_from_its_checkpoint_with_the_same_bits(device):

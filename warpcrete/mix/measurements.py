@@ -160,6 +160,10 @@ def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) 
         (x, x_unit), (y, y_unit) = columns.items()
         one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
         other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
+    for column, values in zip(columns, (one, other), strict=True):
+        if min(values, default=0.0) < 0:
+            refuse(f"mix {name}: {column}", min(values), f"must be 0 or more {columns[column]}",
+                   "use magnitudes if the instrument turned backwards")  # fmt: skip
     if len(set(one)) < 2:
         refuse(
             f"mix {name}",

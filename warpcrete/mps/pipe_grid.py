@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -66,16 +67,16 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
         length=scene.radius,
         frame=scene.velocity,
         drive=concrete.density * scene.gravity,
-        resistance=_resistance(scene),
+        resistance=resistance(scene, scene.velocity),
     )
 
 
-def _resistance(scene: FluidScene) -> float:
-    """Return the derivative of the wall's force per volume with respect to the mean velocity [kg/m3/s].
+def resistance(scene: Any, mean: float) -> float:
+    """Return the derivative of the wall's force per volume with respect to the mean velocity `mean` [kg/m3/s].
 
-    The derivative is that of the steady state. With it, the driving force of a periodic pipe anticipates how the wall's
-    force changes with the velocity.
+    The derivative is that of the steady state of a scene with the attributes `concrete`, `line`, `form`, `radius` and
+    `length`. With it, the driving force of a periodic pipe anticipates how the wall's force changes with the velocity.
     """
-    little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
+    little, flow = 1e-3, math.pi * scene.radius**2 * mean
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))
-    return (more.pressure - now.pressure) / (scene.length * little * scene.velocity)
+    return (more.pressure - now.pressure) / (scene.length * little * mean)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernels.mps.grid.cells import DT, FIXED, GHOST, LIQUID
+from ..kernels.mps.grid.cells import DT, FIXED, GHOST, LIQUID, VELOCITY_CORRECTION
 from ..kernels.suspension.pairs import CAPACITY, WALL
 from .flow import SuspensionFlow
 
@@ -89,6 +89,8 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     """
     field = _Grid(flow)
     velocity, start = field.faces("velocity"), field.faces("start")
+    # The last correction of the mean velocity acts as a uniform force, and not through friction at walls.
+    velocity[2] -= np.where(field.faces("kind")[2] == int(LIQUID), flow.mesh.drive.numpy()[int(VELOCITY_CORRECTION)], 0)
     stiffness, on, force = (
         field.array(getattr(flow.mesh, name), 9) for name in ("wall_stiffness", "wall_weight", "wall_force")
     )

@@ -135,7 +135,11 @@ class SuspensionStep(GridStep):
     def after(self) -> list[Any]:
         """Return the stages after the coupled solve, which move the mortar and the aggregates."""
         flow, kind, scalar = self.flow, self.kind, self.scalar
+        fixed = self.layout.periodic and self.layout.mean_velocity_fixed
+        hasten = self._alone(motion_kernels(scalar, kind).hasten, flow.aggregates.count) if fixed else []
         return [
+            *(self._drive() if fixed else []),
+            *hasten,
             *(self._speeds() if flow.adaptive else []),
             # The solve that moves crowded particles apart needs the matrix of the pressure projection. The kernel
             # `resist` has changed this matrix for the coupled solve, so compute it again.

@@ -20,6 +20,7 @@ MAX_FRACTION = 0.5
 diameters wide."""
 
 
+WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
 USUAL_CELLS = 4.0
@@ -64,14 +65,14 @@ class SphereFields:
         return self.spacing
 
     @property
-    def narrowest(self) -> float:
+    def narrowest_shape(self) -> float:
         """Width of the narrowest shape, divided by its size."""
         return min(float(shape.widths.min()) for shape in self.templates)
 
     @property
     def resolved(self) -> float:
         """Size of the smallest aggregates [m] that the cells resolve."""
-        return MIN_CELLS * self.cell_width / self.narrowest
+        return MIN_CELLS * self.cell_width / self.narrowest_shape
 
     @property
     def simulated_fraction(self) -> float:
@@ -98,7 +99,7 @@ class SphereFields:
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
-        narrow = smallest * self.narrowest
+        narrow = smallest * self.narrowest_shape
         if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
@@ -151,11 +152,13 @@ class AggregateParameters(Declared):
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
         "meshes. Diameters are those of spheres of equal volume",
         Suggests(lambda: TEMPLATE_SETS),
+        WITH_AGGREGATES,
     ] = "spheres"
     aggregate_sizes: Annotated[
         str,
         "Size distribution: uniform, or a sieve curve 'mm:passing,...' by mass. Of a sieve curve, sizes that the cells "
         "do not resolve count as mortar",
+        WITH_AGGREGATES,
     ] = UNIFORM
     aggregate_density: Annotated[float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000)] = 2650.0
     roughness: Annotated[

@@ -60,15 +60,15 @@ class StretchDisplay(SphereDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, which contains the axis."""
-        return 0.0
+        """Coordinate y [m] of the cutting plane, which contains the axis or halves the depth."""
+        return 0.5 * self._scene.depth
 
     @cached_property
     def _gap(self) -> np.ndarray:
         """Distance of each cell's centre from the wall, in cells and limited to half a cell, first axis first."""
         layout = self._layout
         middles = layout.room.places([0.5] * 3)[1:-1, 1:-1, 1:-1]
-        gap = self._scene.radius - np.hypot(middles[..., 0], middles[..., 1])
+        gap = self._scene.radius - self._scene.aside(middles[..., 0], middles[..., 1])
         return np.clip(gap / layout.spacing, -HALF_CELL, HALF_CELL)
 
     def _cell_levels(self) -> np.ndarray:
@@ -96,8 +96,12 @@ class StretchDisplay(SphereDisplay):
     def plots(self) -> tuple[Plot, ...]:
         """Return the volume flow, and the distance of the aggregates from the axis, over time."""
         radius = Curve("radius", "mean distance from the axis [radii]", lambda row: row["aggregate_radius"], SECOND)
+        driven = Plot("flow", "Flow", (Curve("flow", "flow [m3/h]", lambda row: 3600 * row["flow"], RUN),))
+        if self._scene.mean_velocity is not None:
+            label = "friction [kPa/m]"
+            driven = Plot("friction", "Friction", (Curve("friction", label, lambda row: 1e-3 * row["gradient"], RUN),))
         return (
-            Plot("flow", "Flow", (Curve("flow", "flow [m3/h]", lambda row: 3600 * row["flow"], RUN),)),
+            driven,
             Plot("migration", "Aggregates", (radius,)),
         )
 
@@ -121,11 +125,22 @@ class StretchDisplay(SphereDisplay):
     def walls(self) -> list[DrawnWall]:
         """Return the wall of the pipe, a little outside the mortar, so that a viewer can tell them apart."""
         scene = self._scene
+        if scene.depth:
+            return [self._plane(side) for side in (-1, 1)]
         axis = Axis((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (Line(scene.length),))
         vertices, faces = axis.swept(np.array([0.0, scene.length]), (1 + WALL_GAP) * scene.radius, FACETS)
         return [DrawnWall("wall", vertices, faces, False, GLASS)]
 
+    def _plane(self, side: int) -> DrawnWall:
+        """Return one of the two planes of a flow between planes, a little outside the mortar."""
+        scene = self._scene
+        y, z = (np.array(values) for values in ((0.0, scene.depth, scene.depth, 0.0), (0.0, 0.0) + 2 * (scene.length,)))
+        corners = np.stack([np.full(4, side * (1 + WALL_GAP) * scene.radius), y, z], 1)
+        name = "lower plane" if side < 0 else "upper plane"
+        return DrawnWall(name, corners, np.array([[0, 1, 2], [0, 2, 3]]), False, GLASS)
+
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
-        wide = self._scene.radius
-        return np.array([[-wide, -wide, 0.0], [wide, wide, self._scene.length]])
+        scene, wide = self._scene, self._scene.radius
+        low, high = (0.0, scene.depth) if scene.depth else (-wide, wide)
+        return np.array([[-wide, low, 0.0], [wide, high, scene.length]])

@@ -9,8 +9,9 @@ import numpy as np
 from ...kernels.mps.flow_laws import BINGHAM
 from ...kernels.mps.grid.cells import GridKind
 from ...mps.grid.filling import fill_cells
-from ...mps.grid.geometry import NO_SLIP_VISCOSITY, OPEN_SIDE, PLATE, WALL, Room, geometry_of
+from ...mps.grid.geometry import MIRROR, NO_SLIP_VISCOSITY, OPEN_SIDE, PLATE, WALL, Room, geometry_of
 from ...mps.grid.layout import GridLayout
+from ...mps.pipe_grid import resistance
 from ..aggregates import Aggregates
 from ..placing import aggregates_within
 from .scene import StretchScene
@@ -22,8 +23,14 @@ MARGIN = 2
 
 
 def stretch_room(scene: StretchScene) -> Room:
-    """Return the box of cells around the stretch; a whole number of cells fits into the radius and into the length."""
+    """Return the box of cells around the stretch; a whole number of cells fits into its radius, depth and length."""
     rings = round(scene.radius / scene.spacing)
+    if scene.depth:
+        counts = 2 * rings, round(scene.depth / scene.spacing), round(scene.length / scene.spacing)
+        sizes = 2 * scene.radius, scene.depth, scene.length
+        sides = ((WALL, WALL), (MIRROR, MIRROR), (OPEN_SIDE, OPEN_SIDE))
+        widths = tuple(size / count for size, count in zip(sizes, counts, strict=True))
+        return Room(counts, widths, (-scene.radius, 0.0, 0.0), sides)
     width, layers = scene.radius / rings, round(scene.length / scene.spacing)
     across = 2 * (rings + MARGIN)
     low = -0.5 * across * width
@@ -40,9 +47,13 @@ def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
     room, concrete = stretch_room(scene), scene.concrete
 
     def distance(x: np.ndarray) -> np.ndarray:
-        return scene.radius - np.hypot(x[:, 0], x[:, 1])
+        return scene.radius - scene.aside(x[:, 0], x[:, 1])
 
-    geometry = geometry_of(room, [(distance, PLATE)])
+    def clear(x: np.ndarray) -> np.ndarray:
+        found = distance(x)
+        return np.minimum(found, np.minimum(x[:, 1], scene.depth - x[:, 1])) if scene.depth else found
+
+    geometry = geometry_of(room, [] if scene.depth else [(distance, PLATE)])
     places, mass = fill_cells(room, PARTICLES_PER_AXIS, lambda x: distance(x) > 0)
     layer = (concrete.slip_viscosity, concrete.slip_yield) if scene.slips else (NO_SLIP_VISCOSITY, 0.0)
     layout = GridLayout(
@@ -65,12 +76,14 @@ def stretch_layout(scene: StretchScene) -> tuple[GridLayout, Aggregates]:
         geometry=geometry,
         full=True,
         weightless=True,
-        mean_velocity_fixed=False,
+        mean_velocity_fixed=scene.mean_velocity is not None,
+        frame=scene.mean_velocity or 0.0,
+        resistance=0.0 if scene.mean_velocity is None else resistance(scene, scene.mean_velocity),
     )
-    half = np.array([scene.radius, scene.radius, 0.0])
-    high = half + [0.0, 0.0, scene.length]
+    low = np.array([-scene.radius, 0.0 if scene.depth else -scene.radius, 0.0])
+    high = np.array([scene.radius, scene.depth or scene.radius, scene.length])
     filled = float(np.sum(mass)) * layout.volume
-    aggregates = aggregates_within(scene, filled, distance, -half, high, scene.seed, True)
+    aggregates = aggregates_within(scene, filled, clear, low, high, scene.seed, True)
     # The driving force acts on the open volume of the cells, which differs a little from that of the pipe.
     volume = float(geometry.room[1:-1, 1:-1, 1:-1].sum()) * float(np.prod(room.width))
     part = 4 / 3 * np.pi * float(np.sum(aggregates.radius**3)) / volume

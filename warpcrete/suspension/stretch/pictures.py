@@ -24,8 +24,10 @@ def plot_stretch(run: Run) -> Any:
     legend_beside(speed)
     fraction.plot(radius, profile["fraction"], color=rgb(SECOND))
     fraction.set(xlabel="distance from the axis [mm]", ylabel="fraction of aggregates", xlim=(0, None), ylim=(0, None))
-    course.plot(run.series["time"][1:], 3600 * run.series["flow"][1:], color=rgb(RUN))
-    course.set(xlabel="time [s]", ylabel="flow [m3/h]", ylim=(0, None))
+    fixed = run.scene.mean_velocity is not None
+    name, factor, label = ("gradient", 1e-3, "friction [kPa/m]") if fixed else ("flow", 3600, "flow [m3/h]")
+    course.plot(run.series["time"][1:], factor * run.series[name][1:], color=rgb(RUN))
+    course.set(xlabel="time [s]", ylabel=label, ylim=(0, None))
     open_frame(speed, fraction, course)
     figure.suptitle(run.scene.caption, fontsize=10)
     return figure

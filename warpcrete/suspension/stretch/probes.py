@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from ...kernels.mps.grid.cells import LAST_FORCE
 from ...theory.laws import BINGHAM
 from ..balance import wall_friction
 from ..flow import SuspensionFlow
@@ -18,6 +19,7 @@ CORE_RINGS = 4
 UNITS = {
     "time": "s",
     "flow": "m3/s",
+    "gradient": "Pa/m",
     "axis_velocity": "m/s",
     "aggregate_velocity": "m/s",
     "aggregate_radius": "1",
@@ -43,7 +45,7 @@ def _columns(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance of each column of cells from the axis [m] and the number of its ring, shape (ny, nx)."""
     room = flow.state.layout.room
     x, y = (o + (np.arange(n) + 0.5) * h for o, n, h in zip(room.origin, room.cells[:2], room.width, strict=False))
-    radius = np.hypot(x, y[:, None])
+    radius = flow.scene.aside(x, y[:, None])
     return radius, np.floor(radius / room.width[0]).astype(int)
 
 
@@ -77,19 +79,32 @@ def fraction_profile(flow: SuspensionFlow) -> np.ndarray:
     bodies, parts = flow.aggregates.bodies, flow.aggregates.parts
     centre = parts.centres(bodies.centre.numpy().astype(float), bodies.turn.numpy().astype(float))
     radius, points = parts.radius, _points()
-    aside = np.hypot(
+    aside = scene.aside(
         centre[:, 0, None] + radius[:, None] * points[:, 0], centre[:, 1, None] + radius[:, None] * points[:, 1]
     )
     own = np.repeat(parts.share / len(points), len(points))
     ring = np.clip((aside.ravel() / room.width[0]).astype(int), 0, count - 1)
     edges = room.width[0] * np.arange(count + 1)
-    return np.bincount(ring, own, count) / (np.pi * np.diff(edges**2) * scene.length)
+    areas = 2 * scene.depth * np.diff(edges) if scene.depth else np.pi * np.diff(edges**2)
+    return np.bincount(ring, own, count) / (areas * scene.length)
 
 
 def mean_radius(flow: SuspensionFlow) -> float:
     """Return the mean distance of the aggregates' centres from the axis over the pipe's radius, weighted by volume."""
     centre, volume = flow.aggregates.bodies.centre.numpy().astype(float), flow.aggregates.radius**3
-    return float(np.sum(np.hypot(centre[:, 0], centre[:, 1]) * volume) / volume.sum() / flow.scene.radius)
+    aside = flow.scene.aside(centre[:, 0], centre[:, 1])
+    return float(np.sum(aside * volume) / volume.sum() / flow.scene.radius)
+
+
+def section_of_cells(flow: SuspensionFlow) -> float:
+    """Return the area of a cell's section across the flow [m2].
+
+    Flows between planes count as in a round pipe with the same mean velocity, whose radius is half the distance of the
+    planes. The area is then that of a cell times the ratio of the sections of this pipe and of the simulated flow.
+    """
+    scene, width = flow.scene, flow.state.layout.room.width
+    ratio = np.pi * scene.radius / (2 * scene.depth) if scene.depth else 1.0
+    return width[0] * width[1] * ratio
 
 
 def has_core(scene: StretchScene) -> bool:
@@ -101,39 +116,45 @@ def has_core(scene: StretchScene) -> bool:
     return wide and scene.concrete.bulk_law.name == BINGHAM and scene.concrete.yield_stress == 0
 
 
-def core(scene: StretchScene, radius: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
+def core(scene: StretchScene, radius: np.ndarray, velocity: np.ndarray, gradient: float) -> tuple[float, float]:
     """Return the relative viscosity of the core, and the velocity of its parabola at the wall [m/s].
 
-    The core reaches to within one mean diameter of an aggregate from the wall. The parabola is fitted to the velocities
-    in the core, weighted by area. Its velocity at the wall is the apparent slip velocity.
+    `gradient` is the pressure gradient of the friction [Pa/m]. The core reaches to within one mean diameter of an
+    aggregate from the wall. The parabola is fitted to the velocities in the core, weighted by area. Its velocity at the
+    wall is the apparent slip velocity.
     """
     inside = radius < scene.radius - scene.mean_diameter
-    curve, wall = np.polyfit(radius[inside] ** 2 - scene.radius**2, velocity[inside], 1, w=np.sqrt(radius[inside]))
-    return float(-scene.gradient / (4 * curve * scene.concrete.viscosity)), float(wall)
+    weight = np.ones(inside.sum()) if scene.depth else np.sqrt(radius[inside])
+    curve, wall = np.polyfit(radius[inside] ** 2 - scene.radius**2, velocity[inside], 1, w=weight)
+    return float(-gradient / (2 * scene.ways * curve * scene.concrete.viscosity)), float(wall)
 
 
 def measured(flow: SuspensionFlow) -> dict[str, float]:
     """Measure a stretch of pipe and return the values of one row of the time series, by column name."""
     scene: StretchScene = flow.scene
     row = dict.fromkeys(UNITS, 0.0)
-    row["aggregate_radius"] = mean_radius(flow)
+    row["aggregate_radius"], row["gradient"] = mean_radius(flow), scene.gradient
     if not has_core(scene):
         del row["relative_viscosity"], row["slip_velocity"]
     if not flow.steps:
         return row
-    room, (speed, part), outcomes = flow.state.layout.room, _along(flow), flow.outcomes()
+    layout, (speed, part), outcomes = flow.state.layout, _along(flow), flow.outcomes()
     radius, velocity = velocity_profile(flow)
     along, volume = flow.aggregates.bodies.velocity.numpy().astype(float)[:, 2], flow.aggregates.radius**3
+    # The driving force at the start is the pressure gradient plus the weight of the aggregates minus their buoyancy.
+    drive = float(flow.state.mesh.drive.numpy()[int(LAST_FORCE)])
+    gradient = scene.gradient if scene.mean_velocity is None else drive - (layout.drive - scene.gradient)
     row |= {
         "time": flow.time,
-        "flow": float((speed * part).sum()) * room.width[0] * room.width[1] / room.cells[2],
+        "flow": float((speed * part).sum()) * section_of_cells(flow) / layout.room.cells[2],
+        "gradient": gradient,
         "axis_velocity": float(velocity[0]),
         "aggregate_velocity": float(np.sum(along * volume) / volume.sum()),
-        "wall_stress": float(wall_friction(flow)[0][2].sum()) / (2 * np.pi * scene.radius * scene.length),
+        "wall_stress": float(wall_friction(flow)[0][2].sum()) / scene.wall_area,
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
         "steps": float(flow.steps),
     }
     if has_core(scene):
-        row["relative_viscosity"], row["slip_velocity"] = core(scene, radius, velocity)
+        row["relative_viscosity"], row["slip_velocity"] = core(scene, radius, velocity, gradient)
     return row

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +32,41 @@ class RunData:
         late = (time > 0) & (time >= (1 - LATE) * time[-1])
         return float(self.series[name][late].mean())
 
+    @property
+    def wall_stress(self) -> float:
+        """Mean shear stress at the wall that balances the pressure gradient [Pa]."""
+        if self.scene.mean_velocity is None:
+            return self.scene.wall_stress
+        return self.scene.radius / self.scene.ways * (self.mean("gradient") or 0.0)
+
     def change(self, name: str) -> float:
         """Return the change of a column from the first to the last row."""
         return float(self.series[name][-1] - self.series[name][0])
 
 
+def _fixed(value: Callable[[RunData], float | None]) -> Callable[[RunData], float | None]:
+    """Return a function that gives a quantity only if the driving force keeps the mean velocity constant."""
+    return lambda k: None if k.scene.mean_velocity is None else value(k)
+
+
+def _pressure(k: RunData, gradient: float | None) -> float | None:
+    """Return the pressure difference of the stretch for a friction [Pa/m], with the weight of the concrete [Pa]."""
+    return None if gradient is None else k.scene.length * (gradient + k.scene.density * k.scene.gravity)
+
+
+def _pressure_words(run: Run) -> str:
+    ours, theory = (number(run.result[name]) / 1e3 for name in ("pressure", "pressure_theory"))
+    return f"{ours:.4g} kPa   (mortar without aggregates by theory, with the same weight: {theory:.4g})"
+
+
+def _gradient_words(run: Run) -> str:
+    ours, theory = (number(run.result[name]) / 1e3 for name in ("gradient", "gradient_theory"))
+    return f"{ours:.4g} kPa/m   (mortar without aggregates by theory: {theory:.4g})"
+
+
 def _flow_words(run: Run) -> str:
+    if run.scene.mean_velocity is not None:
+        return f"{3600 * number(run.result['flow']):.4g} m3/h"
     ours, alone = (3600 * number(run.result[name]) for name in ("flow", "flow_alone"))
     return f"{ours:.4g} m3/h   (mortar without aggregates: {alone:.4g} m3/h)"
 
@@ -59,10 +88,14 @@ def _migration_words(run: Run) -> str:
 
 
 QUANTITIES = (
+    Quantity("pressure", "Pa", _fixed(lambda k: _pressure(k, k.mean("gradient"))), "pressure", _pressure_words, True),
+    Quantity("pressure_theory", "Pa", _fixed(lambda k: _pressure(k, k.scene.gradient))),
+    Quantity("gradient", "Pa/m", _fixed(lambda k: k.mean("gradient")), "friction", _gradient_words, True),
+    Quantity("gradient_theory", "Pa/m", _fixed(lambda k: k.scene.gradient)),
     Quantity("flow", "m3/s", lambda k: k.mean("flow"), "flow", _flow_words, True),
     Quantity("flow_alone", "m3/s", lambda k: k.scene.mortar_alone.flow),
     Quantity("wall_stress", "Pa", lambda k: k.mean("wall_stress"), "wall's stress", _stress_words, True),
-    Quantity("wall_stress_theory", "Pa", lambda k: k.scene.wall_stress),
+    Quantity("wall_stress_theory", "Pa", lambda k: k.wall_stress),
     Quantity("relative_viscosity", "1", lambda k: k.mean("relative_viscosity"), "viscosity in the core",
              lambda run: f"{run.result['relative_viscosity']:.3g} times that of the mortar", True),
     Quantity("slip_velocity", "m/s", lambda k: k.mean("slip_velocity"), "apparent slip", _slip_words, True),

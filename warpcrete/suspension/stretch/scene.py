@@ -24,6 +24,14 @@ MIN_ACROSS = 8
 """Minimum number of cells across the pipe."""
 
 
+Courant = Annotated[
+    float,
+    "Length of a time step of a flow with aggregates: cells that mortar on the axis passes in a step, by the theory of "
+    "mortar without aggregates, and that a single aggregate settles",
+    Within(0.01, 1),
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class StretchSettings(Declared):
     """Settings of the simulation of a stretch of pipe."""
@@ -31,12 +39,7 @@ class StretchSettings(Declared):
     common: ClassVar[tuple[str, ...]] = ("duration",)
 
     duration: Annotated[float, "Simulated time [s]", Above()] = 1.0
-    courant: Annotated[
-        float,
-        "Length of a time step: cells that mortar on the axis passes in a step, by the theory of mortar without "
-        "aggregates, and that a single aggregate settles",
-        Within(0.01, 1),
-    ] = 0.5
+    courant: Courant = 0.5
     gravity: Annotated[
         float,
         "Gravity against the flow, which lets heavy aggregates fall behind the mortar; 0 for no settling [m/s2]",
@@ -71,6 +74,12 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     """Pressure gradient beyond the weight of mortar and aggregates, which drives the flow [Pa/m]."""
     slips: bool
     """True if mortar slips on the wall with its slip layer; False if it sticks to the wall."""
+    mean_velocity: float | None = None
+    """Mean velocity that the driving force keeps constant [m/s]; `gradient` is then that of the mortar alone by theory.
+    None if the pressure gradient is constant."""
+    depth: float = 0.0
+    """Extent along y of a flow between two planes at x = -radius and x = radius, between planes of symmetry [m]; 0 for
+    a round pipe."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
@@ -91,6 +100,10 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
             refuse("length", self.length, f"must be at least {MIN_LENGTH:g} diameters of the largest aggregate, "
                                           "because the ends of the stretch are connected",
                    f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
+        if self.depth and largest > 0.5 * self.depth:
+            refuse("depth", self.depth, "must be at least two diameters of the largest aggregate, because no aggregate "
+                                        "crosses its ends",
+                   f"use {at_least(2 * largest)} m or more")  # fmt: skip
         if largest > self.radius:
             refuse("aggregate_largest", largest, f"must be at most the radius of the pipe, {self.radius:g} m",
                    "use smaller aggregates or a wider pipe")  # fmt: skip
@@ -101,7 +114,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         if self.slips:
             stress = least_stress(self.concrete, self.line)
             words += f" and a slip layer of {self.concrete.slip_yield:g} Pa"
-        least = 2 * stress / self.radius
+        least = self.ways * stress / self.radius
         if self.gradient <= least:
             refuse("gradient", self.gradient, f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m",
                    f"use {at_least(1.5 * least)} Pa/m or more")  # fmt: skip
@@ -114,7 +127,26 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @cached_property
     def mortar_alone(self) -> Steady:
         """Steady flow of the mortar without aggregates at the same pressure gradient, by theory."""
-        return flow_of_pressure(self.concrete, self.line, self.gradient * self.length)
+        return flow_of_pressure(self.concrete, self.line, self.gradient * self.length, self.form)
+
+    @property
+    def form(self) -> str:
+        """Form of the closed-form theory: "pipe" for a round pipe, "plane" for a flow between two planes."""
+        return "plane" if self.depth else "pipe"
+
+    @property
+    def ways(self) -> int:
+        """Ratio of pressure gradient times radius to the stress at the wall: 2 in a pipe, 1 between planes."""
+        return 1 if self.depth else 2
+
+    @property
+    def wall_area(self) -> float:
+        """Area of the wall, or of both planes [m2]."""
+        return self.length * (2 * self.depth if self.depth else 2 * math.pi * self.radius)
+
+    def aside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the distance of points from the axis, or from the middle plane between two planes [m]."""
+        return np.abs(x) + 0 * y if self.depth else np.hypot(x, y)
 
     @property
     def line(self) -> Line:
@@ -128,7 +160,7 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @property
     def wall_stress(self) -> float:
         """Mean shear stress at the wall in steady flow, which follows from the pressure gradient [Pa]."""
-        return 0.5 * self.gradient * self.radius
+        return self.gradient * self.radius / self.ways
 
     @property
     def time_step(self) -> float:
@@ -148,10 +180,17 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @property
     def caption(self) -> str:
         """Scene, diameter and mortar in words, for titles of figures and recordings."""
+        wide = "distance of the planes" if self.depth else "diameter"
+        drive = f"{1e-3 * self.gradient:.3g} kPa/m" if self.mean_velocity is None else f"{self.mean_velocity:.3g} m/s"
         return (
-            f"{self.name}, diameter {2e3 * self.radius:.4g} mm, mortar {self.concrete.name} with "
-            f"{100 * self.aggregate_fraction:.3g} % of aggregates, {1e-3 * self.gradient:.3g} kPa/m"
+            f"{self.name}, {wide} {2e3 * self.radius:.4g} mm, mortar {self.concrete.name} with "
+            f"{100 * self.aggregate_fraction:.3g} % of aggregates, {drive}"
         )
+
+    @property
+    def density(self) -> float:
+        """Density of mortar and aggregates together [kg/m3]."""
+        return self.concrete.density + self.simulated_fraction * (self.aggregate_density - self.concrete.density)
 
     @property
     def mean_diameter(self) -> float:

@@ -60,8 +60,9 @@ class StretchSimulation(AggregateRun):
         return measured(self.flow) | self.aggregate_columns()
 
     def ended_early(self) -> bool:
-        """Find whether the flow is steady, and return False: a run always lasts as long as it should."""
-        time, flow = (np.array([row[name] for row in self._rows]) for name in ("time", "flow"))
+        """Find whether flow or gradient is steady, and return False: a run always lasts as long as it should."""
+        name = "flow" if self.scene.mean_velocity is None else "gradient"
+        time, flow = (np.array([row[column] for row in self._rows]) for column in ("time", name))
         late = flow[time >= 0.75 * time[-1]]
         self.steady = len(late) > 1 and float(np.ptp(late)) <= STEADINESS * abs(float(late[-1]))
         return False
