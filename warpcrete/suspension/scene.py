@@ -65,14 +65,14 @@ class SphereFields:
         return self.spacing
 
     @property
-    def narrowest(self) -> float:
+    def narrowest_shape(self) -> float:
         """Width of the narrowest shape, divided by its size."""
         return min(float(shape.widths.min()) for shape in self.templates)
 
     @property
     def resolved(self) -> float:
         """Size of the smallest aggregates [m] that the cells resolve."""
-        return MIN_CELLS * self.cell_width / self.narrowest
+        return MIN_CELLS * self.cell_width / self.narrowest_shape
 
     @property
     def simulated_fraction(self) -> float:
@@ -99,7 +99,7 @@ class SphereFields:
         if largest < smallest:
             refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
                    f"use {smallest:g} m for equal aggregates")  # fmt: skip
-        narrow = smallest * self.narrowest
+        narrow = smallest * self.narrowest_shape
         if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
                                             f"{MIN_CELLS:g} cells wide",
