@@ -65,7 +65,8 @@ FINE = {"time step": "x 0.5", "precision": "float64"}
 NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
 HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
 ROLLING = {"rolling friction 0.15": {"rolling_friction": 0.15}}
-FRESH_PIPES = {"velocity 0.6 m/s": {"velocity": 0.6}, "sizes 8 to 16 mm": {"size_min": 8e-3, "size_max": 16e-3}}
+FRESH_PIPES = {"a velocity of 0.6": {"velocity": 0.6}, "sizes 8 to 16 mm": {"size_min": 8e-3, "size_max": 16e-3}}
+FRESH_NARROW = {"friction 0.15": {"friction": 0.15}, "a velocity of 0.6": {"velocity": 0.6}}
 
 
 def pipe(base: Mapping[str, Any], fresh: Mapping[str, Mapping[str, Any]]) -> Plan:
@@ -93,9 +94,9 @@ PLANS = {
         measured=({"time step": "x 0.5"}, {"regularisation": "x 0.1"}, {"regularisation": "x 10"},
                   {"precision": "float64"}),
         fresh={"concrete no3": {"concrete": "no3"}, "a diameter of 125 mm": {"diameter": 0.125, "flow": 2.4e-3}}),
-    "stretch": Plan("stretch", {"spacing": "x 0.5"}, (
+    "stretch": Plan("stretch", {"spacing": "x 0.75"}, (
         {"spacing": "x 1.3", "courant": "x 2"}, {"spacing": "x 1.3"}, {"courant": "x 2"}),
-        measured=({"spacing": "x 0.75"}, {"courant": "x 0.5"}, {"regularisation": "x 0.1"}, {"precision": "float64"}),
+        measured=({"spacing": "x 0.5"}, {"courant": "x 0.5"}, {"regularisation": "x 0.1"}, {"precision": "float64"}),
         fresh={"30 % of aggregates": {"aggregate_fraction": 0.3}, "a diameter of 120 mm": {"diameter": 0.12}},
         seeds=3),
     "jring": vessel("jring", ("x 1.3", "x 1.15"), fresh={
@@ -106,13 +107,13 @@ PLANS = {
         "lifted in 3 s": {"lift_time": 3.0}}),
     "pipe-vertical": pipe({}, FRESH_PIPES),
     "pipe-bend": pipe({"unit": "D"}, FRESH_PIPES),
-    "pipe-narrow": pipe(NARROW, {"friction 0.15": {"friction": 0.15}}),
-    "pipe-narrow-bend": pipe(NARROW | {"unit": "D", "elbow_radius": 0.3}, {"friction 0.15": {"friction": 0.15}}),
+    "pipe-narrow": pipe(NARROW, FRESH_NARROW),
+    "pipe-narrow-bend": pipe(NARROW | {"unit": "D", "elbow_radius": 0.3}, FRESH_NARROW),
     "pipe-hydrated": Plan("pipe", FINE, (
         {"coarse-graining": "x 2", "hydrated stiffness": "x 0.01", "settling": "x 0.2"},
         {"hydrated stiffness": "x 0.01", "coarse-graining": "x 1.5"}, {"hydrated stiffness": "x 0.01"},
         {"hydrated stiffness": "x 0.1"}), HYDRATED, (FASTER, *SINGLE),
-        {"velocity 0.6 m/s": {"velocity": 0.6}}, 3, True),
+        {"a velocity of 0.6": {"velocity": 0.6}}, 3, True),
     "part-dem": Plan("part-dem", FINE, ELEMENTS, {}, SINGLE, {
         "1.5 times the flow": {"flow": 2.25e-3}, "friction 0.1": {"friction": 0.1}}, 3, True),
     "slump-dem": grains("slump-dem", ROLLING),

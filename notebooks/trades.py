@@ -54,7 +54,8 @@ def measure(name: str, folder: Path) -> None:
 
 def section(name: str, record: dict, figure: bool = True) -> str:
     """Return the command, the machine, the figure and the table of promises as Markdown."""
-    scene, parameters, how = record["scene"], record["parameters"], TRADES.get(name, (0, 0))[2:]
+    scene, how = record["scene"], TRADES.get(name, ("", {}))[2:]
+    parameters = PLANS[name].base if name in PLANS else TRADES[name][1]
     given = [(f"--{key.replace('_', '-')}", "" if value is True else f"{value}") for key, value in parameters.items()]
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     ran = f"trade {scene} {options} --budget {how[1]}s --device {how[0]}" if how else f"run {scene} {options}"
@@ -62,7 +63,7 @@ def section(name: str, record: dict, figure: bool = True) -> str:
     own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})"
            for quantity, error in record.get("reference_errors", {}).items()]  # fmt: skip
     time = record["points"][0]["time"]["value"]
-    lines = [f"`{command}`, {record['machine']}, {time:.2g} s as given" + (
+    lines = [f"`{command}`, {record['machine']}, {time:.3g} s as given" + (
         f"; own error of the finest setting: {', '.join(own)}:" if own else ":"), ""]  # fmt: skip
     lines += [f"![Error over cost: {name}](../images/trade_{name}.png)", ""] if figure else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
@@ -82,7 +83,7 @@ def cells(promise: dict) -> tuple[str, ...]:
     fresh = f"{100 * found['shift']:+.2g} +- {100 * (found['interval'] or 0):.2g} %" if found else "-"
     ran = {what: error["shift"] for what, error in carried.items() if error}
     worst = max(ran, key=lambda what: abs(ran[what]), default=None)
-    other = f"{100 * ran[worst]:+.2g} % ({worst})" if worst else "-"
+    other = f"{100 * ran[worst]:+.2g} % ({worst})" if worst and ran[worst] else "-"  # 0 for the reference itself
     failed = [what for what, error in carried.items() if not error]
     other += f"; does not run: {', '.join(failed)}" if failed else ""
     return promise["setting"], f"{promise['ratio']:.2g}", f"{100 * promise['promised']:.2g} %", fresh, other
@@ -151,10 +152,16 @@ def main() -> None:
         if (given.folder / name / "trade.json").is_file():
             record = json.loads((given.folder / name / "trade.json").read_text(encoding="utf-8"))
             if any(promise["setting"] for promise in record["promises"]):
-                write_json(SHIPPED / f"{name}.json", compact(record))
+                write_json(SHIPPED / f"{name}.json", compact(record) | {"warpcrete": version_here()})
             print(f"{name}: {record['machine']}")
     for path in PAGES:
         path.write_text(page_with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def version_here() -> str:
+    """Return the version of this source tree."""
+    (version,) = re.findall(r'^version = "(.*)"$', (HERE.parent / "pyproject.toml").read_text(encoding="utf-8"), re.M)
+    return version
 
 
 def page_with_tables(page: str) -> str:
@@ -192,7 +199,10 @@ def judge_all(folder: Path, fresh: bool) -> None:
             rows.append(f"| {name} | {scene} | {100 * bound:.2g} % | {100 * shift:+.2g} % | {quantity} | "
                         f"{'yes' if held else 'no'} |")  # fmt: skip
     if kept:
-        print("\n".join([*rows, f"{sum(kept)} of {len(kept)} promises kept"]))
+        path = HERE / "performance" / "trades-trust.md"
+        text = "\n".join([*rows, "", f"{sum(kept)} of these {len(kept)} promises were kept."])
+        path.write_text(between_marks(path.read_text(encoding="utf-8"), "fresh", text), encoding="utf-8")
+        print(text)
 
 
 if __name__ == "__main__":

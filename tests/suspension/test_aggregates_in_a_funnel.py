@@ -81,3 +81,32 @@ def test_aggregates_leave_with_the_mortar_until_light_is_seen(device):
 def test_aggregates_wider_than_the_outlet_of_a_quarter_are_refused():
     with pytest.raises(warpcrete.SceneError, match=r"aggregate_largest = 0\.05: is too large: a quarter of the funnel"):
         scenes.funnel(**FUNNEL | {"aggregate_largest": 0.05, "aggregate_smallest": 0.05})
+
+
+@pytest.mark.thorough
+def test_clumps_leave_sphere_by_sphere(device):
+    """The weight of a clump grows with the volume that has left; a clump with one sphere inside has not left."""
+    simulation = funnel(device, duration=0.01, spacing=0.01, aggregate_shapes="shape-1.5")
+    simulation.begin()
+    flow, volume = simulation.flow, 4 / 3 * np.pi * 0.02**3
+    aggregates = flow.aggregates
+    bodies, spheres = aggregates.bodies, aggregates.parts
+    turn = np.tile([0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)], (aggregates.count, 1))
+    bodies.turn.assign(turn)  # The long axes are upright.
+    high, radius = np.abs(spheres.offset[:, 0]).max(), spheres.radius[0]
+    centre = bodies.centre.numpy()
+    centre[:3] = [[0.025, 0.025, 0.0], [0.025, 0.025, -high - 0.99 * radius], [0.025, 0.025, -high - 1.01 * radius]]
+    bodies.centre.assign(centre)
+    step(flow)
+    mass = bodies.extra_mass.numpy()
+    assert mass[0] == pytest.approx((2650.0 - 2200.0 / 2) * volume, rel=1e-4)
+    assert mass[1:3] == pytest.approx(2650.0 * volume, rel=1e-3)
+    turned = bodies.tensor.numpy()[0]
+    assert np.diag(turned) == pytest.approx(mass[0] * spheres.moments[0][[2, 1, 0]], rel=1e-3)
+    assert aggregates.inside[:3].tolist() == [True, True, False]
+    count = aggregates.count
+    assert aggregates.volume_inside(flow.opens) == pytest.approx((count - 2.5) / count, abs=0.01)
+    # The display draws all spheres of the clumps that are inside, in four copies of the simulated quarter.
+    surface = simulation.display().surface()
+    copies, left = 4, 2 * int(aggregates.inside.sum())
+    assert np.count_nonzero(surface.fields["aggregate"]) % (copies * left) == 0

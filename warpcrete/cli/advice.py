@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,10 @@ def chosen(
     found = advise(source, name, module, parameters, part)
     quantities = " and ".join(found.quantities)
     if trade is None:
-        click.echo(f"note: settings from the shipped trade {source.stem!r}, measured on {found.machine}", err=True)
+        made = f" with version {found.version}" if re.fullmatch(r"[\d.]+", found.version) else ""
+        click.echo(
+            f"note: settings from the shipped trade {source.stem!r}, measured{made} on {found.machine}", err=True
+        )
     if found.left_out:
         click.echo(
             f"note: {found.setting}, without {'; '.join(found.left_out)}: the error of this combination is unknown",

@@ -12,7 +12,7 @@ import numpy as np
 from ..dem.scene.clumps import ClumpTemplate, clump
 from ..mps.grid.geometry import PLATE
 from ..mps.grid.layout import Motion
-from ..suspension.aggregates import Aggregates
+from ..suspension.aggregates import Aggregates, rotated
 from ..suspension.flow import SuspensionFlow
 from .case import Case, Row
 from .suspensions import DENSITY, GRAVITY, RADIUS, VISCOSITY, mortar_flow, shear_room, slowing_by_cylinder, take
@@ -59,20 +59,22 @@ def settling_pair(across: int, shift: float, ratio: float, way: str, device: str
 
 
 def turning_pair(
-    across: int, wide: int, angle: float, shift: Sequence[float], device: str, precision: str, strain: float = 1e-3
-) -> SuspensionFlow:
+    across: int, wide: int, angle: float, shift: Sequence[float], device: str, precision: str, strain: float = 1e-3,
+    rate: float = RATE,
+) -> SuspensionFlow:  # fmt: skip
     """Return the shear flow around two touching spheres whose axis lies at an angle [rad] to the velocity.
 
     `across` is the number of cells across a sphere, `wide` the number of cells along each edge of the cubic box, and
-    `shift` the offset of the pair from the centre of the box in cells. Each step shears the mortar by `strain`.
+    `shift` the offset of the pair from the centre of the box in cells. Each step shears the mortar by `strain` at the
+    shear rate `rate` [1/s].
     """
     room = shear_room(across, wide)
-    half = 0.5 * wide * room["width"] * RATE
+    half = 0.5 * wide * room["width"] * rate
     room |= {"motions": (Motion((0.0, 0.0, -half)), Motion((0.0, 0.0, half))), "speed": half}
     turn = 0.5 * (angle - 0.5 * np.pi)
     pair = pair_at(np.array(shift) * room["width"], (0.0, np.sin(turn), 0.0, np.cos(turn)))
     return mortar_flow(
-        aggregates=pair, device=device, precision=precision, time_step=strain / RATE, regularisation=1e2 / RATE, **room
+        aggregates=pair, device=device, precision=precision, time_step=strain / rate, regularisation=1e2 / rate, **room
     )
 
 
@@ -92,6 +94,23 @@ def orbit(across: int, wide: int, shift: Sequence[float], device: str, precision
     square = ASPECT**2
     period = (ASPECT + 1 / ASPECT) * np.sqrt(mean**2 - slope**2)
     return [spins[0] * (square + 1), spins[3] * (square + 1) / square, 1 / float(period)]
+
+
+def tumbling(across: int, wide: int, device: str, precision: str) -> float:
+    """Return the period of two touching spheres in a shear flow, divided by the exact period, from half a turn.
+
+    Each step shears the mortar by a shear strain of 0.1, at a Reynolds number of 0.01.
+    """
+    flow, strain = turning_pair(across, wide, 0.0, (0.0, 0.0, 0.0), device, precision, strain=0.1, rate=1.0), 0.1
+    turns, strains = [0.0], [0.0]
+    while turns[-1] < np.pi:
+        flow.take(1)
+        axis = rotated(flow.aggregates.bodies.turn.numpy().astype(float), np.array([[1.0, 0.0, 0.0]]))[0]
+        # The axis has no direction, so its angle is known up to multiples of pi.
+        angle = -float(np.arctan2(axis[0], axis[2]))
+        turns.append(turns[-1] + (angle - turns[-1] + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+        strains.append(strains[-1] + strain)
+    return 2 * float(np.interp(np.pi, turns, strains)) / (2 * np.pi * (ASPECT + 1 / ASPECT))
 
 
 SETTLING, PERIOD, SPIN = 0.085, 0.05, 0.085
@@ -123,8 +142,14 @@ def orbit_case(device: str, precision: str) -> list[Row]:
     return rows
 
 
+def tumbling_case(device: str, precision: str) -> list[Row]:
+    """Compare the duration of half a turn of two touching spheres in a shear flow with Jeffery's orbit."""
+    return [Row("4 cells: period", tumbling(4, 24, device, precision), 1.0, PERIOD)]
+
+
 GROUP = "aggregates in mortar"
 CASES = [
     Case("two touching spheres that settle", "Stimson & Jeffery 1926; Goldman et al. 1966", settling_case, GROUP),
     Case("two touching spheres in a shear flow", "Jeffery 1922; Nir & Acrivos 1973", orbit_case, GROUP),
+    Case("half a turn of two touching spheres", "Jeffery 1922; Nir & Acrivos 1973", tumbling_case, GROUP, slow=True),
 ]

@@ -46,13 +46,15 @@ class Advice:
     time: float
     """Wall time of one run of the trade-off study's scene with the recommended settings, on the processor `machine`
     [s]; NaN if unknown."""
+    version: str
+    """Version of warpcrete with which the trade-off was measured; empty if unknown."""
 
 
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered, and only those with simulated aggregates if the scene has
-    such aggregates, because aggregates limit the cells. They are ranked by four criteria, the most important first:
+    Only records of the scene function `name` are considered, and only those with the same kind of simulated aggregates,
+    because aggregates limit the cells. They are ranked by four criteria, the most important first:
 
     - whether a closed form exists for both scenes or for neither of them,
     - how few knobs (accuracy parameters) exist in only one of the two scenes,
@@ -65,7 +67,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
         record = read_json(path)
         if record["scene"] == name:
             here, there = (module.scene.declared(each) for each in (own, record["parameters"]))
-            if _has_aggregates(here) != _has_aggregates(there):
+            if _kinds_of_aggregates(here) != _kinds_of_aggregates(there):
                 continue
             closed = module.trading.closed_form
             unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
@@ -75,10 +77,11 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
     return Path(min(found)[-1]) if found else None
 
 
-def _has_aggregates(given: Any) -> bool:
-    """Return whether the parameters of a flow include aggregates that are simulated one by one."""
-    # Vessels state a volume fraction of aggregates; channels and tubes have a switch of the name of a vessel's method.
-    return getattr(given, "aggregates", None) is True or bool(getattr(given, "aggregate_fraction", None))
+def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
+    """Return whether a flow has aggregates of grouped particles, and whether it has rigid bodies in the mortar."""
+    # The parameters of vessels have a method of the name `aggregates`, those of channels and tubes a switch.
+    grouped = getattr(given, "aggregates", None) is True
+    return grouped, not grouped and bool(getattr(given, "aggregate_fraction", None))
 
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -117,6 +120,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         levels = dict(chosen["levels"]) if chosen else {}
         measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
         machine, time = str(record.get("machine", "")), float((chosen or {}).get("time") or math.nan)
+        version = str(record.get("warpcrete") or record.get("provenance", {}).get("warpcrete", ""))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
             f"'{file}': is not the record of a trade ({type(error).__name__}: {error}); give the folder of a trade"
@@ -152,7 +156,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
         tuple(left_out), tuple(outside(measured, own, module)),
         tuple(name for name, error in chosen.get("carried", {}).items() if error), machine,
-        time,
+        time, version,
     )  # fmt: skip
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,9 @@ class Judging(ABC):
     quantities: list[Quantity]
     exact: bool
     """True if a closed form gives the expected results."""
+    record: Mapping[str, Any]
+    """Contents of the study's file trade.json. The optional entry `rounding` holds, for each quantity, the relative
+    difference that rounding alone makes between two runs of the same setting."""
     points: list[Setting]
     tried: list[Setting]
     """Settings of the accuracy parameters with which variants of the scene were run. A variant is the study's scene
@@ -113,7 +117,8 @@ class Judging(ABC):
         """Estimated relative error of the reference setting's own results, by the name of the quantity.
 
         The estimate extrapolates the results of all measured widths of cells, or distances of particles, to the width
-        0. It is empty without a reference or without such an accuracy parameter.
+        0. If the effect of rounding is known, the two errors are added in squares. The result is empty without a
+        reference or without such an accuracy parameter.
         """
         knobs = [knob for knob in self.knobs if knob.resolution]
         if self.reference is None or not knobs:
@@ -123,7 +128,8 @@ class Judging(ABC):
             reference = self.reference.values(each.name, self.seeds)
             errors = [distance_to_limit(*self._converging(knob, each.name), float(np.mean(reference)))
                       for knob in knobs if reference]  # fmt: skip
-            found[each.name] = max(errors, default=math.inf)
+            rounding = self.record.get("rounding", {}).get(each.name, 0.0)
+            found[each.name] = math.hypot(max(errors, default=math.inf), rounding)
         return found
 
     def _converging(self, knob: Knob, quantity: str) -> tuple[list[float], list[float]]:

@@ -50,6 +50,8 @@ class Setting:
     scene itself."""
     full: dict[str, Any] = field(default_factory=dict)
     """All parameters that have an effect on the scene, including those with default values."""
+    timed: bool = True
+    """False if the wall time in the results is only an estimate; such a setting is not recommended."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
         """Return the values of a result quantity in the runs with the given seeds.

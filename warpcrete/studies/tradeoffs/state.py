@@ -273,6 +273,7 @@ class Trade(Judging):
                 yield point, seeds[first : first + size], left
 
     def folder_of(self, point: Setting, seed: int) -> Path:
+        """Return the folder of the run of a setting with a random seed."""
         # Name the folder after the parameters that differ from those of the scene as given (`self.base`). The mapping
         # `self.base` lacks parameters with default values. Therefore, treat a parameter that is missing there as None
         # if its default is None.
@@ -285,6 +286,7 @@ class Trade(Judging):
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
     def parameters_of(self, point: Setting, seed: int) -> dict[str, Any]:
+        """Return the parameters of the scene in the run of a setting with a random seed."""
         return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
 
     def _simulation(self, point: Setting, seed: int, **settings: Any) -> Simulation:

@@ -281,10 +281,15 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
 
 def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
     """Judge the runs of `settings` that exist already, and find the promises that they allow, without further runs."""
-    trade.budget = 0.0
-    trade.run_all(settings, trade.seeds, lambda phase, fraction, figures: None)
+
+    def tell(phase: str, fraction: float, figures: Mapping[str, Any]) -> None:
+        pass
+
+    trade.interrupted = True  # An interrupted study reads the runs that exist and begins no others.
+    trade.run_all(settings, trade.seeds, tell)
+    trade.points = [point for point in trade.points if point.results or point.failures]
     trade.judge()
-    _find_promises(trade, lambda phase, fraction, figures: None)
+    _find_promises(trade, tell)
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
@@ -370,7 +375,8 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
     fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH_SEEDS)] if trade.has_seeds else []
     for target in WANTED_ERRORS:
         within = [p for p in trade.measured
-                  if trade.promised(p) <= target and not p.suspect and chosen.issuperset(p.levels)]  # fmt: skip
+                  if p.timed and trade.promised(p) <= target and not p.suspect
+                  and chosen.issuperset(p.levels)]  # fmt: skip
         promise = Promise(target, None)
         for point in sorted(within, key=lambda p: p.cost):
             tried = bool(fresh) and trade.run(point, fresh, tell)
