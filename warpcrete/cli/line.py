@@ -7,7 +7,7 @@ This module does not import the simulations, because they take longer to load th
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 
+from ..core.errors import between
 from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_whole
@@ -31,7 +32,7 @@ from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
 from ..studies.lines.result import lines_of
-from ..studies.lines.taps import read_taps
+from ..studies.lines.taps import Tap, read_taps
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
 from ..theory.pipe import Concrete
 from .exits import CHECK_FAILED, INTERRUPTED
@@ -75,9 +76,11 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         return
     pipes, concrete, layer, fit = given.line, given.concrete, _layer(given.mix, settings), None
     if settings["fit"] is not None:
-        fit = fit_line(pipes, concrete, read_taps(settings["fit"], pipes, given.flow), _known_layer(given, layer))
+        taps = read_taps(settings["fit"], pipes, given.flow)
+        fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps))
         click.echo("\n" + "\n".join(fit_lines(fit, pipes)))
-        pipes, layer, concrete = fit.line(pipes), {"variants": fit.variants(concrete)}, fit.concrete(concrete)
+        layer = {"variants": fit.variants(concrete, layer.get("variants"))}
+        pipes, concrete = fit.line(pipes), fit.concrete(concrete)
     if given.flow is None:
         wanted = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
         if out is not None or settings["practice"] or any(settings[name] is not None for name in wanted):
@@ -130,6 +133,8 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     if theory and simulate:
         raise click.UsageError("--theory: cannot be combined with --simulate; leave out --theory or --simulate")
     heavy = simulate or method != "flow"
+    if settings["gauge"] is not None and settings["fit"] is None:
+        raise click.UsageError("gauge: has no effect without --fit; leave it out")
     if settings["fit"] is not None and heavy:
         raise click.UsageError("--fit: compares measurements with theory only; leave out --simulate and --method")
 
@@ -161,6 +166,22 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     if mix is not None and factor is None:
         return {"variants": mix.variants, "band_origin": mix.band_origin}
     return {"layer_factor": LAYER_FACTOR if factor is None else factor}
+
+
+def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
+    """Return the error limit of the gauges [Pa] that an option states in % of the largest pressure, or as a pressure.
+
+    The result is None if the option is missing.
+    """
+    if stated is None:
+        return None
+    if not stated.strip().endswith("%"):
+        error = amount("gauge", stated, "Pa")
+        between("gauge", error, 0, max(tap.pressure for tap in taps), "Pa", "state it as '4 %' or '1 bar'")
+        return error
+    share = amount("gauge", stated, "1")
+    between("gauge", share, 0, 1, "", "state it as '4 %' or '1 bar'")
+    return share * max(tap.pressure for tap in taps)
 
 
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:

@@ -26,8 +26,8 @@ from .answers import (
     pressure_text,
 )
 from .figure import draw
-from .fit import LineFit
 from .fittings import METHODS_ON_BENDS, is_in_library
+from .line_fit import LineFit
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures
@@ -36,6 +36,8 @@ COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without 
 """Words on how often the band of a pressure contains the measured one, by the origin of the band. For slip layers that
 follow from the paste, 94 % of the measured concretes in straight pipe lie inside in `warpcrete validate`, and two of
 only three measured whole lines."""
+WIDENED = ", widened to contain all gauges, which contradict each other"
+"""Words that follow a band whose slip layer was fitted to gauges that no slip layer explains."""
 HIGHEST_PUMP = 500e5
 """Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
 (https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
@@ -161,7 +163,7 @@ class LineResult(LinePressures):
     def coverage(self) -> str:
         """Words on how often the band contains the pressure, to follow the band; empty if the user chose its width."""
         if self.fit is not None:
-            return " in about 95 % of cases"
+            return WIDENED if self.fit.contradiction is not None else " in about 95 % of cases"
         return COVERAGE.get(self.band_origin, "")
 
     def band_sentences(self) -> list[str]:
@@ -188,7 +190,7 @@ class LineResult(LinePressures):
             return ADVICE.get(cause, "")
         now, found = band_of(self), []
         for each in MEASUREMENTS[cause]:
-            then = band_of(self.measured(cause, each.factors))
+            then = band_of(self.measured(cause, each.factors, each.settles))
             if then.high - then.low < WORTHWHILE * (now.high - now.low):
                 found.append(f"{each.advice}, which would give {then.low / 1e5:.3g} to {then.high / 1e5:.3g} bar")
         return ", or ".join(found)

@@ -16,8 +16,8 @@ from ...core.run.files import atomic_file, write_json
 from ...geometry.pipe_line import PipeLine
 from ...theory.pipe import Concrete
 from .figure import draw
-from .fit import LineFit
 from .fittings import library_factor
+from .line_fit import LineFit
 from .losses import GRAVITY, friction
 from .pressures import Loss, Stop
 from .result import LineResult, lines_of
