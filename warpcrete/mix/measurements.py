@@ -179,7 +179,7 @@ def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) 
     if len(set(one)) < 2:
         refuse(
             f"mix {name}",
-            one,
+            f"{len(one)} point{'s' if len(one) != 1 else ''} at one {next(iter(columns))}",
             "must have two or more different values",
             "add points that were measured at other values",
         )

@@ -103,7 +103,7 @@ def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[floa
     """Return a function of a factor on the fitted slip layer, which gives the pressures at the taps [Pa]."""
     bends = fit.constants[2] if len(fit.constants) > 2 and fit.constants[2].fitted else None
     model = TapModel(line, concrete, fit.taps, bends=bends is not None)
-    eta, tau = fit.constants[0].value, fit.constants[1].value
+    eta, tau = (each.value for each in fit.constants[:2])
     return lambda x: model.pressures(np.array([x * eta, x * tau, 1.0 if bends is None else bends.value]))
 
 
