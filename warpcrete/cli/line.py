@@ -33,7 +33,7 @@ from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
 from ..studies.lines.result import lines_of
 from ..studies.lines.taps import Tap, read_taps
-from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory, write_text
+from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory, write_lines
 from ..theory.pipe import Concrete
 from .exits import CHECK_FAILED, INTERRUPTED
 from .line_inputs import LineInputs, line_inputs
@@ -249,13 +249,13 @@ def _finish(
     said = [*said, *([] if settings["fit"] is not None else _other_layers(line, given)), "",
             *_rules(line, given.mix, folder)]  # fmt: skip
     if folder is not None:
-        write_text(said, folder)
+        write_lines(said, folder)
     click.echo("\n" + "\n".join(said))
     if settings["blocking"] is not None and folder is not None:
         assert given.flow is not None
         blocked = importlib.import_module(f"{__package__}.line_blocked")
         more = blocked.run(line, given.name, given.flow, folder, settings)
-        write_text([*said, "", *more], folder)
+        write_lines([*said, "", *more], folder)
         click.echo("\n" + "\n".join(more))
 
 

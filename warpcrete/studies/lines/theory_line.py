@@ -76,12 +76,12 @@ def write_result(result: LineResult, out: Path) -> None:
     """Write the files line.json, line.md and line.png of a result into a folder."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "line.json", result.record())
-    write_text(lines_of(result), out)
+    write_lines(lines_of(result), out)
     with atomic_file(out / "line.png") as partial:
         draw(result).savefig(partial, dpi=150, format="png")
 
 
-def write_text(lines: Sequence[str], out: Path) -> None:
+def write_lines(lines: Sequence[str], out: Path) -> None:
     """Write lines of text to the file line.md in the folder of a line; they replace its earlier text."""
     with atomic_file(out / "line.md") as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
