@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -14,6 +14,7 @@ from ...mix.mix import CAUSES
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .fittings import MODEL_ERRORS, range_of, uncertain_kinds
+from .line_fit import LineFit
 from .losses import friction, straight_friction, with_layer_factor
 
 
@@ -89,6 +90,9 @@ class LinePressures:
     factor `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
+    fit: LineFit | None = None
+    """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
+    None if no trial line was given."""
 
     @property
     def pressure(self) -> float:
@@ -134,19 +138,21 @@ class LinePressures:
         ]
         return places, found
 
-    def measured(self, cause: str, factors: tuple[float, float]) -> Self:
+    def measured(self, cause: str, factors: tuple[float, float], settles: Sequence[str] = ()) -> Self:
         """Return a copy with the uncertainty that would remain after a measurement of some properties of the concrete.
 
         The measurement is assumed to confirm the present values. The properties are those of one cause of uncertainty,
         which is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'. `factors` are the lower and the upper
-        end of the uncertainty band that remains after the measurement, each divided by the measured value.
+        end of the uncertainty band that remains after the measurement, each divided by the measured value. `settles`
+        names other causes that the measurement removes.
         """
         low, high = (
             with_layer_factor(self.concrete, x) if cause == "slip layer"
             else replace(self.concrete, **{key: x * getattr(self.concrete, key) for key in CAUSES[cause]})
             for x in factors
         )  # fmt: skip
-        return replace(self, variants={**self._variants(), cause: (low, high)})
+        others = {key: pair for key, pair in self._variants().items() if key not in settles}
+        return replace(self, variants={**others, cause: (low, high)})
 
     def restart(self, flow: float = 0.0) -> Band:
         """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
