@@ -20,6 +20,7 @@ from warpcrete.core.run.checks import with_cures
 from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
+from warpcrete.dem.measure.checks import energy_check
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumping_knobs
@@ -167,7 +168,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     if "plateau_pressure" in result:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")
-    return found
+    return found | energy_check(run)
 
 
 trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))

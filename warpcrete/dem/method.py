@@ -3,6 +3,7 @@
 from ..core.run.method import Method
 from .batch_run import run_batch
 from .forecast import forecast
+from .measure.checks import check_elements
 from .measure.display import ElementDisplay
 from .measure.quantities import quantities, report
 from .measure.wear_results import plot_wear
@@ -20,5 +21,6 @@ METHOD = Method(
     report=report,
     forecast=forecast,
     run_many=run_batch,
+    check=check_elements,
     more_pictures=lambda run: {"wear.png": plot_wear(run)},
 )

@@ -20,6 +20,7 @@ from .engine.state import State
 from .engine.state_data import restore_state, state_dict, state_hash
 from .engine.stepper import Stepper
 from .measure.blockage import BlockageWatch
+from .measure.checks import warn_of_coarse_step
 from .measure.display import ElementDisplay
 from .measure.probes import body_sums, contact_sums
 from .measure.quantities import Known, quantities
@@ -353,7 +354,10 @@ class ElementSimulation(Simulation):
         result["state_hash"] = state_hash(state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         units = {name: self.unit(name) for name in series}
-        return ElementRun(
+        run = ElementRun(
             self.scene, series, units, result, finished, tables=tables, packing=self.packing, bodies=state.table(),
             wear=self.sampler.wear,
         )  # fmt: skip
+        if finished:
+            warn_of_coarse_step(run)
+        return run

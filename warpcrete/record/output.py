@@ -37,7 +37,7 @@ class RunFolder:
 
     folder: str | Path
     recordings: Sequence[str] | None = None
-    """Names of the recordings to write: `rerun`, `usd` or `paraview`; None selects those that the command writes."""
+    """Names of the recordings to write, any of `rerun`, `usd` and `paraview`; None selects `rerun` and `usd`."""
     colour: str | None = None
     """Quantity that colours bodies; None selects a suitable quantity for the simulation method."""
     network: bool = False
@@ -109,10 +109,13 @@ class RunFolder:
 
 
 def check_of(scene: Any) -> Check | None:
-    """Return the acceptance check of the scene function that made a scene; None for a scene that was built by hand."""
+    """Return the acceptance check of the scene function that made a scene.
+
+    A scene that was built in Python has the checks that its simulation method offers for any scene, or None.
+    """
     function = scene.parameters.function if isinstance(scene.parameters, Arguments) else ""
     module = modules().get(function)
-    return None if module is None else module.check
+    return method_of(scene).check if module is None else module.check
 
 
 register_folders(RunFolder)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
+from ..measure.checks import energy_check
 from .vessels import VesselParameters
 
 COARSER = (2.0, 1.5, 1.25, 1.0)
@@ -66,7 +67,7 @@ def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
     if test.on_plate:
         strays = result["strays"]
         found["one heap"] = (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap")
-    return found | test.judge(run)
+    return found | test.judge(run) | energy_check(run)
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
