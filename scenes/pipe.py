@@ -20,10 +20,10 @@ from warpcrete.core.run.checks import with_cures
 from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
-from warpcrete.dem.measure.checks import energy_check
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumping_knobs
+from warpcrete.dem.scene.checks import energy_check, overlap_words
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import (
@@ -150,7 +150,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
         ),
         "momentum balance": (balance < MAX_BALANCE_ERROR, f"error {100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
-        "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
+        "no aggregate swallowed": (overlap < 2.0, overlap_words(scene, overlap)),
     }  # fmt: skip
     if blocked:
         found["not blocked"] = (False, blocked_words(run))

@@ -1,13 +1,18 @@
 """Scenes built in Python: general checks, the warning about a coarse step, and what a loaded run offers."""
 
+import dataclasses
 import re
 import warnings
 
+import numpy as np
 import pytest
 
 import warpcrete
-from warpcrete.dem.laws import Contact
+from warpcrete.cli.run import report
+from warpcrete.dem.laws import BinghamMortar, Contact
+from warpcrete.dem.scene.checks import overlap_words
 from warpcrete.dem.scene.scene import Bodies, TimeStep, Watch
+from warpcrete.dem.simulation import ElementRun
 from warpcrete.geometry.walls import PlaneWall
 
 FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
@@ -59,3 +64,61 @@ def test_a_loaded_run_of_an_own_scene_offers_what_every_run_offers(tmp_path):
     assert back.quantities["momentum_balance_error"] == back["momentum_balance_error"] < 0.01
     copy = warpcrete.load(back.save(tmp_path / "copy"))
     assert copy.result == back.result and copy.scene.modified
+
+
+class Bookkeeper(warpcrete.Recorder):
+    """Read the bodies as the page on recorders shows, at every row."""
+
+    def __init__(self):
+        self.rows, self.momentum = [], []
+
+    def sample(self, simulation, row):
+        bodies = simulation.result(finished=False).bodies
+        stones = np.array([group != "plug" for group in bodies.group])
+        mass, velocity = bodies.mass[stones], bodies.velocity[stones]
+        self.rows.append([row["time"], *(mass @ velocity / mass.sum())])
+        self.momentum.append([(bodies.mass @ bodies.velocity)[2], row["momentum_z"]])
+
+
+def test_a_recorder_reads_the_bodies_without_the_plug():
+    """One body falls for 0.05 s, and a ball of the plug flies upwards far from it."""
+    ball = Bodies(positions=[[0.5, 0, 0.05]], sizes=0.03, velocities=[[0, 0, 2.0]], group="plug")
+    scene, reader = drop(duration=0.05, energy_balance=False), Bookkeeper()
+    run(dataclasses.replace(scene, bodies=(*scene.bodies, ball)), recorders=[reader])
+    rows, momentum = np.array(reader.rows), np.array(reader.momentum)
+    assert rows[:, 3] == pytest.approx(-9.81 * rows[:, 0], abs=9.81 * 3e-4)  # half a step of 2e-4 s late
+    assert momentum[:, 0] == pytest.approx(momentum[:, 1], rel=0.01) and abs(momentum[-1, 0]) > 1e-3
+
+
+def test_help_shows_the_meaning_and_the_unit_of_every_field():
+    for documented in (warpcrete.Scene, Bodies, warpcrete.RunFolder):
+        listed = re.findall(r"^- `(\w+)`: .{20}", documented.__doc__, re.M)
+        assert listed == [field.name for field in dataclasses.fields(documented)]
+    assert "`positions`: Centroids of the bodies [m], shape (n, 3)." in Bodies.__doc__
+    assert "any of `rerun`, `usd` and `paraview`" in warpcrete.RunFolder.__doc__
+
+
+def test_an_own_law_is_told_about_bonds_and_coats():
+    class Other(Contact):
+        pass
+
+    words = "bonds of mortar act beside the contact law; --no-bonds"
+    for bonds in (True, False):
+        remarks = warpcrete.scenes.pipe(contact=BinghamMortar(), bonds=bonds).remarks
+        assert any(words in remark for remark in remarks) is bonds
+    assert not any(words in remark for remark in warpcrete.scenes.pipe().remarks)
+    texts = [overlap_words(drop(contact=law), 0.35) for law in (Contact(), BinghamMortar(), Other())]
+    assert texts[0] == "largest overlap 0.35 of the smaller radius"
+    assert texts[1] == f"{texts[0]}, of which shells of mortar are 0.2 in spheres of equal size"
+    assert texts[2] == f"{texts[0]}, including coats that Other may have"
+
+
+def test_a_report_tells_the_time_that_the_run_does_not_account_for(capsys):
+    speed = {"wall_time": {"value": 8.0, "unit": "s"}, "packing_time": {"value": 2.0, "unit": "s"}}
+    speed |= {"steps_per_second": {"value": 50.0, "unit": "1/s"}}
+    result = {"speed": speed, "steps": 400, "provenance": {"device": "cpu"}, "simulated_time": 1.0}
+    done = ElementRun(drop(), {"time": np.zeros(0)}, {}, result, True)
+    for took, words in ((10.6, ""), (21.0, ", and 11 s to compile kernels, set up and write files")):
+        report(done, took=took)
+        (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("time "))
+        assert line.endswith(f"10 s for 400 steps on cpu (50 per second without preparation){words}")

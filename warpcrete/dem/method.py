@@ -3,11 +3,11 @@
 from ..core.run.method import Method
 from .batch_run import run_batch
 from .forecast import forecast
-from .measure.checks import check_elements
 from .measure.display import ElementDisplay
 from .measure.quantities import quantities, report
 from .measure.wear_results import plot_wear
 from .pictures import draw, plot_aggregates
+from .scene.checks import check_elements
 from .simulation import ElementSimulation
 
 METHOD = Method(

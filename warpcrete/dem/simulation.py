@@ -20,7 +20,6 @@ from .engine.state import State
 from .engine.state_data import restore_state, state_dict, state_hash
 from .engine.stepper import Stepper
 from .measure.blockage import BlockageWatch
-from .measure.checks import warn_of_coarse_step
 from .measure.display import ElementDisplay
 from .measure.probes import body_sums, contact_sums
 from .measure.quantities import Known, quantities
@@ -31,6 +30,7 @@ from .measure.watch import Watch
 from .measure.wear import WearMap
 from .packing import PackingReport, pack
 from .scene.bodies import BodyTable, placed_bodies
+from .scene.checks import warn_of_coarse_step
 from .scene.scene import Scene
 from .scene.strokes import stroke_table
 

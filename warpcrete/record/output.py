@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import one_of, refuse
+from ..core.inputs.field_help import help_on_fields
 from ..core.inputs.origin import Arguments
 from ..core.run.checks import Check
 from ..core.run.files import check_new
@@ -26,6 +27,7 @@ SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *
 """Names of the settings of a run that scene.json stores, so that the run can be resumed with them."""
 
 
+@help_on_fields
 @dataclass(frozen=True)
 class RunFolder:
     """Run folder at the path `folder`, with settings for its recordings; pass it to a simulation or to `run.save`.
@@ -36,6 +38,7 @@ class RunFolder:
     """
 
     folder: str | Path
+    """Path of the folder, which must be new, empty or that of the same unfinished run."""
     recordings: Sequence[str] | None = None
     """Names of the recordings to write, any of `rerun`, `usd` and `paraview`; None selects `rerun` and `usd`."""
     colour: str | None = None

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
-from ..measure.checks import energy_check
+from ..scene.checks import energy_check, overlap_words
 from .vessels import VesselParameters
 
 COARSER = (2.0, 1.5, 1.25, 1.0)
@@ -61,7 +61,7 @@ def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
     found = {
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
-        "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
+        "no grain swallowed": (overlap < 2.0, overlap_words(run.scene, overlap)),
         "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
     }
     if test.on_plate:

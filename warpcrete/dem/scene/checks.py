@@ -7,7 +7,8 @@ import warnings
 
 from ...core.run.checks import with_cures
 from ...core.run.run import Run
-from ..scene.scene import Scene
+from ..laws import BinghamMortar, ContactLaw
+from .scene import Scene
 
 LARGEST_ENERGY_ERROR = 0.01
 """Largest error of the energy balance that a valid run may have, divided by the energy that the run moved."""
@@ -47,6 +48,15 @@ def _finer(scene: Scene, error: float) -> str:
     return f"--safety {safety}, in Python TimeStep(safety={safety})"
 
 
+def overlap_words(scene: Scene, overlap: float) -> str:
+    """Return the largest overlap as text, with the share of coats around the aggregates if the law has coats."""
+    words, law = f"largest overlap {overlap:.3g} of the smaller radius", scene.contact
+    if isinstance(law, BinghamMortar):
+        return f"{words}, of which shells of mortar are {2 * law.shell_fraction:.2g} in spheres of equal size"
+    own = not type(law).__module__.startswith(ContactLaw.__module__.rpartition(".")[0])
+    return f"{words}, including coats that {type(law).__name__} may have" if own else words
+
+
 @with_cures(CURES)
 def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the checks of a scene that was built in Python and therefore has no checks of its own.
@@ -57,7 +67,7 @@ def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
     if "largest_overlap" not in result:
         return {}
     overlap, balance = result["largest_overlap"], result["momentum_balance_error"]
-    found = {"no body swallowed": (overlap < LARGEST_OVERLAP, f"largest overlap {overlap:.3g} of the smaller radius")}
+    found = {"no body swallowed": (overlap < LARGEST_OVERLAP, overlap_words(run.scene, overlap))}
     if any(run.scene.gravity):
         text = f"error {100 * balance:.3g} % of the largest impulse"
         found["momentum balance"] = (balance < LARGEST_MOMENTUM_ERROR, text)
