@@ -192,6 +192,20 @@ class AggregateParameters(Declared):
         curve = read_sieve(self.aggregate_sizes)
         return self.diameters[1] if curve is None else curve.largest
 
+    def check_largest(self, limit: float, why: str) -> None:
+        """Raise :class:`SceneError` if an aggregate is larger than `limit` [m]; `why` states the reason in words."""
+        if self.coarsest <= limit:
+            return
+        if self.aggregate_sizes == UNIFORM and self.aggregate_largest is None and self.aggregate_smallest is None:
+            spacing = float(vars(self)["spacing"])
+            refuse("spacing", spacing, f"is too coarse: aggregates of the default size, whose narrowest side is "
+                                       f"{USUAL_CELLS:g} cells wide, are {self.coarsest:.3g} m large, but {why}",
+                   f"use {at_most(spacing * limit / self.coarsest, 2)} m or less, or state 'aggregate_smallest' and "
+                   "'aggregate_largest'")  # fmt: skip
+        name = "aggregate_largest" if self.aggregate_sizes == UNIFORM else "aggregate_sizes"
+        value = self.coarsest if name == "aggregate_largest" else self.aggregate_sizes
+        refuse(name, value, f"is too large: {why}", f"use {at_most(limit, 2)} m or less")
+
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""
         return {
