@@ -55,7 +55,7 @@ def test_the_time_left_of_a_run_that_may_end_early_is_an_upper_limit(clock, caps
     for minute in range(4):
         clock.time = 100.0 + 60 * minute
         bar("running", 0.1 + 0.1 * minute, {"steps_per_s": 0.4711, "at_most": 1.0})
-    assert lines_of(capsys)[-1] == "running: 40 %, 03:00 elapsed, at most 06:00 left, steps/s 0.47"
+    assert lines_of(capsys)[-1] == "running: 40 %, 03:00 elapsed, at most 06:00 left (ends once steady), steps/s 0.47"
 
 
 def test_the_pace_of_a_run_leaves_out_preparation_and_compilation(monkeypatch):

@@ -67,8 +67,9 @@ class ProgressBar:
         elapsed = now - self._start
         done = fraction - self._first
         # A run that ends as soon as its flow is steady may need much less time than its longest duration.
-        word = "at most" if figures.get("at_most") else "about"
-        left = f"{word} {_clock(elapsed * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
+        steady = bool(figures.get("at_most"))
+        word, end = ("at most", " (ends once steady)") if steady else ("about", "")
+        left = f"{word} {_clock(elapsed * (1 - fraction) / done)} left{end}" if done > 0 and fraction < 1 else ""
         parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
         print(f"{self._phase}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
