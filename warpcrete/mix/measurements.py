@@ -59,9 +59,9 @@ class Layer:
     them."""
 
     @property
-    def is_from_pipe(self) -> bool:
-        """True if the slip layer follows from pressures of a pipe: from fitted constants or from points."""
-        return self.pipe or self.pipe_points is not None
+    def is_of_this_delivery(self) -> bool:
+        """True if the slip layer was fitted to pressures of a pipe with a stated uncertainty, as by a trial line."""
+        return self.pipe and self.constants is not None and self.constants.uncertainty is not None
 
 
 def read_constants(name: str, given: Any, units: Mapping[str, str], widest: float = LARGEST_UNCERTAINTY) -> Measured:

@@ -10,7 +10,7 @@ from ...core.inputs.amounts import FOOT, INCH, POUND, PSI, YARD
 from ...core.units import quantity
 from ...geometry.pumps import Pump
 from ...mix.layer import PIPE_UNCERTAINTY, TRIBOMETER_RATIO
-from ...mix.mix import BULK, WEIGHING
+from ...mix.mix import WEIGHING
 from ...mix.rheology import RHEOMETER, RHEOMETER_OVER_HEAP
 from ...theory.bands import Band
 
@@ -50,8 +50,6 @@ class Measurement:
     factors: tuple[float, float]
     """Lower and upper end of the uncertainty band that remains after the measurement, each divided by the measured
     value."""
-    settles: tuple[str, ...] = ()
-    """Other causes of uncertainty that this measurement removes."""
 
 
 MEASUREMENTS = {
@@ -59,7 +57,6 @@ MEASUREMENTS = {
         Measurement(
             "fit it to pressures of a trial line with --fit",
             (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY),
-            BULK,
         ),
         Measurement("measure it with a tribometer", TRIBOMETER_RATIO),
     ),

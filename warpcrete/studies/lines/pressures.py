@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -138,21 +138,19 @@ class LinePressures:
         ]
         return places, found
 
-    def measured(self, cause: str, factors: tuple[float, float], settles: Sequence[str] = ()) -> Self:
+    def measured(self, cause: str, factors: tuple[float, float]) -> Self:
         """Return a copy with the uncertainty that would remain after a measurement of some properties of the concrete.
 
         The measurement is assumed to confirm the present values. The properties are those of one cause of uncertainty,
         which is a key of :data:`warpcrete.mix.mix.CAUSES`, such as 'slip layer'. `factors` are the lower and the upper
-        end of the uncertainty band that remains after the measurement, each divided by the measured value. `settles`
-        names other causes that the measurement removes.
+        end of the uncertainty band that remains after the measurement, each divided by the measured value.
         """
         low, high = (
             with_layer_factor(self.concrete, x) if cause == "slip layer"
             else replace(self.concrete, **{key: x * getattr(self.concrete, key) for key in CAUSES[cause]})
             for x in factors
         )  # fmt: skip
-        others = {key: pair for key, pair in self._variants().items() if key not in settles}
-        return replace(self, variants={**others, cause: (low, high)})
+        return replace(self, variants={**self._variants(), cause: (low, high)})
 
     def restart(self, flow: float = 0.0) -> Band:
         """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.

@@ -212,7 +212,7 @@ class LineResult(LinePressures):
             return ADVICE.get(cause, "")
         now, found = band_of(self), []
         for each in MEASUREMENTS[cause]:
-            then = band_of(self.measured(cause, each.factors, each.settles))
+            then = band_of(self.measured(cause, each.factors))
             if then.high - then.low < WORTHWHILE * (now.high - now.low):
                 found.append(f"{each.advice}, which would give {then.low / 1e5:.3g} to {then.high / 1e5:.3g} bar")
         return ", or ".join(found)
