@@ -42,9 +42,9 @@ def _finer(scene: Scene, error: float) -> str:
     """
     factor = 0.8 * LARGEST_ENERGY_ERROR / error
     if scene.time_step.fixed is not None:
-        fixed = f"{factor * scene.time_step.fixed:.1g}"
+        fixed = f"{factor * scene.time_step.fixed:.2g}"
         return f"--time-step {fixed}, in Python TimeStep(fixed={fixed})"
-    safety = f"{max(factor * scene.time_step.safety, 1e-3):.1g}"
+    safety = f"{max(factor * scene.time_step.safety, 1e-3):.2g}"
     return f"--safety {safety}, in Python TimeStep(safety={safety})"
 
 
