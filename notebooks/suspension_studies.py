@@ -167,7 +167,8 @@ def segregation(seeds: int, length: float) -> Iterator[Case]:
     """Yield the cases of study f: aggregates of 16 mm in mortar at rest, and in mortar that is sheared in a pipe.
 
     At rest, the mortar slips on the wall almost without friction, so that it moves as a plug. The yield stress is given
-    in multiples of the value at which a single sphere stops (Beris et al. 1985).
+    in multiples of the value at which a single sphere stops (Beris et al. 1985). In a sheared mortar, aggregates lag
+    behind even without weight, so each run in a pipe has a weightless twin.
     """
     size, density = 0.016, 2200.0
     critical = 0.048 * size * (AGGREGATE - density) * 9.81
@@ -185,8 +186,10 @@ def segregation(seeds: int, length: float) -> Iterator[Case]:
             for stress in (50.0, 200.0):
                 mix = base | {"yield_stress": part * critical, "aggregate_fraction": 0.3}
                 given = pipe(mix, stress, int(150 * length), surfaces="sticks", seed=seed)
-                varied = {"kind": "pipe", "fraction": 0.3, "part": part, "stress": stress, "seed": seed}
-                yield Case("f", f"pipe-{part:g}-{stress:g}-{seed}", "stretch", given, varied=varied)
+                for kind, gravity in (("pipe", 9.81), ("weightless", 0.0)):
+                    varied = {"kind": kind, "fraction": 0.3, "part": part, "stress": stress, "seed": seed}
+                    own = given | {"gravity": gravity}
+                    yield Case("f", f"{kind}-{part:g}-{stress:g}-{seed}", "stretch", own, varied=varied)
 
 
 def short(value: float) -> float:

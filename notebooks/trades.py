@@ -199,7 +199,10 @@ def judge_all(folder: Path, fresh: bool) -> None:
             rows.append(f"| {name} | {scene} | {100 * bound:.2g} % | {100 * shift:+.2g} % | {quantity} | "
                         f"{'yes' if held else 'no'} |")  # fmt: skip
     if kept:
-        print("\n".join([*rows, f"{sum(kept)} of {len(kept)} promises kept"]))
+        path = HERE / "performance" / "trades-trust.md"
+        text = "\n".join([*rows, "", f"{sum(kept)} of these {len(kept)} promises were kept."])
+        path.write_text(between_marks(path.read_text(encoding="utf-8"), "fresh", text), encoding="utf-8")
+        print(text)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,14 @@ from warpcrete import SceneError, scenes
 from warpcrete.cli.scene_commands import by_method
 from warpcrete.suspension.part.scene import PartSuspensionScene
 from warpcrete.suspension.scene import USUAL_CELLS, SuspensionScene
+from warpcrete.suspension.stretch.scene import StretchScene
 
 
-@pytest.mark.parametrize("name", ["slump", "funnel", "lbox", "jring", "part", "pipe"])
+@pytest.mark.parametrize("name", ["slump", "funnel", "lbox", "jring", "tube", "channel", "part", "pipe"])
 def test_the_defaults_of_a_suspension_fit_together(name):
     target = scenes.by_method(name, "suspension")
     scene = scenes.modules()[target].scene(**scenes.suspended(name))
-    assert isinstance(scene, (SuspensionScene, PartSuspensionScene)) and scene.aggregate_fraction == 0.2
+    assert isinstance(scene, (SuspensionScene, PartSuspensionScene, StretchScene)) and scene.aggregate_fraction == 0.2
     assert scene.aggregate_diameters[0] == scene.aggregate_diameters[1] >= 0.99 * USUAL_CELLS * scene.spacing
 
 

@@ -104,7 +104,7 @@ def of_flow(scene):
             "bore": scene.bore(s),
             "weight": scene.weight(s),
             "theory": [scene.theory(float(x)) for x in s[::4]],
-            "friction": [scene.friction(0.0, float(x)) for x in s[1:]],
+            "friction": [scene.friction_loss(0.0, float(x)) for x in s[1:]],
         }
     if isinstance(scene, StretchScene):
         begun, aggregates = stretch_layout(scene)

@@ -32,7 +32,7 @@ def test_the_example_draws_a_bent_pipe_with_a_wall(tmp_path, monkeypatch):
     scene = scenes.part(wall="elbow.stl", wall_scale=0.001, straight=0.3, concrete="no1", spacing=0.015)
     # The elbow rises by R (1 - cos 60 degrees), and its straight ends, 0.2 m and 0.3 m, by their sine.
     assert scene.rise == pytest.approx(0.15 + 0.5 * math.sin(math.radians(60)), rel=0.01)
-    assert np.isfinite(scene.friction(0.0, scene.axis.length))
+    assert np.isfinite(scene.friction_loss(0.0, scene.axis.length))
     told = pressures_of(scene, 30e3)
     assert "with the straight pipes before and behind the mesh" in told["of it weight"]
 

@@ -21,7 +21,7 @@ def test_limits_are_rounded_to_the_side_that_is_allowed():
 @pytest.mark.parametrize(
     "name, given",
     [
-        ("stretch", {"length": 0.02, "aggregate_largest": THIRD, "aggregate_smallest": THIRD}),
+        ("stretch", {"length": 0.02, "spacing": 0.0035, "aggregate_largest": THIRD, "aggregate_smallest": THIRD}),
         ("stretch", {"spacing": 0.005, "diameter": 0.03333, "length": 0.1, "gradient": 1e5, "aggregate_fraction": 0.1,
                      "aggregate_smallest": 0.016, "aggregate_largest": 0.016}),
         ("slump", {"aggregate_largest": 0.04, "aggregate_fraction": 0.1, "lift_time": 0.0, "spacing": 0.008,

@@ -46,7 +46,7 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_pat
 
 WITHOUT_TRADE = {"jring", "jring-dem", "lbox-dem", "lcpc", "lcpc-dem", "part-dem"}
 """Scenes of which no trade is shipped: some fail their own checks as given, and J-rings need long runs."""
-NOT_WITHIN_5_PERCENT = {"funnel"}
+NOT_WITHIN_5_PERCENT = {"funnel", "stretch"}
 """Scenes of which no affordable setting keeps an error of 5 %."""
 PROJECT = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
 (VERSION,) = re.findall(r'^version = "(.*)"$', PROJECT, re.M)
@@ -127,6 +127,7 @@ def test_the_nearest_shipped_trade_is_taken():
     # No trade of a vessel has aggregates, which limit the cells.
     assert nearest_shipped("slump", modules()["slump"], {"yield_stress": 100.0}, False).stem == "slump"
     assert nearest_shipped("slump", modules()["slump"], {"aggregate_fraction": 0.2}, False) is None
+    assert nearest_shipped("channel", channels, {"aggregate_fraction": 0.2}, False) is None
 
 
 @pytest.mark.thorough

@@ -214,7 +214,7 @@ def test_a_hose_is_one_part_of_a_flow(tmp_path):
     line = read_line(tmp_path / "site.yaml")
     assert [section.kind for section in scene.sections] == ["straight", "hose", "straight"]
     assert scene.sections[1].end - scene.sections[1].begin == pytest.approx(line.parts[1].length)
-    assert scene.friction(0, scene.axis.length) == pytest.approx(scene.theory(0.0).pressure * scene.axis.length)
+    assert scene.friction_loss(0, scene.axis.length) == pytest.approx(scene.theory(0.0).pressure * scene.axis.length)
     assert not scene.is_half
 
 

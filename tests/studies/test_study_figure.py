@@ -77,3 +77,22 @@ def test_the_table_of_a_study_has_the_units_that_the_user_stated(tmp_path):
     assert written_units(tube, stated) == {"flow": "m3/h", "diameter": "mm"}
     assert written_unit(["5 m3/h", "3 l/s"], "m3/s") is None and written_unit(["5'"], "m") == "ft"
     assert [rounded(x) for x in (0.00138888, 20000.0, 5.0, 1e-7)] == ["0.001389", "20000", "5", "1e-07"]
+
+
+def test_a_mean_of_some_of_the_runs_says_so(tmp_path):
+    """One of three runs has no pressure, and one has a pressure that is not a number."""
+    cases = [Case(f"{k}", {"flow": flow}, {"seed": k}) for k, flow in enumerate((0.1, 0.1, 0.1, 0.2))]
+    values = {"0": 4e3, "2": 6e3, "3": 5e3}
+    results = {name: {"pressure": {"value": value, "unit": "Pa"}} for name, value in values.items()}
+    study = Study(tmp_path, "tube", cases, [Quantity("pressure", "Pa", lambda k: None, compared=True)], results=results)
+    for missing in ({}, {"pressure": {"value": float("nan"), "unit": "Pa"}}):
+        results["1"] = missing or {"other": 1}
+        assert "| 0.1 | 5 +- 1.4 (2 of 3 runs) | 3 | 0 | 0 |" in study.markdown()
+        assert "| 0.2 | 5 | 1 | 0 | 0 |" in study.markdown()
+    (axes,) = study.plot().axes
+    (ring,) = (line for line in axes.lines if line.get_label() == "some runs have no value")
+    assert list(ring.get_xdata()) == [0.1] and list(ring.get_ydata()) == [5.0]
+    study.write(figure=False)
+    head, first, second = (tmp_path / "study.csv").read_text(encoding="utf-8").splitlines()
+    assert head.split(",")[-4:] == ["pressure_runs", "runs", "failed", "suspect"]
+    assert first.split(",")[-4:] == ["2", "3", "0", "0"] and second.split(",")[-4:] == ["", "1", "0", "0"]

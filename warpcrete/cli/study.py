@@ -81,6 +81,8 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
+    if not settings["quiet"]:
+        click.echo("starting; progress follows after the first cases, which compile missing kernels", err=True)
     with progress_bar(settings["quiet"]) as tell:
         if settings.get("resume") is not None:
             study = _resumed(scene, options, settings, modules, tell)

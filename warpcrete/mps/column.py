@@ -397,5 +397,10 @@ def _knobs(given: FlowParameters, dimensions: int) -> Iterator[Knob]:
         yield scaled("steadiness", "steadiness", given.steadiness, (30.0, 10.0, 1.0, 0.1), -0.2)
     if given.aggregates:
         yield Knob(
-            "phases", (Level("one phase", {"aggregates": False}, 0.7), Level("two phases", {"aggregates": True})), True
+            "phases",
+            (
+                Level("one phase", {"aggregates": False, "aggregate_fraction": None}, 0.7),
+                Level("two phases", {"aggregates": True}),
+            ),
+            True,
         )

@@ -192,8 +192,9 @@ def _radii(scene: SphereFields, volume: float, rng: np.random.Generator) -> np.n
         if filled + 0.5 * own > wanted and radii:
             if abs(filled / wanted - 1) > MAX_DEVIATION:
                 placed = scene.simulated_fraction * filled / wanted
+                goal = f" instead of {scene.simulated_fraction:.3g}, the part that the cells resolve" if curve else ""
                 warn(f"aggregate_fraction = {scene.aggregate_fraction:g}: whole aggregates of these sizes, "
-                     f"{len(radii)} of them, have a fraction of {placed:.3g}")  # fmt: skip
+                     f"{len(radii)} of them, have a fraction of {placed:.3g}{goal}")  # fmt: skip
             return np.sort(np.array(radii))[::-1]
         radii.append(radius)
         filled += own

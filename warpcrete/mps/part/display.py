@@ -91,7 +91,7 @@ class PartDisplay(GridDisplay):
         """Return label, lowest and highest value of the quantity that the colours show."""
         scene = self._scene
         if self.colouring == "pressure":
-            return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)
+            return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction_loss(0.0, scene.axis.length)
         fastest = 1.5 * scene.velocity * (scene.radius / scene.narrowest) ** 2
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("shear rate [1/s]", 0.0, 5.0)
 
@@ -138,7 +138,7 @@ class PartDisplay(GridDisplay):
         """
         end = self._scene.axis.length
         s = np.linspace(0, end, RING_COUNT)
-        return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])
+        return s, np.array([self._scene.friction_loss(each, end) for each in s[:-1]] + [0.0])
 
     def walls(self) -> list[DrawnWall]:
         """Return the wall of the bore as a drawn wall."""

@@ -26,7 +26,7 @@ def plot_part(run: Run) -> Any:
     s, pressure = (np.array(run.result["profile"][name]["value"]) for name in ("place", "friction_ahead"))
     along.plot(s, 1e-3 * pressure, color=rgb(RUN), label=f"this run, after {run.series['time'][-1]:.3g} s")
     fine = np.linspace(0, scene.axis.length, 60)
-    theory = [1e-3 * scene.friction(x, scene.axis.length) for x in fine[:-1]] + [0.0]
+    theory = [1e-3 * scene.friction_loss(x, scene.axis.length) for x in fine[:-1]] + [0.0]
     along.plot(fine, theory, "--", color=rgb(THEORY), label="straight pipes, theory")
     for name, begin, end in _shaded(scene):
         colour = rgb(BEND if name == "bend" else NOT_STRAIGHT)

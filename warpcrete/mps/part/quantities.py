@@ -37,7 +37,7 @@ class RunData:
 
         The middle is the stretch of the part that contains all its bends and tapers.
         """
-        return self.scene.friction(*self.scene.middle)
+        return self.scene.friction_loss(*self.scene.middle)
 
 
 def _weight(scene: PartScene) -> float:
@@ -46,7 +46,7 @@ def _weight(scene: PartScene) -> float:
 
 
 def _pressure_of_theory(k: RunData) -> float:
-    return k.scene.friction(0.0, k.scene.axis.length) + _weight(k.scene)
+    return k.scene.friction_loss(0.0, k.scene.axis.length) + _weight(k.scene)
 
 
 def _gradient_text(name: str):

@@ -341,12 +341,12 @@ class PartScene(Parametrised, PartSettings):
         line = Stretch(radius=float(self.bore(s)), length=1.0, gravity=0.0)
         return steady(self.concrete, line, self.flow)
 
-    def friction(self, begin: float, end: float) -> float:
+    def friction_loss(self, begin: float, end: float) -> float:
         """Return the frictional loss by theory between two arc lengths [Pa], as the sum over short straight pipes."""
         inner = [place for place in self.bores.places if begin < place < end] if self.wall is None else []
-        return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
+        return sum(self._uniform_loss(*stretch) for stretch in pairwise([begin, *inner, end]))
 
-    def _friction(self, begin: float, end: float) -> float:
+    def _uniform_loss(self, begin: float, end: float) -> float:
         """Return the frictional loss by theory between two arc lengths between which no taper begins or ends [Pa]."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])

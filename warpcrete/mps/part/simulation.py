@@ -103,7 +103,7 @@ class PartSimulation(FlowRun):
                 "begin": quantity(section.begin, "m"),
                 "end": quantity(section.end, "m"),
                 "loss": quantity(loss, "Pa"),
-                "loss_theory": quantity(scene.friction(section.begin, section.end), "Pa"),
+                "loss_theory": quantity(scene.friction_loss(section.begin, section.end), "Pa"),
             }
             for section, loss in zip(scene.sections, losses(scene, s, pressure), strict=True)
         ]

@@ -53,8 +53,8 @@ class Advice:
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    Only records of the scene function `name` are considered, and only those with simulated aggregates if the scene has
-    such aggregates, because aggregates limit the cells. They are ranked by four criteria, the most important first:
+    Only records of the scene function `name` are considered, and only those with the same kind of simulated aggregates,
+    because aggregates limit the cells. They are ranked by four criteria, the most important first:
 
     - whether a closed form exists for both scenes or for neither of them,
     - how few knobs (accuracy parameters) exist in only one of the two scenes,
@@ -67,7 +67,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
         record = read_json(path)
         if record["scene"] == name:
             here, there = (module.scene.declared(each) for each in (own, record["parameters"]))
-            if _has_aggregates(here) != _has_aggregates(there):
+            if _kinds_of_aggregates(here) != _kinds_of_aggregates(there):
                 continue
             closed = module.trading.closed_form
             unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
@@ -77,10 +77,11 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
     return Path(min(found)[-1]) if found else None
 
 
-def _has_aggregates(given: Any) -> bool:
-    """Return whether the parameters of a flow include aggregates that are simulated one by one."""
-    # Vessels state a volume fraction of aggregates; channels and tubes have a switch of the name of a vessel's method.
-    return getattr(given, "aggregates", None) is True or bool(getattr(given, "aggregate_fraction", None))
+def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
+    """Return whether a flow has aggregates of grouped particles, and whether it has rigid bodies in the mortar."""
+    # The parameters of vessels have a method of the name `aggregates`, those of channels and tubes a switch.
+    grouped = getattr(given, "aggregates", None) is True
+    return grouped, not grouped and bool(getattr(given, "aggregate_fraction", None))
 
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:

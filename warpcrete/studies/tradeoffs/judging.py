@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ class Judging(ABC):
     quantities: list[Quantity]
     exact: bool
     """True if a closed form gives the expected results."""
-    record: dict[str, Any]
+    record: Mapping[str, Any]
     """Contents of the study's file trade.json. The optional entry `rounding` holds, for each quantity, the relative
     difference that rounding alone makes between two runs of the same setting."""
     points: list[Setting]

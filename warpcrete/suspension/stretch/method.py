@@ -8,7 +8,7 @@ from ...core.run.forecast import Forecast, Probe
 from ...core.run.method import Method
 from ...mps.common.forecast import Course, flow_forecast, law_features
 from ...mps.common.stepping import run_abreast
-from ..aggregates import BodyState
+from ..quantities import in_words
 from .display import StretchDisplay
 from .pictures import draw, plot_stretch
 from .quantities import QUANTITIES, report
@@ -24,19 +24,13 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
         lambda simulation: {
             "dimensions": "in space, connected ends",
             "wall": "slip layer" if scene.slips else "mortar sticks",
-            "aggregates": _in_words(simulation.flow.aggregates),
+            "aggregates": in_words(simulation.flow.aggregates, scene),
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
             **law_features(scene.concrete),
         },
         probe,
         governing="choice: cells that mortar on the axis passes in a step ('courant')",
     )
-
-
-def _in_words(bodies: BodyState) -> str:
-    if not bodies.kind.clumps:
-        return f"{bodies.count} spheres"
-    return f"{bodies.count}, of {bodies.spheres} spheres"
 
 
 METHOD = Method(
