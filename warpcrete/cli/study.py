@@ -102,11 +102,21 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         raise SystemExit(CHECK_FAILED)
 
 
+SIZES = (
+    "with the default stiffness of aggregates, pressures by discrete elements fall with their largest size, but they "
+    "grow in the paper of Zhan et al., so do not draw conclusions from this trend; see the page "
+    "'validation/pumping.md' of the documentation"
+)
+"""Note for studies that vary the size of aggregates."""
+
+
 def report(study: Study) -> None:
     """Print the table of results, the failed cases with their reasons, and the folder of the study."""
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
         click.echo(study.markdown())
+    if "size_max" in study.varied and any("pressure" in result for result in study.results.values()):
+        click.echo(f"note: {SIZES}")
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
     click.echo(f"\n{study.progress}; study folder: {study.folder}")
