@@ -23,6 +23,7 @@ from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumping_knobs
+from warpcrete.dem.scene.checks import energy_check, overlap_words
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import (
@@ -149,7 +150,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
         ),
         "momentum balance": (balance < MAX_BALANCE_ERROR, f"error {100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
-        "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
+        "no aggregate swallowed": (overlap < 2.0, overlap_words(scene, overlap)),
     }  # fmt: skip
     if blocked:
         found["not blocked"] = (False, blocked_words(run))
@@ -167,7 +168,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     if "plateau_pressure" in result:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")
-    return found
+    return found | energy_check(run)
 
 
 trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))

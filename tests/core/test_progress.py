@@ -129,3 +129,13 @@ def test_the_command_writes_no_bar_into_a_pipe(tmp_path):
     done = command_process("run", "channel", "--duration", "0.02", "--spacing", "0.01", "--length", "0.1", "--device",
                            "cpu", "--no-usd", "--no-rerun", "--out", tmp_path / "run")  # fmt: skip
     assert "\r" not in done.stderr and all(re.match(r"(\w+: \d+ %, |note: )", x) for x in done.stderr.splitlines())
+
+
+def test_compiling_is_announced_once_without_a_progress_bar(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "_announced", False)
+    for phase in ("packing", "compiling", "compiling"):
+        progress.announce_compiling(phase, 0.5)
+    assert capsys.readouterr().err == ("compiling kernels, which can take minutes; later runs find them in the cache\n")
+    monkeypatch.setattr(progress, "_announced", False)
+    progress.no_progress("compiling", 0.5)
+    assert capsys.readouterr().err == ""

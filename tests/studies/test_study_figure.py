@@ -88,3 +88,22 @@ def test_a_figure_leaves_out_deviations_from_theory_unless_they_are_wanted(tmp_p
         result["pressure_error"] = 1e-4
     assert len([axes for axes in study.plot(x="flow").axes if axes.get_visible()]) == 1
     assert study.plot("pressure_error", x="flow").axes[0].get_ylabel() == "pressure error [%]"
+
+
+def test_a_mean_of_some_of_the_runs_says_so(tmp_path):
+    """One of three runs has no pressure, and one has a pressure that is not a number."""
+    cases = [Case(f"{k}", {"flow": flow}, {"seed": k}) for k, flow in enumerate((0.1, 0.1, 0.1, 0.2))]
+    values = {"0": 4e3, "2": 6e3, "3": 5e3}
+    results = {name: {"pressure": {"value": value, "unit": "Pa"}} for name, value in values.items()}
+    study = Study(tmp_path, "tube", cases, [Quantity("pressure", "Pa", lambda k: None, compared=True)], results=results)
+    for missing in ({}, {"pressure": {"value": float("nan"), "unit": "Pa"}}):
+        results["1"] = missing or {"other": 1}
+        assert "| 0.1 | 5 +- 1.4 (2 of 3 runs) | 3 | 0 | 0 |" in study.markdown()
+        assert "| 0.2 | 5 | 1 | 0 | 0 |" in study.markdown()
+    (axes,) = study.plot().axes
+    (ring,) = (line for line in axes.lines if line.get_label() == "some runs have no value")
+    assert list(ring.get_xdata()) == [0.1] and list(ring.get_ydata()) == [5.0]
+    study.write(figure=False)
+    head, first, second = (tmp_path / "study.csv").read_text(encoding="utf-8").splitlines()
+    assert head.split(",")[-4:] == ["pressure_runs", "runs", "failed", "suspect"]
+    assert first.split(",")[-4:] == ["2", "3", "0", "0"] and second.split(",")[-4:] == ["", "1", "0", "0"]

@@ -102,7 +102,7 @@ def test_a_study_shows_itself(study):
     assert table.loc["001", "peak_pressure"] == 3e4 and table.attrs["units"]["peak_pressure"] == "Pa"
     assert np.isnan(table.loc["003", "peak_pressure"])
     html = study._repr_html_()
-    assert html.count("<tr>") == 3 and "<th>velocity [m/s]</th>" in html and "<td>25.00 +- 7.07</td>" in html
+    assert html.count("<tr>") == 3 and "<th>velocity [m/s]</th>" in html and "<td>25 +- 7.1</td>" in html
     assert study._ipython_key_completions_() == ["000", "001", "002", "003"]
     with pytest.raises(KeyError, match="has no case '9'; its cases are 000, 001"):
         study["9"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +17,7 @@ from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
 from ..core.run.method import report_of
-from ..core.run.progress import ProgressBar, rate_text
+from ..core.run.progress import ProgressBar, no_progress, rate_text
 from ..core.run.run_loop import Recorder, Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.units import number
@@ -68,6 +69,7 @@ def run(
     of the options that :func:`warpcrete.cli.options.run_options` defines, by name. If `going_on` is true, the folder
     already holds the run.
     """
+    begun = time.perf_counter()
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
     there = (folder / "scene.json").is_file()
     frames, every = settings["frames"], settings["checkpoint_every"]
@@ -101,7 +103,7 @@ def run(
         out=out,
         recorders=[PipelineRecorder(settings["pipeline_vertical"], settings["pipeline_horizontal"], other)],
         frame_interval=None if frames is None else 1.0 / frames,
-        progress=False if settings["quiet"] else progress,
+        progress=no_progress if settings["quiet"] else progress,
         checkpoint_every=every,
     )
     for line in scene.remarks:
@@ -120,7 +122,7 @@ def run(
             done = simulation.run()
     finally:
         progress.close()
-    report(done, pipeline_report(done, settings))
+    report(done, pipeline_report(done, settings), time.perf_counter() - begun)
     if not done.finished:
         raise SystemExit(INTERRUPTED)
     if failed := failed_checks(done.result):
@@ -194,10 +196,11 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]
 
 
-def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
+def report(run: Run, more: Iterable[tuple[str, str]] = (), took: float = 0.0) -> None:
     """Print the main results of a run.
 
-    `more` holds pairs of label and text. They are printed below the results of the simulation method.
+    `more` holds pairs of label and text. They are printed below the results of the simulation method. `took` is the
+    time of the whole command [s]; what the run itself does not account for is printed if it is a second or more.
     """
     result = run.result
 
@@ -210,8 +213,10 @@ def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
         show(label, text)
     speed = result["speed"]
     total = sum(number(speed[key]) for key in ("packing_time", "settling_time", "wall_time") if key in speed)
+    rest = took - total
+    extra = f", and {rest:.0f} s to compile kernels, set up and write files" if rest >= 1 else ""
     show("time", f"{total:.0f} s for {result['steps']} steps on {result['provenance']['device']} "
-         f"({rate_text(number(speed['steps_per_second']))} per second without preparation)")  # fmt: skip
+         f"({rate_text(number(speed['steps_per_second']))} per second without preparation){extra}")  # fmt: skip
     for name, check in result.get("checks", {}).items():
         show("check", f"{'ok  ' if check['passed'] else 'FAIL'} {name}: {check['found']}")
     if not run.finished:

@@ -7,6 +7,7 @@ from .measure.display import ElementDisplay
 from .measure.quantities import quantities, report
 from .measure.wear_results import plot_wear
 from .pictures import draw, plot_aggregates
+from .scene.checks import check_elements
 from .simulation import ElementSimulation
 
 METHOD = Method(
@@ -20,5 +21,6 @@ METHOD = Method(
     report=report,
     forecast=forecast,
     run_many=run_batch,
+    check=check_elements,
     more_pictures=lambda run: {"wear.png": plot_wear(run)},
 )

@@ -30,6 +30,7 @@ from .measure.watch import Watch
 from .measure.wear import WearMap
 from .packing import PackingReport, pack
 from .scene.bodies import BodyTable, placed_bodies
+from .scene.checks import warn_of_coarse_step
 from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
@@ -353,7 +354,10 @@ class ElementSimulation(Simulation):
         result["state_hash"] = state_hash(state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         units = {name: self.unit(name) for name in series}
-        return ElementRun(
+        run = ElementRun(
             self.scene, series, units, result, finished, tables=tables, packing=self.packing, bodies=state.table(),
             wear=self.sampler.wear,
         )  # fmt: skip
+        if finished:
+            warn_of_coarse_step(run)
+        return run

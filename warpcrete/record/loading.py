@@ -30,8 +30,8 @@ def load(folder: Path | str) -> Run:
     Data that only exists during a simulation, such as the final positions of bodies, is missing. A killed run may lack
     its result, and a run without samples has an empty series. The scene function builds the scene again. This is
     impossible if the scene was modified or built in Python, or if a file that it read is missing or has changed. The
-    returned scene then has only its name and its parameters. Raises :class:`RunFolderError` if the folder is not a run
-    folder of this version.
+    returned scene then has only its name, which is also its caption, and its parameters. Raises :class:`RunFolderError`
+    if the folder is not a run folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():
@@ -45,7 +45,9 @@ def load(folder: Path | str) -> Run:
             + (f"; its runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
     record = read_record(folder / "scene.json")
-    scene: Any = SimpleNamespace(name=record.get("scene"), parameters=record.get("parameters"))
+    scene: Any = SimpleNamespace(
+        name=record.get("scene"), caption=record.get("scene"), parameters=record.get("parameters")
+    )
     if "modified" in record:
         scene.modified = record["modified"]
     else:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import one_of, refuse
+from ..core.inputs.field_help import help_on_fields
 from ..core.inputs.origin import Arguments
 from ..core.run.checks import Check
 from ..core.run.files import check_new
@@ -26,6 +27,7 @@ SETTINGS = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), *
 """Names of the settings of a run that scene.json stores, so that the run can be resumed with them."""
 
 
+@help_on_fields
 @dataclass(frozen=True)
 class RunFolder:
     """Run folder at the path `folder`, with settings for its recordings; pass it to a simulation or to `run.save`.
@@ -36,8 +38,9 @@ class RunFolder:
     """
 
     folder: str | Path
+    """Path of the folder, which must be new, empty or that of the same unfinished run."""
     recordings: Sequence[str] | None = None
-    """Names of the recordings to write: `rerun`, `usd` or `paraview`; None selects those that the command writes."""
+    """Names of the recordings to write, any of `rerun`, `usd` and `paraview`; None selects `rerun` and `usd`."""
     colour: str | None = None
     """Quantity that colours bodies; None selects a suitable quantity for the simulation method."""
     network: bool = False
@@ -109,10 +112,13 @@ class RunFolder:
 
 
 def check_of(scene: Any) -> Check | None:
-    """Return the acceptance check of the scene function that made a scene; None for a scene that was built by hand."""
+    """Return the acceptance check of the scene function that made a scene.
+
+    A scene that was built in Python has the checks that its simulation method offers for any scene, or None.
+    """
     function = scene.parameters.function if isinstance(scene.parameters, Arguments) else ""
     module = modules().get(function)
-    return None if module is None else module.check
+    return method_of(scene).check if module is None else module.check
 
 
 register_folders(RunFolder)

@@ -26,6 +26,10 @@ MARKS = (("failed", "a case failed", "x", 0.04), ("suspect", "a check failed", "
 """Marks at the bottom of a panel: column that counts them, label, marker and height as a fraction of the panel."""
 
 
+PARTIAL = "some runs have no value"
+"""Label of the rings around means to which not every finished run contributes."""
+
+
 def draw(
     study: Any, quantity: str | None = None, x: str | None = None, unit: str | None = None, y_unit: str | None = None
 ) -> Any:
@@ -34,8 +38,8 @@ def draw(
     Error bars show the scatter between seeds. Quantities of the same unit share a panel. Each quantity has its own
     marker, and each set of values of the other varied parameters its own colour. Points of a numeric parameter are
     joined by lines. Values by theory are dashed grey lines. Marks at the bottom show values of the parameter at which a
-    case or a check failed. `quantity`, `x`, `unit` and `y_unit` are those of
-    :meth:`warpcrete.studies.study_result.Study.plot`.
+    case or a check failed, and rings means to which only some of the runs contribute. `quantity`, `x`, `unit` and
+    `y_unit` are those of :meth:`warpcrete.studies.study_result.Study.plot`.
     """
     from matplotlib.figure import Figure
 
@@ -155,10 +159,18 @@ def _panel(
             # Join the points by lines, unless a line for the values by theory already joins them.
             joined = numeric and f"{each.name}_theory" not in theories
             name_of_series = ", ".join(filter(None, (title, label)))
+            partial = [k for k, row in enumerate(part) if f"{each.name}_runs" in row]
             curves.append(axes.errorbar(
                 x, y, scatter if scatter.any() else None, fmt=marker, linestyle="-" if joined else "none",
                 color=rgb(colour), capsize=3, markersize=5, linewidth=1.4, label=name_of_series,
             ))  # fmt: skip
+            if partial:
+                hollow = axes.plot(
+                    [x[k] for k in partial], y[partial], marker, color=rgb(colour), markersize=9, label=PARTIAL,
+                    markerfacecolor="none",
+                )  # fmt: skip
+                if not any(curve.get_label() == PARTIAL for curve in curves):
+                    curves += hollow
     if numeric:
         places = sorted({at(row) for row in mine})
         if len(places) <= MOST_TICKS:

@@ -210,6 +210,8 @@ def _continue(
                 (folder / case.name / FAILED).write_text(f"{outcome}\n", encoding="utf-8")
         tell("running", len(study.results) / len(cases), {})
 
+    if pending:
+        tell("running", len(study.results) / len(cases), {})
     try:
         if pending and cluster is not None:
             cluster.run(record, module, folder, pending, store_outcome)

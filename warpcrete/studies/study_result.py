@@ -115,7 +115,11 @@ class Study:
         return Path(value).stem if isinstance(value, str) and is_file(value) else str(value)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row for each set of varied values: means and standard deviations of quantities over the seeds."""
+        """Return one row for each set of varied values: means and standard deviations of quantities over the seeds.
+
+        If some of the finished runs lack a quantity, such as a plateau, the entry with the suffix `_runs` is the number
+        of runs that have it.
+        """
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
@@ -125,8 +129,11 @@ class Study:
             done = [self.results[c.name] for c in members if c.name in self.results]
             for each in self.compared:
                 values = [number(r[each.name]) for r in done if r.get(each.name) is not None]
+                values = [value for value in values if np.isfinite(value)]
                 row[each.name] = float(np.mean(values)) if values else float("nan")
                 row[f"{each.name}_scatter"] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+                if len(values) < len(done):
+                    row[f"{each.name}_runs"] = len(values)
             row["runs"] = len(done)
             row["failed"] = sum(c.name in self.failures for c in members)
             row["suspect"] = sum(c.name in self.suspect for c in members)
@@ -198,7 +205,9 @@ class Study:
                 factor = shown(each.unit)[0]
                 mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
                 text = rounded(mean) if np.isfinite(mean) else "none"
-                cells.append(text + (f" +- {rounded(scatter, 2)}" if np.isfinite(scatter) else ""))
+                text += f" +- {rounded(scatter, 2)}" if np.isfinite(scatter) else ""
+                met = row.get(f"{each.name}_runs")
+                cells.append(text if met is None else f"{text} ({met} of {row['runs']} runs)")
             lines.append("| " + " | ".join([*cells, *(str(row[name]) for name in COUNTS)]) + " |")
         return "\n".join(lines)
 
@@ -208,6 +217,7 @@ class Study:
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
         names = list(dict.fromkeys(key for row in rows for key in row))
+        names.sort(key=COUNTS.__contains__)  # only some rows have entries of incomplete quantities
         with atomic_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])

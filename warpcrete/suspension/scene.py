@@ -11,6 +11,8 @@ from ..core.inputs.parameters import Above, Declared, Needs, Suggests, Within
 from ..dem.scene.clumps import TEMPLATE_SETS, ClumpTemplate, templates
 from ..dem.scene.sizes import SieveCurve
 from ..mps.free.scene import FreeScene
+from ..theory.pipe import Concrete
+from ..theory.suspension import concrete_of_mortar
 from .aggregates import MIN_CELLS
 
 UNIFORM = "uniform"
@@ -121,6 +123,11 @@ class SuspensionScene(SphereFields, FreeScene):
     def fluid(self) -> FreeScene:
         """This scene with the mortar alone."""
         return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
+
+    @property
+    def whole_concrete(self) -> Concrete:
+        """Concrete of mortar and aggregates, for closed forms; its constants are estimates by homogenisation."""
+        return concrete_of_mortar(self.concrete, self.simulated_fraction, self.aggregate_density)
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"

@@ -115,6 +115,9 @@ class Method:
     more_pictures: Callable[[Run], Mapping[str, Figure | None]] = lambda run: {}
     """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
     if there is nothing to draw."""
+    check: Callable[[Run], dict[str, tuple[bool, str]]] | None = None
+    """Function that takes a finished run of a scene that was built in Python, and returns its checks as a scene's
+    `check` does; None if the method has no such checks."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
     """Function that takes a scene and returns the quantities that closed-form solutions predict, by name."""
 

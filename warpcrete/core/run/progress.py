@@ -96,6 +96,26 @@ class ProgressBar:
         self._bar, self._phase = None, ""
 
 
+_announced = False
+
+
+def announce_compiling(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
+    """Print one line on standard error when this process first compiles kernels; the callback of runs without progress.
+
+    Compiling may take minutes, in which a run without a progress bar would seem to hang.
+    """
+    global _announced
+    if phase == "compiling" and not _announced:
+        _announced = True
+        print(
+            "compiling kernels, which can take minutes; later runs find them in the cache", file=sys.stderr, flush=True
+        )
+
+
+def no_progress(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
+    """Show nothing; the callback of a quiet command."""
+
+
 def _texts(figures: Mapping[str, float]) -> dict[str, str]:
     """Return texts for a progress display, by name: the pressure and the steps per second, if `figures` has them."""
     found: dict[str, str] = {}

@@ -26,7 +26,7 @@ from . import checkpoint
 from .files import is_full
 from .frames import Frames
 from .output import CHECKPOINT, RunOutput, output_of
-from .progress import ProgressBar
+from .progress import ProgressBar, announce_compiling
 from .recorder import Recorder
 from .recording import Recording, disk_full_error
 from .run import FinalState, Run
@@ -158,9 +158,7 @@ class Simulation:
         self._recording = Recording(self, self.recorders)
         self.stop_requested = False
         self.finishing = False
-        self._progress: Progress = (
-            ProgressBar() if progress is True else progress or (lambda phase, fraction, figures: None)
-        )
+        self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
         self._wall_times: dict[str, float] = {}
         self._has_run = False
         self.at_end = False

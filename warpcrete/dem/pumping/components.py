@@ -70,6 +70,8 @@ def law_remarks(given: Any) -> Iterator[str]:
             f"contact {type(law).__name__} acts {where}; the contact parameters of concrete {given.concrete} are "
             "ignored"
         )
+        if given.bonds:
+            yield "bonds of mortar act beside the contact law; --no-bonds (in Python bonds=False) removes them"
     elif wall is not None:
         yield f"wall_contact {type(wall).__name__} replaces the wall parameters of concrete {given.concrete}"
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
+from ..scene.checks import energy_check, overlap_words
 from .vessels import VesselParameters
 
 COARSER = (2.0, 1.5, 1.25, 1.0)
@@ -60,13 +61,13 @@ def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
     found = {
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
-        "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
+        "no grain swallowed": (overlap < 2.0, overlap_words(run.scene, overlap)),
         "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
     }
     if test.on_plate:
         strays = result["strays"]
         found["one heap"] = (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap")
-    return found | test.judge(run)
+    return found | test.judge(run) | energy_check(run)
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.drawing.style import pumping_caption
 from ...core.errors import between, one_of, positive, refuse, vector
+from ...core.inputs.field_help import help_on_fields
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from ...standards import StandardTest
@@ -46,6 +47,7 @@ class AxisDrive:
         between("drive force", self.force, -np.inf, np.inf, "N")
 
 
+@help_on_fields
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
     """Bodies of one shape and one density, which a scene places at given positions."""
@@ -59,7 +61,9 @@ class Bodies:
     density: float = 2500.0
     """Density of all the bodies [kg/m3]."""
     material: str = "aggregate"
+    """Name of the material, which selects the contact law in `Scene.contacts`."""
     group: str = ""
+    """Name of the group, which drives, bonds and recorders can refer to; the balls of a plug have the group `plug`."""
     orientations: np.ndarray | None = None
     """Orientations of the bodies as unit quaternions x, y, z, w, shape (n, 4)."""
     velocities: np.ndarray | None = None
@@ -185,38 +189,51 @@ class Published:
     """Published travel of the piston at the peak pressure [m]."""
 
 
+@help_on_fields
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Scene(Parametrised):
     """Complete definition of a discrete element simulation, in SI units."""
 
     name: str
+    """Name of the scene, shown in titles and stored with the results."""
     duration: float
     """Simulated duration of the run after t = 0, that is, after packing and settling [s]."""
     bodies: tuple[Bodies, ...] = ()
+    """Bodies that are placed at given positions."""
     fill: Fill | None = None
     """Aggregates that are packed into a container before the start."""
     walls: tuple[Wall, ...] = ()
+    """Planes, pipes and meshes, each with its own name; they may move."""
     drives: tuple[AxisDrive, ...] = ()
+    """Constant forces [N] on groups of bodies along a pipe axis."""
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
     """Contact laws for certain pairs of materials, which replace `contact`; the order within a pair does not matter."""
     contact: ContactLaw = field(default_factory=Contact)
     """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
     and one against walls; the parameters of each may differ between pairs of materials."""
     bonds: Bonds | None = None
+    """Bonds between all bodies that touch at the start; None for no bonds."""
     hydration: Hydration | None = None
+    """Replacement of a fraction of the bonds by stiffer ones; requires `bonds`."""
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
     """Bonds between the bodies of a group, by the name of the group, for example of the balls that close the front of
     the concrete. They are created before the bodies come to rest (settle)."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0
+    """Fraction of the unbalanced force that opposes motion, 0 to 0.99; 0 for physical motion."""
     settle: Settle | None = None
+    """Settling before t = 0, in which the walls stand still; None to start at once."""
     rest: Rest | None = None
+    """Rest during the run, in which bonds and lubrication layer gain strength; None for no rest."""
     time_step: TimeStep = field(default_factory=TimeStep)
+    """Choice of the time step [s], automatic by default."""
     watch: Watch = field(default_factory=Watch)
+    """Limits beyond which the run stops as unstable."""
     sample_interval: float = 0.01
     """Simulated time between two rows of the time series [s]."""
     seed: int = 0
+    """Seed of all random numbers, such as those of the packing; 0 or more."""
     precision: str = "float32"
     """Precision of positions, velocities and forces: `float32` or `float64`."""
     energy_balance: bool = False
@@ -228,11 +245,15 @@ class Scene(Parametrised):
     segregation: bool = False
     """True to measure segregation, the distribution of aggregate over the pipe; requires `pipe`."""
     pressure: PressureProbe | None = None
+    """Plane wall whose force is reported as a pressure [Pa]."""
     pipe: PipeUnit | None = None
+    """Description of the pipe, if the scene pumps through one; it only affects measurements."""
     vessel: Vessel | None = None
+    """Description of the vessel, if the scene is a test of fresh concrete; it only affects measurements."""
     stations: Stations | None = None
     """Slices of a pipe in which stresses, solid fraction and velocities are measured."""
     published: Published | None = None
+    """Published values that reports show beside the results."""
     remarks: tuple[str, ...] = ()
     """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,33 @@
+"""Help for the fields of data classes, made from the texts that stand below the fields in the source."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from typing import TypeVar
+
+Class = TypeVar("Class", bound=type)
+
+
+def help_on_fields(documented: Class) -> Class:
+    """Append the meaning of each field to the docstring of a class, so that `help` shows it.
+
+    Python drops texts that stand below fields. This decorator reads them from the source and leaves the class as it is
+    if there is no source.
+    """
+    try:
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(documented))).body
+    except (OSError, SyntaxError):
+        return documented
+    assert isinstance(definition, ast.ClassDef)
+    lines = ["Fields:", ""]
+    for field, text in zip(definition.body, definition.body[1:]):
+        if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
+            continue
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str):
+            meaning = " ".join(text.value.value.split())
+            entry = f"- `{field.target.id}`: {meaning}"
+            lines += textwrap.wrap(entry, 112, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    documented.__doc__ = "\n".join([inspect.cleandoc(documented.__doc__ or ""), "", *lines])
+    return documented

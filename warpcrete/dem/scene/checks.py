@@ -1,0 +1,81 @@
+"""Checks that apply to every discrete element run, and the warning about a time step that is too coarse."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+from ...core.run.checks import with_cures
+from ...core.run.run import Run
+from ..laws import BinghamMortar, ContactLaw
+from .scene import Scene
+
+LARGEST_ENERGY_ERROR = 0.01
+"""Largest error of the energy balance that a valid run may have, divided by the energy that the run moved."""
+LARGEST_MOMENTUM_ERROR = 0.01
+"""Largest error of the momentum balance that a valid run may have, divided by the largest impulse."""
+LARGEST_OVERLAP = 2.0
+"""Smallest overlap, divided by the smaller radius, at which one sphere has swallowed another."""
+CURES = {
+    "momentum balance": "precision='float64', or TimeStep(safety=0.1)",
+    "no body swallowed": "stiffer contacts, or TimeStep(safety=0.1)",
+}
+
+
+def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Return the check of the energy balance by name; it is empty if the run did not sum up dissipated energy.
+
+    The error is not a number if nothing moved. Such a run has no energy to lose, so it has no check either.
+    """
+    error = run.result.get("energy_balance_error")
+    if error is None or math.isnan(error):
+        return {}
+    passed = abs(error) < LARGEST_ENERGY_ERROR
+    found = f"error {100 * error:.3g} % of the energy"
+    return {"energy balance": (passed, found if passed else f"{found}; usual cure: {_finer(run.scene, abs(error))}")}
+
+
+def _finer(scene: Scene, error: float) -> str:
+    """Return the setting of the time step that would bring an error that is proportional to the step below the limit.
+
+    The result aims at four fifths of the limit.
+    """
+    factor = 0.8 * LARGEST_ENERGY_ERROR / error
+    if scene.time_step.fixed is not None:
+        fixed = f"{factor * scene.time_step.fixed:.2g}"
+        return f"--time-step {fixed}, in Python TimeStep(fixed={fixed})"
+    safety = f"{max(factor * scene.time_step.safety, 1e-3):.2g}"
+    return f"--safety {safety}, in Python TimeStep(safety={safety})"
+
+
+def overlap_words(scene: Scene, overlap: float) -> str:
+    """Return the largest overlap as text, with the share of coats around the aggregates if the law has coats."""
+    words, law = f"largest overlap {overlap:.3g} of the smaller radius", scene.contact
+    if isinstance(law, BinghamMortar):
+        return f"{words}, of which shells of mortar are {2 * law.shell_fraction:.2g} in spheres of equal size"
+    own = not type(law).__module__.startswith(ContactLaw.__module__.rpartition(".")[0])
+    return f"{words}, including coats that {type(law).__name__} may have" if own else words
+
+
+@with_cures(CURES)
+def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
+    """Return the checks of a scene that was built in Python and therefore has no checks of its own.
+
+    The momentum balance is checked only if gravity acts, because all impulses may be as small as rounding without it.
+    """
+    result = run.result
+    if "largest_overlap" not in result:
+        return {}
+    overlap, balance = result["largest_overlap"], result["momentum_balance_error"]
+    found = {"no body swallowed": (overlap < LARGEST_OVERLAP, overlap_words(run.scene, overlap))}
+    if any(run.scene.gravity):
+        text = f"error {100 * balance:.3g} % of the largest impulse"
+        found["momentum balance"] = (balance < LARGEST_MOMENTUM_ERROR, text)
+    return found | energy_check(run)
+
+
+def warn_of_coarse_step(run: Run) -> None:
+    """Warn if the energy balance shows that the time step is too coarse for the impacts in a run."""
+    for passed, found in energy_check(run).values():
+        if not passed:
+            warnings.warn(f"the time step is coarse for the impacts in this run: energy balance, {found}", stacklevel=2)
