@@ -20,7 +20,7 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
     """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
     return flow_forecast(
         lambda: StretchSimulation(scene, device=str(device), precision=precision, threads=threads),
-        lambda simulation: Course(scene.duration, scene.time_step),
+        lambda simulation: Course(scene.duration, scene.time_step, _too_short(scene)),
         lambda simulation: {
             "dimensions": "in space, connected ends",
             "wall": "slip layer" if scene.slips else "mortar sticks",
@@ -31,6 +31,17 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
         probe,
         governing="choice: cells that mortar on the axis passes in a step ('courant')",
     )
+
+
+def _too_short(scene: StretchScene) -> list[str]:
+    """Return a remark if a run at a constant pressure gradient is probably too short to become steady."""
+    # The flow must be steady over the last quarter of the run.
+    needed = scene.starting_time / 0.75
+    if scene.mean_velocity is not None or scene.duration >= needed:
+        return []
+    return [
+        f"the flow becomes steady after about {needed:.2g} s of simulated time, but 'duration' is {scene.duration:g} s"
+    ]
 
 
 METHOD = Method(
