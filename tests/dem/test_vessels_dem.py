@@ -422,7 +422,7 @@ def test_bad_input_is_refused_in_one_line(name, given, words):
 def test_a_scene_has_a_name_by_method():
     assert scenes.by_method("slump", "dem") == scenes.by_method("slump-dem", "dem") == "slump-dem"
     assert scenes.by_method("lbox-dem", "mps") == "lbox" and scenes.by_method("pipe", "dem") == "pipe"
-    with pytest.raises(SceneError, match=r"^method = 'dem': must be one of mps for scene 'tube'"):
+    with pytest.raises(SceneError, match=r"^method = 'dem': must be one of mps, suspension for scene 'tube'"):
         scenes.by_method("tube", "dem")
 
 
