@@ -212,7 +212,7 @@ class Tables:
                     continue
                 mean = rings(chosen[-1])[1][late(chosen[-1], 0.5)].mean(0)
                 left.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour), label=f"{fraction:g}")
-                right.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"{fraction:g}")
+                right.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
                 line = np.geomspace(slip.min(), slip.max())
                 right.loglog(1e3 * line, slope * line + start, color=rgb(colour), linewidth=1)
         own, line = CONCRETES["no1"], np.geomspace(1e-3, 0.8)
@@ -246,6 +246,26 @@ class Tables:
         head = ["fraction", "stress [Pa]", "seeds", "flow [cm3/s]", "standard deviation", "half of the core at [mm]",
                 "standard deviation"]  # fmt: skip
         self.write("seeds", head, rows)
+        self.laws([store for store in stores if store["finished"]])
+
+    def laws(self, stores: list[Store]) -> None:
+        """Show the law of the layer for each seed, from those stresses that all seeds of a fraction have in common."""
+        rows = []
+        for fraction in FRACTIONS:
+            found: dict[int, dict[float, Store]] = {}
+            for store in stores:
+                if store["varied"]["fraction"] == fraction:
+                    found.setdefault(store["varied"]["seed"], {})[store["varied"]["stress"]] = store
+            common = sorted(set.intersection(*map(set, found.values()))) if len(found) > 1 else []
+            if len(common) < 2:
+                continue
+            for seed, own in sorted(found.items()):
+                slope, start = straight(*fit_core([own[stress] for stress in common], 0.5)[2:])
+                thickness = 1e3 * own[common[0]]["parameters"]["viscosity"] / slope
+                rows.append([f"{fraction:g}", ", ".join(f"{stress:g}" for stress in common), str(seed),
+                             f"{slope:.0f}", f"{start:.0f}", f"{thickness:.2f}"])  # fmt: skip
+        head = ["fraction", "stresses [Pa]", "seed", "eta_L [Pa s/m]", "tau_L0 [Pa]", "mu / eta_L [mm]"]
+        self.write("laws", head, rows)
 
     def migration(self) -> None:
         """Show the fraction in the inner half of the radius, and in the ring at the wall, over the travel."""

@@ -70,10 +70,10 @@ def scene(parameters: FunnelParameters) -> FreeScene:
         refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the outlet",
                f"use {at_most(min(given.outlet_width, given.breadth) / 4, 2)} m or less")  # fmt: skip
     quarter = min(given.outlet_width, given.breadth) / 2
-    if given.aggregate_fraction and given.coarsest > MAX_PART * quarter:
-        refuse("aggregate_largest", given.coarsest,
-               f"is too large: a quarter of the funnel is simulated, and its outlet is only {quarter:g} m wide",
-               f"use {at_most(MAX_PART * quarter, 2)} m or less")  # fmt: skip
+    if given.aggregate_fraction:
+        given.check_largest(
+            MAX_PART * quarter, f"a quarter of the funnel is simulated, and its outlet is only {quarter:g} m wide"
+        )
     # Choose the cell size such that the height of the V-funnel is a whole number of cells. Two more rows of cells lie
     # above the V-funnel.
     rows = max(8, round(whole / given.spacing))

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warpcrete.core.errors import refuse
+from warpcrete.core.errors import at_most, refuse
 from warpcrete.core.inputs.concretes import is_file
 from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.inputs.limits import check_velocity
@@ -103,6 +103,11 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
     spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 0.01
 
 
+NARROW_CELLS = 11
+"""Number of cells across the narrowest section from which the friction there deviates by little from theory. In a cone
+from 100 to 80 mm it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
+
+
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
     """Model concrete that is pumped through a part of a line or a whole line at a given volume flow.
@@ -128,9 +133,20 @@ def scene(parameters: PartParameters) -> PartScene:
         concrete=concrete,
         flow=given.flow,
         spacing=given.spacing,
-        remarks=REMARKS + (AGGREGATE_REMARKS if given.aggregate_fraction else ()),
+        remarks=REMARKS + (AGGREGATE_REMARKS if given.aggregate_fraction else ()) + _too_coarse(given, course),
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
         **{f.name: getattr(course, f.name) for f in fields(_PipeCourse)} | {"bores": bores},
+    )
+
+
+def _too_coarse(given: PartParameters, course: _PipeCourse) -> tuple[str, ...]:
+    """Return a remark if few cells lie across the narrowest section of a bore that narrows."""
+    widest, narrowest = 2 * max(course.bores.radii), 2 * min(course.bores.radii)
+    if narrowest > 0.99 * widest or narrowest >= NARROW_CELLS * given.spacing:
+        return ()
+    return (
+        f"only {narrowest / given.spacing:.1f} cells lie across the narrowest section, where the friction may differ "
+        f"by several per cent from theory; use 'spacing' = {at_most(narrowest / NARROW_CELLS, 2)} m or less",
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from warpcrete.core.errors import at_most, refuse
+from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
@@ -130,10 +130,7 @@ def lifted_mould(
 def _check_aggregates(given: SlumpParameters) -> None:
     """Raise :class:`SceneError` for aggregates that cannot be simulated in a mould."""
     top = given.top_diameter / 2
-    if given.coarsest > MAX_PART * top:
-        refuse("aggregate_largest", given.coarsest,
-               f"is too large: a quarter of the cone is simulated, whose top is {top:g} m wide",
-               f"use {at_most(MAX_PART * top, 2)} m or less")  # fmt: skip
+    given.check_largest(MAX_PART * top, f"a quarter of the cone is simulated, whose top is {top:g} m wide")
     if given.lift_time and given.precision == "float32":
         refuse("precision", given.precision, "is too low for aggregates in a mould: it holds the mortar, which "
                                              "then hardly deforms, and the solve does not converge",

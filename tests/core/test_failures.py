@@ -182,7 +182,6 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
 @pytest.mark.parametrize(
     ("scene", "options", "words"),
     [
-        ("channel", ["--aggregate-fraction", 0.2], "aggregate_fraction = 0.2: has no effect unless 'aggregates' is on"),
         ("tube", ["--mortar-viscosity", 90], "mortar_viscosity = 90.0: has no effect unless 'aggregates' is on"),
         ("pipe", ["--no-bonds", "--bond-modulus", 5], "bond_modulus = 5.0: has no effect unless 'bonds' is on"),
         ("pipe", ["--facets", 32], "facets = 32: has no effect unless 'wall' is mesh"),

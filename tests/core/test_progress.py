@@ -50,12 +50,24 @@ def test_a_resumed_run_counts_what_this_process_does(clock, capsys):
     assert "running: 90 %, 10:00 elapsed, about 10:00 left" in lines
 
 
-def test_the_time_left_of_a_run_that_may_end_early_is_an_upper_limit(clock, capsys):
+def test_the_time_left_follows_a_pace_that_changes(clock, capsys):
+    """The first tenth takes 30 s and the second 60 s, so that the remaining eight need 480 s."""
+    bar = ProgressBar()
+    for elapsed, fraction in ((0, 0.0), (30, 0.1), (90, 0.2)):
+        clock.time = 100.0 + elapsed
+        bar("running", fraction, {})
+    assert lines_of(capsys)[-1] == "running: 20 %, 01:30 elapsed, about 08:00 left"
+
+
+def test_a_run_that_may_end_early_says_so(clock, capsys):
     bar = ProgressBar()
     for minute in range(4):
         clock.time = 100.0 + 60 * minute
         bar("running", 0.1 + 0.1 * minute, {"steps_per_s": 0.4711, "at_most": 1.0})
-    assert lines_of(capsys)[-1] == "running: 40 %, 03:00 elapsed, at most 06:00 left, steps/s 0.47"
+    assert (
+        lines_of(capsys)[-1]
+        == "running: 40 %, 03:00 elapsed, about 06:00 left unless the flow ends earlier, steps/s 0.47"
+    )
 
 
 def test_the_pace_of_a_run_leaves_out_preparation_and_compilation(monkeypatch):

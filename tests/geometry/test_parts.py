@@ -361,3 +361,12 @@ def test_what_befalls_one_run_abreast_harms_no_other(device):
 
         outcomes = run_abreast([broken[0], broken[1]], [None] * 2, once)
         assert len(outcomes) == 2 and outcomes[0].finished
+
+
+def test_a_part_that_narrows_says_which_cells_it_needs():
+    """A cone from 100 to 80 mm fails its check with the default cells of 10 mm and passes it with 7 mm."""
+    cone = {"unit": "horizontal", "outlet_diameter": 0.08}
+    (remark,) = (remark for remark in scenes.part(**cone).remarks if "narrowest section" in remark)
+    assert remark.startswith("only 8.0 cells") and remark.endswith("use 'spacing' = 0.0072 m or less")
+    for given in ({"spacing": 0.0072}, {"outlet_diameter": None}):
+        assert not any("narrowest section" in remark for remark in scenes.part(**cone | given).remarks)

@@ -451,7 +451,7 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
-        ({"spread": 0.6}, "mix density = None: must be given"),
+        ({"spread": 0.6}, "mix density: is missing, and the mix lists no 'parts'"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),
         (SPREADING | {"density": 2.3},
          "mix density = 2.3: must be in [1000, 5000] kg/m3; write units other than kg/m3 behind the"),

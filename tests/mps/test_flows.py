@@ -21,6 +21,7 @@ from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.particles import MovingParticles
+from warpcrete.mps.quantities import RunData
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.mps.state import FluidState
 from warpcrete.record.run_folder import TableRecorder
@@ -362,3 +363,12 @@ def test_a_solve_that_does_not_converge_says_how_it_went(device, tmp_path):
     assert caught.value.residual > 0
     assert read_json(tmp_path / "r" / "result.json")["finished"] is False
     assert not list((tmp_path / "r").glob("*.partial"))
+
+
+@pytest.mark.parametrize("scene", [scenes.channel(), scenes.tube()])
+def test_the_gradient_is_the_friction_without_weight(scene):
+    """In steady flow by theory, the pressure is that of friction and weight over the length of the column."""
+    theory = scene.theory()
+    found = RunData(scene, {"time": np.array([0.0, 1.0]), "wall_stress": np.full(2, theory.wall_stress)}, theory)
+    weight = scene.concrete.density * scene.gravity
+    assert found.friction == pytest.approx(theory.pressure / scene.length - weight, rel=1e-6)

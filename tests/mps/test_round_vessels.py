@@ -9,6 +9,7 @@ import pytest
 
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.units import quantity
+from warpcrete.mps.common import forecast as common_forecast
 from warpcrete.mps.common.forecast import coarser_run
 from warpcrete.mps.free import forecast
 from warpcrete.mps.free.forecast import course_of
@@ -129,27 +130,45 @@ class Flow:
 
     log: ClassVar[list] = []
     duration = 7.0
+    now: ClassVar[list] = [0.0]
+    pause: ClassVar[float] = 10.0
+    """Wall time between two reports of progress [s]; a copy reports until 100 s."""
 
-    def __init__(self, scene, *, device, precision, threads):
+    def __init__(self, scene, *, device, precision, threads, progress):
         self.scene, self.device, self.precision, self.threads = scene, device, precision, threads
         self.log.append((scene.spacing, device, precision, threads))
-        self.steady = scene.spacing < 0.05
+        self.steady, self.tell, self.stop_requested = scene.spacing < 0.05, progress, False
 
     def run(self):
         if self.scene.fails:
             raise InstabilityError("t = 1 s: burst")
-        return SimpleNamespace(result={"simulated_time": quantity(2.5, "s")})
+        while not self.stop_requested and self.now[0] < 100:
+            self.tell("running", 0.1, {})
+            self.now[0] += self.pause
+        return SimpleNamespace(result={"simulated_time": quantity(2.5, "s")}, finished=not self.stop_requested)
 
     def release(self):
         self.log.append("released")
 
 
-def test_a_coarser_copy_runs_with_the_settings_of_the_flow_and_is_released():
-    flow = Flow(Coarse(), device="cpu", precision="float64", threads=3)
+def test_a_coarser_copy_stops_after_half_a_minute(monkeypatch):
+    monkeypatch.setattr(common_forecast, "time", SimpleNamespace(monotonic=lambda: Flow.now[0]))
+    Flow.now[0] = 0.0
+    run, reached, (remark,) = coarser_run(Flow(Coarse(), device="cpu", precision="float64", threads=3,
+                                               progress=None), "it is not at rest", spacing=0.04)  # fmt: skip
+    assert run is not None and reached == 7.0 and Flow.now[0] == 50.0
+    assert "reached 2.5 s in 30 s of wall time, and it is not at rest there" in remark and "all 7 s" in remark
+
+
+def test_a_coarser_copy_runs_with_the_settings_of_the_flow_and_is_released(monkeypatch):
+    monkeypatch.setattr(Flow, "pause", 1000.0)
+    flow = Flow(Coarse(), device="cpu", precision="float64", threads=3, progress=None)
     Flow.log.clear()
+    Flow.now[0] = 0.0
     run, reached, remarks = coarser_run(flow, "not at rest", spacing=0.04)
     assert run is not None and (reached, remarks) == (2.5, [])
     assert Flow.log == [(0.04, "cpu", "float64", 3), "released"]
+    Flow.now[0] = 0.0
     assert coarser_run(flow, "not at rest", spacing=0.06)[1:] == (2.5, ["not at rest within 2.5 s"])
     run, reached, (remark,) = coarser_run(flow, "not at rest", fails=True)
     assert run is None and reached == 7.0 and "a coarser copy of this flow stopped: t = 1 s: burst" in remark

@@ -16,7 +16,7 @@ from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration.posterior import confounded_pairs, posterior
+from warpcrete.studies.calibration.posterior import Posterior, confounded_pairs, posterior
 from warpcrete.studies.calibration.report import concrete_of
 from warpcrete.studies.calibration.targets import FreeParameter, Target, Task, read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
@@ -358,3 +358,40 @@ def test_a_posterior_is_as_wide_as_the_measurement_is_uncertain():
     found = posterior(task, points, {target: 0.3 + 0.4 * points[:, 0] + random.normal(0, 0.004, 24)}, seed=1)
     assert found.samples.mean() == pytest.approx(0.5, abs=0.01)  # measured 0.498
     assert found.samples.std() == pytest.approx(0.05, rel=0.15)  # measured 0.051
+
+
+@pytest.mark.thorough
+def test_values_of_runs_that_failed_checks_count_less():
+    """A third of the runs yields values that are 0.04 too low; if they are doubtful, the answer is closer to 0.5."""
+    target = Target("slump", "spread", 0.5, 0.02, {}, False, "m")
+    task = Task(None, (FreeParameter("yield_stress", 0.0, 1.0, False, False),), (target,))
+    points = np.random.default_rng(3).uniform(0, 1, (12, 1))
+    failed = np.arange(12) % 3 == 0
+    values = {target: 0.3 + 0.4 * points[:, 0] - 0.04 * failed}
+    trusted, doubted = (posterior(task, points, values, 1, doubt).samples.mean() for doubt in (None, {target: failed}))
+    assert abs(doubted - 0.5) < 0.6 * abs(trusted - 0.5)
+
+
+def test_an_interval_contains_the_likeliest_value():
+    task = Task(None, (FreeParameter("yield_stress", 20.0, 150.0, False, False),), ())
+    samples = np.linspace(0.0, 0.5, 1001)[:, None]
+    found = Posterior(task, {}, samples, np.array([0.0]))
+    assert found.interval(0) == pytest.approx((20.0, 20.0 + 130 * 0.4875))
+    assert dataclasses.replace(found, best=np.array([0.25])).interval(0)[0] == pytest.approx(20.0 + 130 * 0.0125)
+
+
+def test_progress_grows_to_the_last_verification_run(tmp_path, monkeypatch):
+    parts = []
+
+    def run_round(found, scenes, place, trials, where, tell, part):
+        parts.append(part)
+        return by_closed_form(0.0)(found, scenes, place, trials, where, tell, part)
+
+    monkeypatch.setattr(SEARCH, "run_round", run_round)
+    found = calibrate(one_pressure(), out=tmp_path / "out", trials=8, repeat=3, device="cpu")
+    ends = [begun + share for begun, share in parts]
+    assert [begun for begun, _ in parts[1:]] == pytest.approx(ends[:-1]) and ends[-1] == pytest.approx(1.0)
+    assert len(found.searched) <= 8 and len(found.trials) == len(found.searched) + 3
+    # The closed form of the likeliest parameters stands beside the runs, which here come from closed forms as well.
+    (target,) = found.task.targets
+    assert found.closed_forms[target] == pytest.approx(found.verification_values(target)[0], rel=1e-9)

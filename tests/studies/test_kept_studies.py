@@ -353,7 +353,7 @@ def test_the_rounds_of_a_calibration_are_kept(tmp_path, monkeypatch):
         failures = {} if len(log) > 1 else {cases[2].name: "it burst"}
         return Study(out, name, cases, results=results, failures=failures)
 
-    def posterior(task, points, values, seed):
+    def posterior(task, points, values, seed, doubtful):
         rng = np.random.default_rng(seed)
         found = SimpleNamespace(
             best=np.array([0.3, 0.6]), samples=rng.normal([0.3, 0.6], 0.1 / (1 + len(posteriors)), (300, 2)).clip(0, 1),

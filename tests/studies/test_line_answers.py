@@ -189,8 +189,8 @@ def test_a_tribometer_is_recommended_where_its_band_is_narrower_than_a_guess():
 
 
 def test_a_stated_slump_is_not_recommended():
-    """The yield stress of the bulk makes most of the band of a stiff concrete whose slip layer was fitted."""
-    layer = {"viscosity": 605, "yield_stress": 0, "uncertainty": 0.02, "from": "pipe"}
+    """The yield stress of the bulk makes most of the band of a stiff concrete whose slip layer was measured."""
+    layer = {"viscosity": 605, "yield_stress": 0, "uncertainty": 0.02, "from": "tribometer"}
     of = mix_of({"density": 2368, "slump": "200 mm", "layer": layer})
     text = "; ".join(line_by_theory(line({"straight": 100}), of.concrete, FLOW, variants=of.variants).band_sentences())
     assert "from the yield stress of the bulk; measure it with a rheometer" in text and "slump" not in text

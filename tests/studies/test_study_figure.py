@@ -2,6 +2,7 @@
 
 import importlib
 
+import numpy as np
 import pytest
 
 from warpcrete.core.drawing.style import THEORY, rgb
@@ -51,7 +52,8 @@ def test_theory_is_dashed_and_grey_and_series_are_sorted_without_those_that_fail
 def test_a_figure_of_a_study_has_the_wanted_axes_and_units(tmp_path):
     study = flows_of(tmp_path)
     (axes,) = study.plot("pressure", x="flow", unit="l/min", y_unit="bar").axes
-    assert axes.get_xlabel() == "flow [l/min]" and axes.get_ylabel() == "pressure and pressure theory [bar]"
+    assert axes.get_xlabel() == "flow [l/min]" and axes.get_ylabel() == "pressure [bar]"
+    assert axes.get_xticks() == pytest.approx(np.array([5, 10, 20]) * 1e3 / 60)
     assert max(axes.lines[0].get_xdata()) == pytest.approx(20e3 / 60) and 0 < axes.get_ylim()[1] < 0.12
     study.written = {}
     assert [axes.get_xlabel() for axes in study.plot().axes] == ["flow [m3/h]", "yield stress [Pa]"]
@@ -77,6 +79,15 @@ def test_the_table_of_a_study_has_the_units_that_the_user_stated(tmp_path):
     assert written_units(tube, stated) == {"flow": "m3/h", "diameter": "mm"}
     assert written_unit(["5 m3/h", "3 l/s"], "m3/s") is None and written_unit(["5'"], "m") == "ft"
     assert [rounded(x) for x in (0.00138888, 20000.0, 5.0, 1e-7)] == ["0.001389", "20000", "5", "1e-07"]
+
+
+def test_a_figure_leaves_out_deviations_from_theory_unless_they_are_wanted(tmp_path):
+    study = flows_of(tmp_path)
+    study.quantities.append(Quantity("pressure_error", "1", lambda k: None, compared=True))
+    for result in study.results.values():
+        result["pressure_error"] = 1e-4
+    assert len([axes for axes in study.plot(x="flow").axes if axes.get_visible()]) == 1
+    assert study.plot("pressure_error", x="flow").axes[0].get_ylabel() == "pressure error [%]"
 
 
 def test_a_mean_of_some_of_the_runs_says_so(tmp_path):

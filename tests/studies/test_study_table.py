@@ -1,6 +1,7 @@
 """Studies as tables: DataFrame, Parquet, HTML; and read back from their folders."""
 
 import importlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from test_batch import SMALL
 
 import warpcrete
 from warpcrete import RunFolderError
+from warpcrete.cli.study import report as report_study
 from warpcrete.core.run.method import Quantity
 from warpcrete.studies.cases import MAX_NAME_LENGTH, Case, short_name
 from warpcrete.studies.study import run_study
@@ -53,12 +55,30 @@ def test_a_row_is_a_case_with_every_number_it_came_to(study):
 
 
 def test_a_dataset_has_every_case_with_units(study):
+    """Two cases with the same values cannot share a place of a grid, so the cases stay in a row."""
     pytest.importorskip("xarray", reason="needs xarray, which the extra [test] installs")
+    study.cases[1] = replace(study.cases[1], parameters={"seed": 0})
     found = study.to_xarray()
     columns, units = columns_of(study)
     assert found["case"].to_numpy().tolist() == columns["case"] and set(found.data_vars) == set(columns) - {"case"}
     assert {name: each.attrs["units"] for name, each in found.data_vars.items() if each.attrs["units"]} == units
     assert np.array_equal(found["peak_pressure"], [2e4, 3e4, np.nan, np.nan], equal_nan=True)
+
+
+def test_a_dataset_has_a_dimension_for_each_varied_parameter_and_the_seed(study):
+    pytest.importorskip("xarray", reason="needs xarray, which the extra [test] installs")
+    found = study.to_xarray()
+    assert found["peak_pressure"].dims == ("shapes", "velocity", "seed")
+    assert found["velocity"].to_numpy().tolist() == [0.1, 0.3] and found["velocity"].attrs["units"] == "m/s"
+    assert found["peak_pressure"].attrs["units"] == "Pa"
+    assert found["peak_pressure"].sel(velocity=0.1).isel(shapes=0).to_numpy().tolist() == [2e4, 3e4]
+    # The study has no case of spheres at 0.3 m/s, and that of the other shape at this velocity failed.
+    assert np.isnan(found["peak_pressure"].sel(velocity=0.3)).all()
+    assert found["outcome"].sel(velocity=0.3, seed=0).to_numpy().tolist() == ["", "failed"]
+    # A few cases far apart in a large grid stay in a row.
+    for n, case in enumerate(study.cases):
+        study.cases[n] = replace(case, varied={"shapes": f"shape-{n}", "velocity": 0.1 * n})
+    assert study.to_xarray().sizes == {"case": 4}
 
 
 def test_parquet_keeps_units_and_what_has_no_one_type(study):
@@ -116,3 +136,14 @@ def test_names_of_folders_stay_short_and_different():
     names = {short_name(long), short_name(long + "-last=1"), short_name(long + "-last=2")}
     assert len(names) == 3 and {len(each) for each in names} == {MAX_NAME_LENGTH}
     assert short_name("concrete=no2-spacing=0.02") == "concrete=no2-spacing=0.02"
+
+
+def test_a_study_of_sizes_says_that_its_trend_contradicts_the_paper(study, capsys):
+    report_study(study)
+    assert "Zhan" not in capsys.readouterr().out
+    study.results["000"]["pressure"] = {"value": 2e4, "unit": "Pa"}
+    study.cases[:] = [replace(case, varied={"size_max": 0.01 * (n + 1)}) for n, case in enumerate(study.cases)]
+    report_study(study)
+    assert (
+        "note: with the default stiffness of aggregates, pressures by discrete elements fall" in capsys.readouterr().out
+    )

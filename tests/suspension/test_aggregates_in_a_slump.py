@@ -83,6 +83,11 @@ def test_a_cone_with_aggregates_slumps_to_rest(device):
     "given, words",
     [
         ({"aggregate_smallest": 0.08, "aggregate_largest": 0.08}, "aggregate_largest = 0.08: is too large: a quarter"),
+        (
+            {"aggregate_smallest": None, "aggregate_largest": None, "spacing": 0.02},
+            "spacing = 0.02: is too coarse: aggregates of the default size, whose narrowest side is 4 cells wide, are "
+            "0.08 m large, but a quarter",
+        ),
         ({"lift_time": 1.0}, "precision = 'float32': is too low for aggregates in a mould"),
     ],
 )

@@ -9,6 +9,7 @@ from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.run.method import report_of
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
+from warpcrete.suspension.stretch.method import _too_short
 from warpcrete.suspension.stretch.probes import core, fraction_profile, velocity_profile
 from warpcrete.verification.suspensions_many import high_frequency_viscosity
 
@@ -132,8 +133,13 @@ def test_a_run_reports_its_results(device):
     assert {"flow", "wall's stress", "speed of aggregates", "distance from axis"} <= set(told)
     assert "apparent slip" not in told and "relative_viscosity" not in run.series
     assert number(run.result["wall_stress"]) == pytest.approx(run.scene.wall_stress, rel=5e-3)
+    # The report names the time of its mean, and the figure that of its profile, which is the last one.
+    assert "m3/h, mean of the last 29.9 s " in told["flow"]
     figure = method.show(run)
     assert figure is not None and len(figure.axes) == 3
+    assert figure.axes[0].lines[0].get_label() == "this run\nat 59.8 s"
+    mean = figure.axes[2].lines[1].get_ydata()
+    assert mean == pytest.approx(np.full(len(mean), 3600 * number(run.result["flow"])))
     assert set(run.units) == set(run.series)
 
 
@@ -192,3 +198,20 @@ def test_what_a_stretch_refuses(given, words):
     with pytest.raises(warpcrete.SceneError) as why:
         scenes.stretch(**PIPE | given)
     assert words in str(why.value) and "\n" not in str(why.value)
+
+
+def test_a_stretch_that_is_too_short_to_become_steady_is_told():
+    """A pipe with 500 Pa at the wall and 251 Pa in its layer; measured: within 2 % after 0.6 s."""
+    given = {"gradient": 2e4, "length": 0.08, "spacing": 0.006, "surfaces": "slips"}
+    slow, fast = (scenes.stretch(**given, duration=0.3, courant=courant) for courant in (0.5, 0.125))
+    assert slow.starting_time == pytest.approx(0.6, rel=0.2)
+    # Numerical growth of the slip velocity takes a number of steps: 0.165 s and 0.04 s in these runs.
+    assert slow.starting_time - fast.starting_time == pytest.approx(0.125, rel=0.3)
+    (remark,) = _too_short(slow)
+    assert remark.endswith("but 'duration' is 0.3 s") and not _too_short(scenes.stretch(**given, duration=1.0))
+
+
+def test_the_starting_time_of_a_newtonian_flow_is_that_of_theory():
+    """The slowest part of Szymanski's solution falls by exp(-5.783 nu t / R2)."""
+    scene = scenes.stretch(**PIPE | {"aggregate_density": 2200.0, "gradient": 2e4})
+    assert scene.starting_time == pytest.approx(np.log(50) * 2200 * 0.04**2 / (5.783 * 20), rel=1e-3)

@@ -1,12 +1,14 @@
 """Forecast of a mortar with aggregates in a vessel."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import pytest
 
 from warpcrete import Simulation, scenes
 from warpcrete.mps.free.forecast import course_of
 from warpcrete.mps.free.scene import FreeScene
+from warpcrete.suspension.quantities import in_words
 
 SLUMP = {
     "spacing": 0.01, "aggregate_smallest": 0.03, "aggregate_largest": 0.03, "aggregate_fraction": 0.1, "lift_time": 0.0,
@@ -35,3 +37,11 @@ def test_the_steps_of_a_mortar_with_aggregates_are_foreseen_by_the_mortar_alone(
 def test_the_text_of_a_scene_names_vessel_mortar_and_aggregates():
     """The text of the aggregates' fields must not hide that of the vessel."""
     assert repr(scenes.slump(**SLUMP)).endswith("'slump': scc, in space, 0.38 m wide, spacing 0.01 m, 10% aggregates>")
+
+
+def test_a_forecast_states_number_sizes_and_fraction_of_the_aggregates():
+    scene = scenes.slump(**SLUMP | {"aggregate_largest": 0.034})
+    spheres = SimpleNamespace(count=12, kind=SimpleNamespace(clumps=False))
+    assert in_words(spheres, scene) == "12 spheres of 30 to 34 mm, 10 % of the volume"
+    clumps = SimpleNamespace(count=12, spheres=40, kind=SimpleNamespace(clumps=True))
+    assert in_words(clumps, scenes.slump(**SLUMP)) == "12 clumps, of 40 spheres, of 30 mm, 10 % of the volume"

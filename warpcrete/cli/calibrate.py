@@ -73,7 +73,9 @@ def report(found: Calibration) -> None:
         click.echo("\n".join([*parameter_table(found), "", *target_table(found), ""]))
         for said in found.findings:
             click.echo(f"note: {said}")
-    click.echo(f"\n{len(found.trials)} trials in {found.took:.0f} s; calibration folder: {found.folder}")
+    proofs = len(found.trials) - len(found.searched)
+    verified = f" and {proofs} runs that verify the answer" if proofs else ""
+    click.echo(f"\n{len(found.searched)} trials{verified} in {found.took:.0f} s; calibration folder: {found.folder}")
     if not found.finished:
         click.echo(f"continue with: warpcrete calibrate --resume {found.folder}")
         raise SystemExit(INTERRUPTED)

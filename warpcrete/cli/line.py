@@ -7,7 +7,7 @@ This module does not import the simulations, because they take longer to load th
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,8 @@ from typing import Any
 
 import click
 
-from ..core.inputs.amounts import amount
+from ..core.errors import between
+from ..core.inputs.amounts import amount, bare_number
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_whole
 from ..core.run.files import next_folder, write_json
@@ -31,8 +32,8 @@ from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
 from ..studies.lines.result import lines_of
-from ..studies.lines.taps import read_taps
-from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
+from ..studies.lines.taps import Tap, read_taps
+from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory, write_lines
 from ..theory.pipe import Concrete
 from .exits import CHECK_FAILED, INTERRUPTED
 from .line_inputs import LineInputs, line_inputs
@@ -43,6 +44,9 @@ ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5
 FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options of `warpcrete line` that have no effect if nothing is simulated, with their default values."""
 
+SHORTEST_REST = 120.0
+"""Shortest time of rest [s] that is accepted without a unit. Shorter stops hardly matter, and their numbers are usual
+for stops in minutes."""
 USUAL_FLOWS = {False: ("m3/h", (10, 20, 30, 45, 60)), True: ("yd3/h", (15, 25, 40, 60, 80))}
 """Flows for which the pressure of a line is printed if the user states none, with their unit. The keys say whether the
 other amounts have customary US units."""
@@ -50,6 +54,7 @@ other amounts have customary US units."""
 
 def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
     """Print the pressure that a pipeline needs, by theory or by simulation."""
+    _check_rest(settings["rest"])
     rest, grown = (option_amount(key, settings[key], u) for key, u in (("rest", "s"), ("thixotropy", "Pa/s")))
     _check_options(method, simulate, theory, settings)
     growth = growth_of(rest, grown)
@@ -74,35 +79,45 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
             raise SystemExit(CHECK_FAILED)
         return
     pipes, concrete, layer, fit = given.line, given.concrete, _layer(given.mix, settings), None
+    said: list[str] = []
     if settings["fit"] is not None:
-        fit = fit_line(pipes, concrete, read_taps(settings["fit"], pipes, given.flow), _known_layer(given, layer))
-        click.echo("\n" + "\n".join(fit_lines(fit, pipes)))
-        pipes, layer, concrete = fit.line(pipes), {"variants": fit.variants(concrete)}, fit.concrete(concrete)
+        taps = read_taps(settings["fit"], pipes, given.flow)
+        fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps))
+        said = [*fit_lines(fit, pipes), ""]
+        layer = {"variants": fit.variants(concrete, layer.get("variants"))}
+        pipes, concrete = fit.line(pipes), fit.concrete(concrete)
     if given.flow is None:
         wanted = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
         if out is not None or settings["practice"] or any(settings[name] is not None for name in wanted):
             beyond = "the fit" if fit is not None else "pressures at usual flows"
             raise click.UsageError(f"flow: is missing; an answer beyond {beyond} needs it, as in --flow '30 m3/h'")
         if fit is None:
-            click.echo("\n" + "\n".join(_at_usual_flows(pipes, concrete, layer)))
-            print_rules(pipes, given.mix, None)
+            said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
+        click.echo("\n" + "\n".join(said))
         return
     asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
     if settings["blocking"] is not None:
         asked |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
     with _interruptible(out), line_folder(out, {**asked, "method": "theory"}):
         found = line_by_theory(pipes, concrete, given.flow, out=out, stop=stop, fit=fit, **layer)
-        click.echo("\n" + "\n".join(lines_of(found, settings["practice"])))
+        said += lines_of(found, settings["practice"])
         if line is None:
-            click.echo(
-                "\nbends, reducers and hoses are not counted; to count them, write a file (warpcrete line --help)"
-            )
+            said += ["", "bends, reducers and hoses are not counted; to count them, write a file (warpcrete line "
+                     "--help)"]  # fmt: skip
         if given.guessed and settings["fit"] is None:
-            click.echo("\na slump or spread alone says little about the slip layer: the parts of the mix give a better "
-                       "estimate, which may lie far from this one (warpcrete mix --help)")  # fmt: skip
-        _judge_blocking(pipes, given, out, settings)
+            said += ["", "a slump or spread alone says little about the slip layer: the parts of the mix give a better "
+                     "estimate, which may lie far from this one (warpcrete mix --help)"]  # fmt: skip
+        _finish(said, pipes, given, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
+
+
+def _check_rest(stated: str | None) -> None:
+    """Refuse a time of rest without a unit that is too short for a stop, because it is most likely in minutes."""
+    number = amount("rest", stated, "s") if bare_number(stated) else 0.0
+    if 0 < number < SHORTEST_REST:
+        raise click.UsageError(f"rest: {number:g} without a unit is {number:g} s; did you mean '{number:g} min'? For "
+                               f"seconds, write '{number:g} s'")  # fmt: skip
 
 
 def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:
@@ -130,6 +145,8 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     if theory and simulate:
         raise click.UsageError("--theory: cannot be combined with --simulate; leave out --theory or --simulate")
     heavy = simulate or method != "flow"
+    if settings["gauge"] is not None and settings["fit"] is None:
+        raise click.UsageError("gauge: has no effect without --fit; leave it out")
     if settings["fit"] is not None and heavy:
         raise click.UsageError("--fit: compares measurements with theory only; leave out --simulate and --method")
 
@@ -163,6 +180,22 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"layer_factor": LAYER_FACTOR if factor is None else factor}
 
 
+def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
+    """Return the error limit of the gauges [Pa] that an option states in % of the largest pressure, or as a pressure.
+
+    The result is None if the option is missing.
+    """
+    if stated is None:
+        return None
+    if not stated.strip().endswith("%"):
+        error = amount("gauge", stated, "Pa")
+        between("gauge", error, 0, max(tap.pressure for tap in taps), "Pa", "state it as '4 %' or '1 bar'")
+        return error
+    share = amount("gauge", stated, "1")
+    between("gauge", share, 0, 1, "", "state it as '4 %' or '1 bar'")
+    return share * max(tap.pressure for tap in taps)
+
+
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
     """Return the concrete with its slip layer at both ends of the band that was known before a fit, or None.
 
@@ -191,7 +224,7 @@ def _simulated(
     folder = out or next_folder("line")
     with _interruptible(folder):
         return job.run(given, method, folder, _layer(given.mix, settings), stop, settings,
-                       lambda: _judge_blocking(given.line, given, folder, settings), unless_known)  # fmt: skip
+                       lambda said: _finish(said, given.line, given, folder, settings), unless_known)  # fmt: skip
 
 
 @contextmanager
@@ -205,28 +238,41 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
         raise SystemExit(INTERRUPTED) from None
 
 
-def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]) -> None:
-    """Print the verdicts of rules against blocking and, with `--blocking`, the simulated probability of a blockage."""
-    if settings["fit"] is None:
-        _print_other_layers(line, given)
-    print_rules(line, given.mix, folder)
+def _finish(
+    said: Sequence[str], line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]
+) -> None:
+    """Print the text `said` on a line, other estimates of the slip layer, and the verdicts of rules against blocking.
+
+    All that is printed is first written to the file line.md in `folder`, so that it is complete even if nothing reads
+    the output. With `--blocking`, the probability of a blockage is then simulated, printed and added to the file.
+    """
+    said = [*said, *([] if settings["fit"] is not None else _other_layers(line, given)), "",
+            *_rules(line, given.mix, folder)]  # fmt: skip
+    if folder is not None:
+        write_lines(said, folder)
+    click.echo("\n" + "\n".join(said))
     if settings["blocking"] is not None and folder is not None:
         assert given.flow is not None
-        importlib.import_module(f"{__package__}.line_blocked").run(line, given.name, given.flow, folder, settings)
+        blocked = importlib.import_module(f"{__package__}.line_blocked")
+        more = blocked.run(line, given.name, given.flow, folder, settings)
+        write_lines([*said, "", *more], folder)
+        click.echo("\n" + "\n".join(more))
 
 
-def _print_other_layers(line: PipeLine, given: LineInputs) -> None:
-    """Print the pressure by theory with each other estimate of the slip layer that the mix allows."""
+def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
+    """Return lines of text with the pressure by theory for each other estimate of the slip layer."""
+    found = []
     for eta, tau in () if given.mix is None else given.mix.other_layers:
         assert given.flow is not None
         concrete = replace(given.concrete, slip_viscosity=eta.value, slip_yield=tau.value)
         pressure = line_by_theory(line, concrete, given.flow).pressure
-        click.echo(f"\nanother estimate of the slip layer, {eta.value:.3g} Pa s/m from {eta.way}, would give "
-                   f"{pressure / 1e5:.3g} bar; a measured layer decides")  # fmt: skip
+        found += ["", f"another estimate of the slip layer, {eta.value:.3g} Pa s/m from {eta.way}, would give "
+                  f"{pressure / 1e5:.3g} bar; a measured layer decides"]  # fmt: skip
+    return found
 
 
-def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
-    """Print whether the line and its concrete satisfy the rules of practice against blocking.
+def _rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> list[str]:
+    """Return lines of text on whether the line and its concrete satisfy the rules of practice against blocking.
 
     If `folder` is not None, also write these verdicts to the file blocking.json in this folder.
     """
@@ -238,6 +284,6 @@ def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
         text.append(
             "unknown  all rules on the mix: the concrete has no mix; 'warpcrete mix --help' shows how to write it"
         )
-    click.echo("\n" + "\n".join(text))
     if folder is not None:
         write_json(folder / "blocking.json", rule_records(verdicts) | {"narrowest_part": part.number})
+    return text

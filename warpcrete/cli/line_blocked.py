@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import click
-
 from ..core.run.progress import progress_bar
 from ..geometry.pipe_line import PipeLine
 from ..studies.lines.blocking import run_blocking
 from ..studies.lines.elements import Elements
 
 
-def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> None:
-    """Simulate the line's narrowest part with many seeds, and print the probability that concrete blocks there.
+def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> list[str]:
+    """Simulate the line's narrowest part with many seeds, and return text on the probability of a blockage.
 
     `settings` are the command's options.
     """
@@ -25,4 +23,4 @@ def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[
             line, name, rate, settings["blocking"], out=folder, elements=elements, device=settings["device"],
             processes=settings["threads"], progress=tell,
         )  # fmt: skip
-    click.echo("\n" + "\n".join(found.lines))
+    return list(found.lines)

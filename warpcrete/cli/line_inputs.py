@@ -11,6 +11,7 @@ import click
 
 from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount, is_customary
+from ..core.inputs.concretes import concrete as named
 from ..core.inputs.limits import check_limit, check_velocity
 from ..geometry.axis import Axis, Line
 from ..geometry.pipe_line import Part, PipeLine
@@ -49,7 +50,9 @@ class LineInputs:
     @property
     def concrete(self) -> Concrete:
         """The concrete's flow properties: a yield stress fluid with a slip layer."""
-        return self.mix.concrete if self.guessed and self.mix is not None else concrete_of(self.name)
+        if self.guessed and self.mix is not None:
+            return self.mix.concrete
+        return replace(concrete_of(self.name), name=named(self.name).name if self.name != "own" else self.name)
 
 
 def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:

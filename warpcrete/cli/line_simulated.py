@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import click
-
 from ..core.inputs.fingerprints import fingerprint
 from ..core.run.files import atomic_file
 from ..core.run.progress import progress_bar
@@ -26,14 +24,14 @@ from .line_inputs import LineInputs
 
 def run(
     given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
-    settings: Mapping[str, Any], finish: Callable[[], None], unless_known: bool = False,
+    settings: Mapping[str, Any], finish: Callable[[list[str]], None], unless_known: bool = False,
 ) -> bool:  # fmt: skip
-    """Simulate a line, print its pressure, and return True if a simulated part failed a check.
+    """Simulate a line, tell `finish` its pressure, and return True if a simulated part failed a check.
 
     `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
     the command by name. With `unless_known`, only parts whose friction cannot be found without a simulation are
-    simulated. After the function has printed the result, it calls `finish`, so that `finish` may write into the line's
-    folder while no other process can.
+    simulated. The function calls `finish` with the text of the result, so that `finish` may write into
+    the line's folder while no other process can.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None
@@ -54,25 +52,24 @@ def run(
             )  # fmt: skip
         if method != "flow":
             packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
-        _print(line, name, rate, found, packed, folder, settings["practice"])
-        finish()
+        finish(_text(line, name, rate, found, packed, folder, settings["practice"]))
     return any(each is not None and bool(each.failed) for each in (found, packed))
 
 
-def _print(
+def _text(
     line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path,
     practice: bool,
-) -> None:  # fmt: skip
-    if found is not None:
-        click.echo("\n" + "\n".join(lines_of(found, practice)))
+) -> list[str]:  # fmt: skip
+    """Return lines of text with the results of the simulations, and write those of the elements into `folder`."""
+    said = [] if found is None else lines_of(found, practice)
     if packed is not None:
         others = {} if found is None else {"flow": [x.friction for x in found.losses]}
         if completed(name).flow:
             concrete = concrete_of(name)
             others["theory"] = [friction(part, concrete, rate) for part in line.parts]
         text = element_table_lines(packed, others)
-        click.echo("\n" + "\n".join(text))
+        said += ["", *text] if said else text
         with atomic_file(folder / "line-dem.md") as partial:
             partial.write_text("\n".join(text) + "\n", encoding="utf-8")
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
-    click.echo(f"\nfolder: {folder}; simulations took {took:.0f} s")
+    return [*said, "", f"folder: {folder}; simulations took {took:.0f} s"]

@@ -261,6 +261,8 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--fit", type=click.Path(path_type=Path), help="CSV file of pressures along a trial line, with a first "
               "line such as 'place [m],pressure [bar],flow [m3/h]', to which the slip layer and the factor of bends "
               "are fitted")  # fmt: skip
+@click.option("--gauge", help="Error limit of the gauges of --fit, as '1 bar' or in % of the largest pressure  "
+              "[default: 4 %, a gauge of class 2.5 whose scale ends at 1.6 times the largest pressure]")  # fmt: skip
 @click.option("--layer-factor", type=float, help="Factor by which the slip layer's constants may be wrong, for the "
               "band of the pressure; 1 if they were measured  [default: 2; for a mix, the bands of all its "
               "constants]")  # fmt: skip

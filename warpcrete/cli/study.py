@@ -103,6 +103,14 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         raise SystemExit(CHECK_FAILED)
 
 
+SIZES = (
+    "with the default stiffness of aggregates, pressures by discrete elements fall with their largest size, but they "
+    "grow in the paper of Zhan et al., so do not draw conclusions from this trend; see the page "
+    "'validation/pumping.md' of the documentation"
+)
+"""Note for studies that vary the size of aggregates."""
+
+
 def _announced(tell: Progress) -> Progress:
     """Return a callback that prints a line before the first progress, because the first cases may take long."""
     called = False
@@ -122,6 +130,8 @@ def report(study: Study) -> None:
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
         click.echo(study.markdown())
+    if "size_max" in study.varied and any("pressure" in result for result in study.results.values()):
+        click.echo(f"note: {SIZES}")
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
     click.echo(f"\n{study.progress}; study folder: {study.folder}")

@@ -89,7 +89,8 @@ answer.json, concrete.yaml (for --concrete), and all runs.
        held_out: true}}
 
 \b
-  --trials N             maximum number of trials; each runs all scenes  [default: 10 + 10 per parameter]
+  --trials N             maximum number of trials; each runs all scenes  [default: 10 + 10 per parameter];
+                         runs that verify the answer come on top
   --batch N              number of trials that run at the same time      [default: 4 + 2 per parameter]
   --repeat N             number of seeds of the final check              [default: 3]
   --seed N               seed of the search                              [default: 0]

@@ -25,6 +25,7 @@ from .line_entries import (
     MOST_POINTS,
     PART_HINTS,
     PARTS,
+    REDUCER_LENGTH,
     VALVE_DIAMETERS,
     WAYS,
 )
@@ -230,7 +231,7 @@ class Course:
         ), pieces
 
     def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        outlet, length = get("to", "m"), get("length", "m")
+        outlet, length = get("to", "m"), get("length", "m", REDUCER_LENGTH)
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
         if abs(outlet - self.diameter) < 1e-9:

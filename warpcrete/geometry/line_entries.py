@@ -27,7 +27,7 @@ PARTS = {
         "angle": ("degrees", "Angle of the bend; default: such that it ends in the direction 'to'"),
         "radius": ("m", "Radius of its centreline; default: 0.5 m, or two diameters if these are larger"),
     },
-    "reducer": {"to": ("m", "Inner diameter behind it"), "length": ("m", "Length of its axis")},
+    "reducer": {"to": ("m", "Inner diameter behind it"), "length": ("m", "Length of its axis; default: 1 m")},
     "hose": {
         "length": ("m", "Length of a hose that leads straight on; instead of points"),
         "points": ("m", "Points of its axis relative to its start: distance ahead, to the left, up"),
@@ -83,6 +83,8 @@ the smaller of the two radii, 0.5 and 1 m, for which JSCE's rule gives an equiva
 HOSE_FACTOR = 2.0
 """Ratio of a hose's friction to that of straight pipe of the same length, for a hose of which only the length is known.
 The Architectural Institute of Japan (AIJ) counts a hose as straight pipe of twice its length."""
+REDUCER_LENGTH = 1.0
+"""Default length of a reducer [m]."""
 VALVE_DIAMETERS = 4.0
 """Default length of a valve, divided by its inner diameter."""
 FACTORS = (0.1, 100.0)

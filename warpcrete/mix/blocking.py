@@ -26,6 +26,8 @@ ANSWERS = {
     "blocks": "yes, by rules of practice",
 }
 """Answers to the question whether concrete will block a pump line. The keys are the worst verdict of all rules."""
+TOO_LITTLE = "not enough is known of the concrete to say"
+"""Answer if most rules could not be applied, and no other rule says that the line blocks."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
 """Maximum ratio of stone diameter to bore for which concrete can be pumped: for crushed and for rounded stones (ACI
 304.2R)."""
@@ -301,7 +303,11 @@ def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
     counts = [f"{sum(each.verdict == name for each in verdicts)} {name}" for name in reversed(VERDICTS)
               if any(each.verdict == name for each in verdicts)]  # fmt: skip
     order = sorted(verdicts, key=lambda each: -VERDICTS.index(each.verdict))
-    return [f"will it block? {ANSWERS[worst(verdicts)]} ({', '.join(counts)}{f'; {where}' if where else ''})",
+    unknown = sum(each.verdict == "unknown" for each in verdicts)
+    answer = ANSWERS[worst(verdicts)]
+    if worst(verdicts) == "unknown" and 2 * unknown > len(verdicts):
+        answer = TOO_LITTLE
+    return [f"will it block? {answer} ({', '.join(counts)}{f'; {where}' if where else ''})",
             *(line for each in order for line in each.text.splitlines())]  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.errors import between, one_of, positive, refuse
+from ..core.errors import SceneError, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
@@ -357,11 +357,9 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
         if own is None:
-            refuse(
-                "mix density",
-                None,
-                "must be given for the concrete",
-                "add, for example, 'density: 2350 kg/m3', or list the ingredients as 'parts'",
+            raise SceneError(
+                "mix density: is missing, and the mix lists no 'parts' from which it follows; add 'density: 2350 "
+                "kg/m3' (147 lb/ft3) for usual concrete, or list the ingredients as 'parts'"
             )
         return own, False, {}
     parts = given["parts"]

@@ -170,11 +170,13 @@ def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
     """Return the factors from a measured constant of the slip layer to the lower and the upper end of its band.
 
     They follow from the stated relative `uncertainty`, or without it from the kind of the measurement: in a `pipe`, or
-    with a tribometer.
+    with a tribometer. The band of a measurement in a pipe extends by the same factor to both sides, as that of a fit to
+    a trial line.
     """
-    if uncertainty is not None:
-        return 1 - uncertainty, 1 + uncertainty
-    return (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY) if pipe else TRIBOMETER_RATIO
+    if pipe:
+        factor = 1 + (PIPE_UNCERTAINTY if uncertainty is None else uncertainty)
+        return 1 / factor, factor
+    return TRIBOMETER_RATIO if uncertainty is None else (1 - uncertainty, 1 + uncertainty)
 
 
 def _pair_of(eta: float, tau: float, low: float, high: float, way: str, source: str) -> Pair:

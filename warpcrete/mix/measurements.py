@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,9 @@ CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
 LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
 """Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to flow laws
 other than Bingham's."""
+LARGEST_UNCERTAINTY = 0.9
+"""Largest relative uncertainty of measured constants, whose band extends by this fraction to both sides. The band of a
+layer from a pipe extends by a factor instead, and may have any width."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
@@ -54,9 +58,17 @@ class Layer:
     """True if the constants of the slip layer were fitted to pressures of a pipe, False if a tribometer measured
     them."""
 
+    @property
+    def is_of_this_delivery(self) -> bool:
+        """True if the slip layer was fitted to pressures of a pipe with a stated uncertainty, as by a trial line."""
+        return self.pipe and self.constants is not None and self.constants.uncertainty is not None
 
-def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
-    """Return the measured constants in the entry `name` of a mix, checked and converted to `units`."""
+
+def read_constants(name: str, given: Any, units: Mapping[str, str], widest: float = LARGEST_UNCERTAINTY) -> Measured:
+    """Return the measured constants in the entry `name` of a mix, checked and converted to `units`.
+
+    `widest` is the largest relative uncertainty that is allowed.
+    """
     if not isinstance(given, Mapping):
         refuse(
             f"mix {name}",
@@ -80,7 +92,7 @@ def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
             f"mix {name}: uncertainty",
             off,
             0,
-            0.9,
+            widest,
             "",
             "give the uncertainty relative to the values, for example '15 %'",
         )
@@ -134,7 +146,7 @@ def read_layer(given: Any, folder: Path) -> Layer:
     source = given.get("from", "tribometer")
     one_of("mix layer: from", source, ("tribometer", "pipe"))
     own = {key: value for key, value in given.items() if key != "from"}
-    constants = read_constants("layer", own, LAYER_UNITS)
+    constants = read_constants("layer", own, LAYER_UNITS, math.inf if source == "pipe" else LARGEST_UNCERTAINTY)
     if not set(UNITS) <= set(constants.values):
         refuse(
             "mix layer",
@@ -167,7 +179,7 @@ def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) 
     if len(set(one)) < 2:
         refuse(
             f"mix {name}",
-            one,
+            f"{len(one)} point{'s' if len(one) != 1 else ''} at one {next(iter(columns))}",
             "must have two or more different values",
             "add points that were measured at other values",
         )

@@ -36,6 +36,9 @@ CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk
 If several constants have one cause, they are assumed to be at the lower ends of their uncertainty bands together, or at
 the upper ends.
 """
+BULK = ("viscosity of the bulk", "yield stress of the bulk")
+"""Causes of uncertainty that do not count if the slip layer was fitted to a trial line with this concrete. The layer
+was then found together with the bulk: with another bulk, the same pressures give another layer."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -105,10 +108,13 @@ class Mix:
 
         A cause, such as the slip layer, comprises several properties of the concrete. The first concrete has these
         properties at the lower ends of their bands, and the second at the upper ends. All other properties have their
-        best values. A cause whose bands have no width is left out.
+        best values. A cause whose bands have no width is left out, and so are those of the bulk if the layer
+        was fitted to a trial line.
         """
         found = {}
         for cause, keys in CAUSES.items():
+            if cause in BULK and self.given.layer.is_of_this_delivery:
+                continue
             ends = [{key: getattr(self[FLOW[key]], end) for key in keys} for end in ("low", "high")]
             if ends[0] != ends[1]:
                 low, high = (scaled(replace(self._plain, **end), *self.factors) for end in ends)

@@ -46,6 +46,11 @@ class RunData:
         """Return the mean of a column of the time series over the rows that the mask `chosen` selects."""
         return float(self.series[name][self.chosen].mean())
 
+    @property
+    def friction(self) -> float:
+        """Loss of pressure per length by friction on the wall, without the weight of the concrete [Pa/m]."""
+        return (self.scene.dimensions - 1) * self.mean("wall_stress") / self.scene.radius
+
     def by_theory(self, name: str) -> float:
         """Return the value that theory predicts for a quantity."""
         return float(getattr(self.theory, name))
@@ -85,6 +90,10 @@ def _of_column(name: str) -> tuple[Quantity, ...]:
     )
 
 
+def _friction_text(run: Run) -> str:
+    return f"{number(run.result['gradient']) / 1e3:.4g} kPa/m, without the weight of the concrete"
+
+
 def _restarted(of):
     return lambda known: of(known) if known.scene.gained else None
 
@@ -99,6 +108,7 @@ def _restart_text(run: Run) -> str:
 
 QUANTITIES = (
     *(quantity for name in THEORY_COLUMNS for quantity in _of_column(name)),
+    Quantity("gradient", "Pa/m", lambda k: k.friction, "friction", _friction_text, True),
     Quantity(
         "restart_pressure",
         "Pa",

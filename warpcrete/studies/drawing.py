@@ -12,7 +12,7 @@ from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_beside, open_f
 from ..core.errors import one_of, refuse
 from ..core.inputs.amounts import UNITS
 from ..core.run.method import Quantity
-from ..core.units import shown
+from ..core.units import rounded, shown
 
 MARKERS = ("o", "s", "^", "D", "v")
 TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
@@ -20,6 +20,7 @@ TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
 LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
 ACROSS = 3  # maximum number of panels in a row of the figure
+MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
 MARKS = (("failed", "a case failed", "x", 0.04), ("suspect", "a check failed", "1", 0.1))
 """Marks at the bottom of a panel: column that counts them, label, marker and height as a fraction of the panel."""
@@ -50,6 +51,9 @@ def draw(
     if quantity is not None:
         one_of("quantity", quantity, [each.name for each in compared])
         compared = [each for each in compared if each.name in (quantity, f"{quantity}_theory")]
+    else:
+        # A deviation from theory shows beside the theory, which needs no panel of its own.
+        compared = [each for each in compared if not each.name.endswith("_error")] or compared
     if unit is not None and len(names) > 1:
         refuse("unit", unit, "needs 'x', because several parameters are varied", f"add, for example, x={names[0]!r}")
     scales = {name: _scale("unit", unit, study.units.get(name, ""), _unit(study, name)) for name in names}
@@ -168,11 +172,16 @@ def _panel(
                 if not any(curve.get_label() == PARTIAL for curve in curves):
                     curves += hollow
     if numeric:
-        axes.locator_params(axis="x", nbins=TICKS)
+        places = sorted({at(row) for row in mine})
+        if len(places) <= MOST_TICKS:
+            axes.set_xticks(places, [rounded(place) for place in places])
+        else:
+            axes.locator_params(axis="x", nbins=TICKS)
     else:
         axes.set_xticks(range(len(values)), [study.worded(name, v, x_scale[0]) for v in values])
         axes.margins(x=0.2)
-    titles = textwrap.fill(" and ".join(each.title for each in drawn), LABEL_WIDTH)
+    simulated = [each.title for each in drawn if each.name not in theories] or [each.title for each in drawn]
+    titles = textwrap.fill(" and ".join(simulated), LABEL_WIDTH)
     x_title = f"{name} [{x_scale[1]}]" if x_scale[1] else name
     axes.set(xlabel=x_title.replace("_", " "), ylabel=f"{titles} [{y_scale[1]}]")
     _set_height(axes)

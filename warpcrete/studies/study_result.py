@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,7 @@ from ..core.inputs.concretes import is_file
 from ..core.run.files import atomic_file
 from ..core.run.method import Quantity
 from ..core.run.run import Run
-from ..core.run.tables import dataframe, dataset
+from ..core.run.tables import dataframe, dataset, unstacked
 from ..core.units import number, rounded, shown
 from ..record.checks import failed_checks
 from ..record.loading import load as load_run
@@ -159,12 +160,22 @@ class Study:
         return dataframe(columns, units, "case", "study.rows()")
 
     def to_xarray(self) -> Any:
-        """Return all cases and seeds as an xarray Dataset in SI units, with the dimension `case`.
+        """Return all cases and seeds as an xarray Dataset in SI units, with one dimension for each varied parameter.
 
-        Each variable has its unit in `attrs["units"]`. Raises :class:`WarpcreteError` if xarray is not installed.
+        Several seeds have the dimension `seed`. Combinations of values that the study does not contain are NaN, or an
+        empty text. If two cases share all values, a case lacks one, or the study contains less than half of all
+        combinations, the only dimension is `case`. Each variable has its unit in `attrs["units"]`. Raises
+        :class:`WarpcreteError` if xarray is not installed.
         """
         columns, units = columns_of(self)
-        return dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
+        found = dataset(columns, units, "case", {"scene": self.scene}, "study.rows()")
+        several = ["seed"] if "seed" not in self.varied and len(set(columns["seed"])) > 1 else []
+        names = [*self.varied, *several]
+        keys = list(zip(*(columns[name] for name in names), strict=True))
+        combinations = math.prod(len(set(columns[name])) for name in names)
+        if not names or len(set(keys)) < len(keys) or combinations > 2 * len(keys) or any(None in k for k in keys):
+            return found
+        return unstacked(found, names)
 
     def plot(
         self, quantity: str | None = None, x: str | None = None, unit: str | None = None, y_unit: str | None = None

@@ -7,7 +7,7 @@ from ..mps.free.forecast import forecast
 from ..mps.free.method import METHOD as FREE_FLOWS
 from ..mps.free.quantities import quantities
 from .display import SuspensionDisplay
-from .quantities import QUANTITIES, report_aggregates
+from .quantities import QUANTITIES, in_words, report_aggregates
 from .simulation import SuspensionSimulation
 
 METHOD = replace(
@@ -17,5 +17,9 @@ METHOD = replace(
     list_quantities=lambda: (*quantities(), *QUANTITIES),
     display=SuspensionDisplay,
     report=report_aggregates,
-    forecast=partial(forecast, make=SuspensionSimulation),
+    forecast=partial(
+        forecast,
+        make=SuspensionSimulation,
+        features_of=lambda simulation: {"aggregates": in_words(simulation.flow.aggregates, simulation.scene)},
+    ),
 )

@@ -8,6 +8,8 @@ from ..core.run.method import Quantity
 from ..core.run.run_loop import Run
 from ..core.units import number
 from ..mps.free.quantities import RunData, report
+from .aggregates import BodyState
+from .scene import SphereFields
 
 
 def mortar_part(concrete: float, aggregates: float, fraction: float) -> float:
@@ -32,6 +34,14 @@ QUANTITIES = (
     Quantity("mortar_passed", "1", lambda k: _last(k, "mortar_passed"), "", None, True),
 )
 """Results of tests with a ring of bars."""
+
+
+def in_words(bodies: BodyState, scene: SphereFields) -> str:
+    """Return number, sizes and volume fraction of the aggregates of a simulation as text."""
+    clumps = f" clumps, of {bodies.spheres} spheres," if bodies.kind.clumps else " spheres"
+    smallest, largest = (f"{1e3 * size:.3g}" for size in scene.diameters)
+    sizes = smallest if smallest == largest else f"{smallest} to {largest}"
+    return f"{bodies.count}{clumps} of {sizes} mm, {100 * scene.simulated_fraction:.3g} % of the volume"
 
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:

@@ -11,6 +11,8 @@ from ..core.inputs.parameters import Above, Declared, Needs, Suggests, Within
 from ..dem.scene.clumps import TEMPLATE_SETS, ClumpTemplate, templates
 from ..dem.scene.sizes import SieveCurve
 from ..mps.free.scene import FreeScene
+from ..theory.pipe import Concrete
+from ..theory.suspension import concrete_of_mortar
 from .aggregates import MIN_CELLS
 
 UNIFORM = "uniform"
@@ -122,6 +124,11 @@ class SuspensionScene(SphereFields, FreeScene):
         """This scene with the mortar alone."""
         return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
+    @property
+    def whole_concrete(self) -> Concrete:
+        """Concrete of mortar and aggregates, for closed forms; its constants are estimates by homogenisation."""
+        return concrete_of_mortar(self.concrete, self.simulated_fraction, self.aggregate_density)
+
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, {self.aggregate_fraction:.0%} aggregates>"
 
@@ -184,6 +191,20 @@ class AggregateParameters(Declared):
         """Largest diameter of the aggregates [m]."""
         curve = read_sieve(self.aggregate_sizes)
         return self.diameters[1] if curve is None else curve.largest
+
+    def check_largest(self, limit: float, why: str) -> None:
+        """Raise :class:`SceneError` if an aggregate is larger than `limit` [m]; `why` states the reason in words."""
+        if self.coarsest <= limit:
+            return
+        if self.aggregate_sizes == UNIFORM and self.aggregate_largest is None and self.aggregate_smallest is None:
+            spacing = float(vars(self)["spacing"])
+            refuse("spacing", spacing, f"is too coarse: aggregates of the default size, whose narrowest side is "
+                                       f"{USUAL_CELLS:g} cells wide, are {self.coarsest:.3g} m large, but {why}",
+                   f"use {at_most(spacing * limit / self.coarsest, 2)} m or less, or state 'aggregate_smallest' and "
+                   "'aggregate_largest'")  # fmt: skip
+        name = "aggregate_largest" if self.aggregate_sizes == UNIFORM else "aggregate_sizes"
+        value = self.coarsest if name == "aggregate_largest" else self.aggregate_sizes
+        refuse(name, value, f"is too large: {why}", f"use {at_most(limit, 2)} m or less")
 
     def aggregates(self) -> dict[str, Any]:
         """Return the fields of :class:`SuspensionScene` that describe the aggregates."""

@@ -51,7 +51,7 @@ class ProgressBar:
             self._phase = phase
             self._start = self._shown = now
             # The progress bar of a resumed run begins at the fraction that an earlier process has done, not at zero.
-            self._first = min(fraction, 1.0)
+            self._first = self._last = min(fraction, 1.0)
             self._tenths = int(LINES_PER_PHASE * self._first + 1e-9)
         if self._as_lines:
             self._write_line(now, min(fraction, 1.0), figures)
@@ -63,12 +63,15 @@ class ProgressBar:
         due = tenths > self._tenths and since >= SHORTEST_LINE_INTERVAL
         if not due and since < LONGEST_LINE_INTERVAL:
             return
-        self._shown, self._tenths = now, tenths
         elapsed = now - self._start
-        done = fraction - self._first
-        # A run that ends as soon as its flow is steady may need much less time than its longest duration.
-        word = "at most" if figures.get("at_most") else "about"
-        left = f"{word} {_clock(elapsed * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
+        # The pace may change during a run, for example when concrete begins to flow, so use that since the last line.
+        spent, done = since, fraction - self._last
+        if done <= 0:
+            spent, done = elapsed, fraction - self._first
+        self._shown, self._tenths, self._last = now, tenths, fraction
+        left = f"about {_clock(spent * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
+        if left and figures.get("at_most"):
+            left += " unless the flow ends earlier"
         parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
         print(f"{self._phase}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 

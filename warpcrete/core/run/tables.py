@@ -71,6 +71,28 @@ def dataset(
     return xarray.Dataset(variables, along, dict(attributes))
 
 
+def unstacked(found: Any, names: Sequence[str]) -> Any:
+    """Return an xarray Dataset of one dimension with the dimensions `names` instead, which are variables of it.
+
+    No two rows may have the same values of `names`. Where no row exists, numbers are NaN and texts are empty.
+    """
+    (index,) = found.dims
+    found = found.reset_index(index).reset_coords(index).set_coords(list(names))
+    along = {name: found[name].values.tolist() for name in names}
+    axes = {name: list(dict.fromkeys(values)) for name, values in along.items()}
+    axes = {name: sorted(axis) if all(map(is_number, axis)) else axis for name, axis in axes.items()}
+    place = tuple([axes[name].index(value) for value in along[name]] for name in names)
+    variables = {}
+    for name, variable in found.data_vars.items():
+        values = variable.values
+        numeric = values.dtype.kind in "fiu"
+        whole = np.full([len(axis) for axis in axes.values()], np.nan if numeric else "", float if numeric else object)
+        whole[place] = values
+        variables[name] = (tuple(names), whole, variable.attrs)
+    coordinates = {name: (name, _array(axis), found[name].attrs) for name, axis in axes.items()}
+    return type(found)(variables, coordinates, found.attrs)
+
+
 def _array(values: Sequence[Any] | np.ndarray) -> np.ndarray:
     """Return values as an array; in a column of numbers, a missing value (None) becomes NaN."""
     filled = [np.nan if value is None else value for value in values]

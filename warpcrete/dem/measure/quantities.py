@@ -316,7 +316,7 @@ QUANTITIES = (
     Quantity("gradient", "Pa/m", lambda k: k.along("gradient"), "friction", _gradient_words("gradient"), True),
     Quantity("upstream_gradient", "Pa/m", lambda k: k.along("upstream_gradient"), "friction upstream",
              _gradient_words("upstream_gradient"), True),
-    Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper", _middle_words, True),
+    Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper, bore", _middle_words, True),
     Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True),
     Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
              _gradient_words("downstream_gradient"), True),

@@ -8,6 +8,7 @@ step is measured in the first steps of the flow itself.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,6 +25,7 @@ from .run import FlowRun
 
 TIMING_TIME = 1.0  # Minimum wall time over which steps are timed for a forecast [s].
 TIMED_STEPS = 10  # Maximum number of steps that are timed together.
+COPY_TIME = 30.0  # Maximum wall time of the run of a coarser copy, without compilation [s].
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,10 @@ def flow_forecast(
     scene = (loading := begun()).scene
     # Time several steps together. Their number is limited, so that they do not span more than the interval between two
     # measurements of the flow.
-    count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
-    loading.flow.take(count)  # The first steps load the kernels. They are taken here, so that the loading is not timed.
+    # Slow steps are timed one by one, so that the forecast itself stays short.
+    loading.flow.take(1)  # The first step loads the kernels. It is taken here, so that the loading is not timed.
+    count = max(1, min(round(scene.sample_interval / scene.time_step), _steps_at_once(loading.flow)))
+    loading.flow.take(count)
     course = course_of(loading)
     loading.release()
     simulation, placing = timed(begun, loading.device)
@@ -106,14 +110,22 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
 
     The copy's scene equals that of the flow except for the attributes in `changes`. The list of remarks is empty if the
     copy has become steady. Otherwise it holds one remark, which is the text `unmet` with the simulated time. If the
-    copy stops with an error, the returned run is None, the time is the longest one that the flow may simulate, and the
-    remark states the error.
+    copy needs more wall time than `COPY_TIME`, it stops, and the time is the longest one that the flow may simulate. If
+    the copy stops with an error, the returned run is None, the time is also the longest one, and the remark states the
+    error.
     """
-    copy = None
+    copy: FlowRun | None = None
+    begun: list[float] = []
+
+    def stop_late(phase: str) -> None:
+        if phase == "running" and copy is not None:
+            begun.append(time.monotonic())
+            copy.stop_requested = begun[-1] - begun[0] > COPY_TIME
+
     try:
         copy = type(simulation)(
             replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,
-            threads=simulation.threads,
+            threads=simulation.threads, progress=lambda phase, fraction, figures: stop_late(phase),
         )  # fmt: skip
         run, steady = copy.run(), copy.steady
     except (InstabilityError, SceneError) as error:
@@ -123,6 +135,12 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
         if copy is not None:
             copy.release()
     reached = float(run.result["simulated_time"]["value"])
+    if not run.finished:
+        remark = (
+            f"a coarser copy of this flow reached {reached:.2g} s in {COPY_TIME:g} s of wall time, and {unmet} there; "
+            f"steps and wall time are those for all {simulation.duration:g} s"
+        )
+        return run, simulation.duration, [remark]
     return run, reached, [] if steady else [f"{unmet} within {reached:g} s"]
 
 
@@ -130,13 +148,20 @@ def step_time(simulation: Any) -> float:
     """Measure the wall time of a step and return it [s]."""
     flow = simulation.flow
     # The first steps capture the launch graph. They are taken here, so that the capture is not timed.
-    flow.take(TIMED_STEPS)
+    count = _steps_at_once(flow)
+    flow.take(count)
     times: list[float] = []
     while sum(times) < TIMING_TIME:
-        times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
+        times.append(timed(lambda: flow.take(count), flow.device)[1])
     # Other programs that run at the same time can only make the measured steps slower, and would slow down only a small
     # part of a long run. Therefore use the lower quartile of the measured times instead of their mean.
-    return float(np.quantile(times, 0.25)) / TIMED_STEPS
+    return float(np.quantile(times, 0.25)) / count
+
+
+def _steps_at_once(flow: Any) -> int:
+    """Return the number of steps to time together: as many as take `TIMING_TIME`, but from one to `TIMED_STEPS`."""
+    _, once = timed(lambda: flow.take(1), flow.device)
+    return max(1, min(TIMED_STEPS, int(TIMING_TIME / max(once, 1e-9))))
 
 
 def law_features(concrete: Concrete) -> dict[str, str]:

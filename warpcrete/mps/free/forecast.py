@@ -6,6 +6,7 @@ measured in the first steps of the flow itself.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -36,11 +37,12 @@ vessel except its bars."""
 
 
 def forecast(
-    scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation
-) -> Forecast:
+    scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe, make: Any = FreeSimulation,
+    features_of: Callable[[Any], Mapping[str, str]] = lambda simulation: {},
+) -> Forecast:  # fmt: skip
     """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame.
 
-    `make` is the class whose instance simulates the scene.
+    `make` is the class whose instance simulates the scene. `features_of` returns more features of such an instance.
     """
     step = "step error and a cell's length per step; this is the mean step"
     return flow_forecast(
@@ -53,6 +55,7 @@ def forecast(
             "sides of the box": "slip layer" if scene.plate_slips else "concrete sticks",
             "walls": "slip layer" if scene.walls_slip else "concrete sticks",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
+            **features_of(simulation),
             **law_features(scene.concrete),
         },
         probe,
@@ -92,7 +95,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     steps = np.diff(run.series["steps"])
     if scene.step_error:
         steps = np.maximum(steps, np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing)
-    return Course(duration, reached / float(steps.sum()), remarks, _slowdown(simulation, run, coarse))
+    mean_step = float(run.series["time"][-1]) / float(steps.sum())
+    return Course(duration, mean_step, remarks, _slowdown(simulation, run, coarse))
 
 
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:

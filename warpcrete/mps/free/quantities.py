@@ -29,7 +29,7 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
     # In three dimensions, only one half of the concrete is simulated for each plane of symmetry, so double the volume
     # for each plane.
     around = 2 * math.pi if scene.axial else 2 ** _mirrors(scene)
-    concrete = dict(concrete=scene.concrete, density=scene.concrete.density)
+    concrete = dict(concrete=scene.whole_concrete, density=scene.whole_concrete.density)
     weight = dict(gravity=scene.gravity, whole=around * volume)
     return Outcome(scene.test, scene.dimensions, series, **concrete, **weight) if scene.test else None
 

@@ -115,6 +115,11 @@ class FreeScene(Parametrised, FreeSettings):
     such function."""
 
     @property
+    def whole_concrete(self) -> Concrete:
+        """Concrete with everything in it, for closed forms; here the simulated fluid itself."""
+        return self.concrete
+
+    @property
     def fluid(self) -> FreeScene:
         """This scene with its fluid alone, without aggregates that are simulated one by one."""
         return self

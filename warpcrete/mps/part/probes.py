@@ -25,6 +25,8 @@ UNITS = {
 }
 """Units of the columns of the time series."""
 
+LEAST_MORTAR = 1e-6
+"""Lower limit of the fraction of mortar in a cell, as a weight in means over a cross-section."""
 FULL = 0.3
 """Minimum filled fraction of the bore in a slice one cell thick. In slices with less concrete, no pressure is measured.
 
@@ -32,14 +34,15 @@ The filled volume of a slice is the sum of the open volumes of its cells with co
 """
 
 
-def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
+def friction_ahead(flow: GridFlow, mortar: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return arc lengths [m], and at each of them the mean axial stress of the cross-section without weight [Pa].
 
     The axial stress is the pressure less the deviatoric normal stress along the axis, and positive in compression. In
     straight pipe it balances the friction on the wall, which the pressure alone does not: within about two diameters of
     an end or a bend, a plug bears a normal stress that fades, and the slope of the pressure differs from friction by
     up to 6 %. The solver leaves out the hydrostatic pressure, so the axial stress is the frictional loss from the
-    cross-section to the end of the pipe.
+    cross-section to the end of the pipe. `mortar` is the fraction of each cell that is not filled by aggregates; the
+    mean is that over the mortar, because the pressure inside aggregates has no meaning.
     """
     scene: PartScene = flow.scene
     layout = flow.state.layout
@@ -48,10 +51,12 @@ def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     weight = np.where((s > 0) & (s < scene.axis.length), flow.state.cells("room")[liquid], 0.0)
     bins = np.clip((s / h).astype(int), 0, int(scene.axis.length / h))
     stress = flow.state.cells("pressure")[liquid] - _deviatoric_stress(flow, liquid, s)
-    total, whole, place = (np.bincount(bins, weight * values) for values in (stress, np.ones_like(s), s))
+    whole, place = (np.bincount(bins, weight * values) for values in (np.ones_like(s), s))
+    share = weight if mortar is None else weight * np.maximum(mortar[liquid], LEAST_MORTAR)
+    mean = np.bincount(bins, share * stress) / np.maximum(np.bincount(bins, share), 1e-300)
     section = (0.5 if scene.is_half else 1.0) * np.pi * scene.bore((np.arange(len(whole)) + 0.5) * h) ** 2
     there = whole > FULL * section / h**2
-    return place[there] / whole[there], total[there] / whole[there]
+    return place[there] / whole[there], mean[there]
 
 
 def _deviatoric_stress(flow: GridFlow, liquid: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ QUANTITIES = (
     Quantity("upstream_gradient", "Pa/m", lambda k: k.final("upstream_gradient"), "friction upstream",
              _gradient_text("upstream_gradient"), True),
     Quantity("upstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(0.0).pressure),
-    Quantity("middle_loss", "Pa", lambda k: k.final("middle_loss") if k.has_middle else None, "bend, taper",
+    Quantity("middle_loss", "Pa", lambda k: k.final("middle_loss") if k.has_middle else None, "bend, taper, bore",
              _middle_text, True),
     Quantity("middle_ratio", "1", lambda k: k.final("middle_loss") / k.as_straight if k.has_middle else None,
              compared=True),

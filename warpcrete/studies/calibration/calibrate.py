@@ -30,7 +30,7 @@ from ..study_result import Study
 from .calibration import Calibration, Trial
 from .posterior import posterior
 from .report import write
-from .starts import closed_form_start
+from .starts import closed_form_start, closed_forms
 from .targets import Target, Task, found_in, read_task, task_of
 
 RECORD = "calibration.json"
@@ -77,10 +77,10 @@ def run_calibration(
     """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
 
     Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
-    for each free parameter). `batch` is the number of sets in one round (default: 4, plus 2 for each free parameter).
-    `repeat` is the number of verification runs of the likeliest parameters, each with another seed. Raises
-    :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError` if all runs that
-    should yield the value of a target fail.
+    for each free parameter); verification runs come on top. `batch` is the number of sets in one round (default: 4,
+    plus 2 for each free parameter). `repeat` is the number of verification runs of the likeliest parameters, each with
+    another seed. Raises :class:`SceneError` for wrong targets, before anything is written, and :class:`WarpcreteError`
+    if all runs that should yield the value of a target fail.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     with files_read() as files:
@@ -165,6 +165,8 @@ def _continue(
         _search(calibration, modules, where, progress or (lambda phase, fraction, figures: None))
     finally:
         calibration.took = time.perf_counter() - begun
+        if calibration.posterior is not None:
+            calibration.closed_forms = closed_forms(calibration.task, calibration.posterior.best, modules)
         write(calibration, modules)
     return calibration
 
@@ -191,8 +193,11 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
         each = rounds[place]
         trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"])
                   for k, units in enumerate(each["units"])]  # fmt: skip
-        whole = max(most, len(calibration.trials) + len(trials))
-        part = (min(len(calibration.trials) / whole, 1.0), len(trials) / whole)
+        # The runs that verify the answer are the last part of the work, also if the search needs fewer trials.
+        whole = most + settings["repeat"]
+        begun = len(calibration.searched) / whole
+        last = each["proof"] and place == len(rounds) - 1
+        part = (begun, 1 - begun if last else len(trials) / whole)
         if not run_round(calibration, modules, place, trials, where, tell, part):
             return
         calibration.trials += trials
@@ -274,7 +279,9 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
             if not all(target.held_out for target in targets):
                 trial.failure = trial.failure or study.failures.get(case.name, "did not finish")
             continue
-        trial.suspect += failed_checks(result)
+        failed = failed_checks(result)
+        trial.suspect += failed
+        trial.doubtful.update(targets if failed else ())
         for target in targets:
             value = found_in(result, target)
             if value is not None:
@@ -310,7 +317,8 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
                 f"without it: {why}; use other ranges under 'vary', or continue with more trials"
             )
     before = calibration.posterior
-    calibration.posterior = now = posterior(calibration.task, points, values, seed)
+    doubtful = {target: np.array([target in trial.doubtful for trial in searched]) for target in values}
+    calibration.posterior = now = posterior(calibration.task, points, values, seed, doubtful)
     emulator_error_ratio = max(now.emulator_error_ratio(target) for target in calibration.task.fitted)
     moved = math.inf
     if before is not None:

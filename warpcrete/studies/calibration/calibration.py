@@ -35,6 +35,8 @@ class Trial:
     """Reason why this trial lacks the value of a target that is used in the fit. Empty if no such value is missing."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
+    doubtful: set[Target] = field(default_factory=set[Target])
+    """Targets whose values come from runs that failed checks of their scenes."""
 
 
 @dataclass(repr=False)
@@ -51,6 +53,8 @@ class Calibration:
     finished: bool = False
     took: float = 0.0
     """Wall time of the last call of the function that ran or resumed the calibration [s]."""
+    closed_forms: Outcome = field(default_factory=Outcome)
+    """Closed-form predictions for the likeliest parameters, by target; targets without a closed form are left out."""
 
     def __repr__(self) -> str:
         fitted = ", ".join(f"{name} {value:.4g}" for name, value in self.best.items())
@@ -124,12 +128,17 @@ class Calibration:
         if failed:
             texts.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
                         f"first: {failed[0].failure}")  # fmt: skip
-        checks = sorted({check for trial in self.trials for check in trial.suspect})
+        checks = sorted({check for trial in self.searched for check in trial.suspect})
         if checks:
             runs = sum(bool(trial.suspect) for trial in self.searched)
-            proof = " and of the most likely parameters'" if any(t.suspect for t in self.trials if t.proof) else ""
-            texts.append(f"runs of {runs} of {len(self.searched)} trials{proof} fail checks of their scenes "
-                        f"({', '.join(checks)}); their values are used, but inspect these runs")  # fmt: skip
+            texts.append(f"runs of {runs} of {len(self.searched)} trials fail checks of their scenes "
+                        f"({', '.join(checks)}); the fit takes their values as less certain, by one more uncertainty "
+                        "of the target")  # fmt: skip
+        checks = sorted({check for trial in self.trials if trial.proof for check in trial.suspect})
+        if checks:
+            texts.append(f"runs of the most likely parameters fail checks of their scenes ({', '.join(checks)}), so do "
+                        "not rely on this answer; use a smaller 'spacing' or a longer 'duration' in the targets' "
+                        "parameters")  # fmt: skip
         if not self.settled:
             texts.append("the search ended before it converged; give it more trials")
         return texts

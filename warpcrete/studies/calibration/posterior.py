@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,11 +35,14 @@ UNIFORM_DEVIATION = 1 / np.sqrt(12)
 class Emulator:
     """Gaussian process that predicts one quantity as a linear trend, a smooth deviation from it, and noise."""
 
-    def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
+    def __init__(
+        self, points: np.ndarray, values: np.ndarray, least: float, extra: np.ndarray | float = 0.0
+    ) -> None:  # fmt: skip
         """Fit a Gaussian process to `values`, shape (n,), at `points` with coordinates from 0 to 1, shape (n, free).
 
         The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
-        compared with `least` are therefore treated as negligible.
+        compared with `least` are therefore treated as negligible. `extra` is the standard deviation of the values
+        beyond the scatter between seeds, shape (n,) or a number.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -48,7 +51,8 @@ class Emulator:
         self.middle, self.scale = float(values.mean()), max(float(values.std()), least)
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
-        self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
+        self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0,
+                                                alpha=1e-9 + (extra / self.scale) ** 2)  # fmt: skip
         # The fit warns if a parameter of the covariance function reaches the bound of its allowed range. Suppress this
         # warning, because the fitted function is valid at the bound, too.
         with warnings.catch_warnings():
@@ -107,9 +111,14 @@ class Posterior:
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
-        """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples."""
+        """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples.
+
+        The interval is extended to the likeliest value if that lies outside.
+        """
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
+        # The likeliest value may lie outside the central interval, for example at an end of the range.
+        low, high = min(low, self.best[place]), max(high, self.best[place])
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def relative_width(self, place: int) -> float:
@@ -121,12 +130,16 @@ class Posterior:
         return np.atleast_2d(np.corrcoef(self.samples.T))
 
 
-def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int) -> Posterior:
+def posterior(
+    task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int,
+    doubtful: Mapping[Target, np.ndarray] | None = None,
+) -> Posterior:  # fmt: skip
     """Compute the posterior from runs at `points`, shape (n, free).
 
     The coordinates of a point are the free parameters, each scaled to 0 to 1 over its range. `values` holds the results
     of these runs for each target, shape (n,), with NaN for failed runs. Every fitted target needs at least three finite
-    values. `seed` makes the sampling reproducible.
+    values. `seed` makes the sampling reproducible. `doubtful` states by target which values come from runs that failed
+    checks, shape (n,). The standard deviation of these values is at least the uncertainty of the target.
     """
     import emcee
     from scipy.optimize import minimize
@@ -136,7 +149,8 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
         there = np.isfinite(found)
         if target.held_out and there.sum() < 3:
             continue
-        emulators[target] = Emulator(points[there], found[there], 1e-3 * target.uncertainty)
+        extra = target.uncertainty * doubtful[target][there] if doubtful else 0.0
+        emulators[target] = Emulator(points[there], found[there], 1e-3 * target.uncertainty, extra)
     sound = np.all([np.isfinite(values[target]) for target in task.fitted], axis=0)
 
     def likelihood(at: np.ndarray) -> np.ndarray:

@@ -65,8 +65,9 @@ def parameter_table(found: Calibration) -> list[str]:
 def target_table(found: Calibration) -> list[str]:
     """Return a Markdown table that compares each target with the verification runs and the posterior's prediction."""
     lines = [
-        "| target | measured | runs with the most likely parameters | predicted | deviation / standard deviation |",
-        "|---|---|---|---|---|",
+        "| target | measured | runs with the most likely parameters | predicted | closed form | deviation / standard "
+        "deviation |",
+        "|---|---|---|---|---|---|",
     ]
     for target in found.task.targets:
         mean, deviation = _predicted(found, target)
@@ -74,10 +75,11 @@ def target_table(found: Calibration) -> list[str]:
         runs = found.verification_values(target)
         scatter = f" +- {_shown(target, float(np.std(runs, ddof=1)))}" if len(runs) > 1 else ""
         tried = f"{target.words(float(np.mean(runs)))}{scatter}" if runs else "not run"
+        closed = target.words(found.closed_forms[target]) if target in found.closed_forms else "none"
         held = " (held out)" if target.held_out else ""
         lines.append(
             f"| {target.label}{held} | {target.words(target.value)} +- {_shown(target, target.uncertainty)} "
-            f"| {tried} | {predicted} | {found.off(target):+.1f} |"
+            f"| {tried} | {predicted} | {closed} | {found.off(target):+.1f} |"
         )
     return lines
 
@@ -110,7 +112,8 @@ def answer(found: Calibration) -> dict[str, Any]:
             {
                 "target": target.label, "held_out": target.held_out, "unit": target.unit, "measured": target.value,
                 "uncertainty": target.uncertainty, "runs": found.verification_values(target),
-                "predicted": dict(zip(("mean", "deviation"), _predicted(found, target))), "off": found.off(target),
+                "predicted": dict(zip(("mean", "deviation"), _predicted(found, target))),
+                "closed_form": found.closed_forms.get(target), "off": found.off(target),
             }
             for target in found.task.targets
         ],

@@ -34,6 +34,15 @@ def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float
     return [points[int(np.argmin(misfits))].tolist()]
 
 
+def closed_forms(task: Task, point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
+    """Return the closed-form predictions at a point, by target; targets without a closed form are left out.
+
+    The coordinates of the point are the free parameters, each scaled from its range to 0 to 1.
+    """
+    found = {target: _closed_form(task, target, point, modules) for target in task.targets}
+    return {target: value for target, value in found.items() if value is not None}
+
+
 def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, Any]) -> float:
     values = [_closed_form(task, target, point, modules) for target in known]
     return sum(math.inf if value is None else ((value - target.value) / target.uncertainty) ** 2

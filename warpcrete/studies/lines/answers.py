@@ -30,9 +30,12 @@ ADVICE = {
     "hoses": "measure the pressure on both sides of one, and state its 'factor'",
     "valves": "ask the manufacturer for their loss, and state it as 'equivalent'",
     "bores": "measure the pressure on both sides of one, and state its 'factor'",
-    "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
+    "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy; published "
+    "rates are 0.1 to 1.7 Pa/s (notebooks/theory/restarts.md)",
 }
 """Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""
+SHORTEST_STOP = 60.0
+"""Shortest time between two movements of concrete in a line that is recommended [s]."""
 WORTHWHILE = 0.95
 """Limit for recommending a measurement: width of the pressure's band after the measurement, divided by its present
 width. A measurement that narrows the band less is not recommended."""
@@ -52,7 +55,8 @@ class Measurement:
 MEASUREMENTS = {
     "slip layer": (
         Measurement(
-            "fit it to pressures of a trial line with --fit", (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY)
+            "fit it to pressures of a trial line with --fit",
+            (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY),
         ),
         Measurement("measure it with a tribometer", TRIBOMETER_RATIO),
     ),
@@ -101,6 +105,51 @@ def band_sentences(band: Band, advise: Callable[[str], str] = lambda cause: ADVI
 def motor_power(pressure: float, flow: float) -> float:
     """Return the power of the pump's motor [W] for a pressure [Pa] and a flow [m3/s]."""
     return pressure * flow / EFFICIENCY
+
+
+ON_CONCRETE = (
+    "all pressures act on the concrete; the oil pressure on the pump's own gauge is this pressure times the ratio of "
+    "the areas of concrete piston and oil piston (data sheet)"
+)
+"""Sentence for lines with a pump, whose own gauge shows another pressure than that of the concrete."""
+
+
+@dataclass(frozen=True)
+class RestartMargin:
+    """Comparison of the pressure that restarts a line after a stop with the largest pressure of the pump."""
+
+    pump: Pump
+    band: Band
+    """Pressure that restarts the line at full flow [Pa], with its uncertainty band."""
+    begins: Band
+    """Pressure at which the concrete begins to move [Pa], with its uncertainty band."""
+    longest: float | None
+    """Longest stop after which the upper end of the band does not exceed the pump's pressure [s]; None if no stop is
+    short enough, or if the stop in question is."""
+    customary: bool = False
+    """True if the sentence gives customary US units beside metric units."""
+
+    @property
+    def verdict(self) -> str:
+        """Answer to whether the pump restarts the line: 'restarts', 'may fail' or 'is too weak'."""
+        if self.begins.value > self.pump.pressure:
+            return "is too weak"
+        return "may fail" if self.band.high > self.pump.pressure else "restarts"
+
+    def sentence(self) -> str:
+        """Return a sentence that tells the user whether the pump restarts the line."""
+        limit = f"{self.pump.pressure / 1e5:.4g} bar{beside(self.customary, 'psi', self.pump.pressure)}"
+        needed = f"{self.band.value / 1e5:.4g} ({self.band.low / 1e5:.3g} to {self.band.high / 1e5:.3g}) bar"
+        needed += beside(self.customary, "psi", self.band.low, self.band.high)
+        text = f"it delivers {limit}, and a restart at full flow needs {needed}"
+        if self.verdict == "restarts":
+            return f"the pump restarts the line: {text}"
+        text = f"the pump {self.verdict} to restart the line: {text}; "
+        if self.longest is None or self.longest < SHORTEST_STOP:
+            text += "do not interrupt the flow, or use a stronger pump"
+        else:
+            text += f"move the concrete at least every {self.longest / 60:.2g} min, for which this pump suffices"
+        return f"{text} (notebooks/theory/restarts.md)"
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THEORY, legend_beside, open_frame, rgb
+from .answers import CUSTOMARY_SIZES
 from .pressures import LinePressures
 
 MIN_STRIPE = 0.004
@@ -19,23 +20,30 @@ def draw(result: LinePressures) -> Any:
 
     figure = Figure(figsize=(9, 4.2), layout="constrained")
     axes = figure.add_subplot()
+    us = result.line.customary
+    metre, size = (CUSTOMARY_SIZES["ft"], CUSTOMARY_SIZES["psi"]) if us else (1.0, 1e5)
+
+    def scaled(course: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        return course[0] / metre, course[1] / size
+
     places, bands = result.bands()
+    places = places / metre
     low, ours, high = (np.array([getattr(each, end) for each in bands]) for end in ("low", "value", "high"))
-    low, high = low / 1e5, high / 1e5
+    low, ours, high = low / size, ours / size, high / size
     main = RUN if result.simulated else SECOND
     axes.fill_between(places, low, high, color=rgb(main), alpha=0.15, linewidth=0, label="likely range")
     axes.plot(
         places,
-        ours / 1e5,
+        ours,
         color=rgb(main),
         linewidth=1.8,
         label="simulated" if result.simulated else "by theory",
     )
     if result.simulated:
-        theory = _scaled(result.course(lambda x: x.theory + x.weight))
+        theory = scaled(result.course(lambda x: x.theory + x.weight))
         axes.plot(*theory, "--", color=rgb(THEORY), linewidth=1.4, label="theory, as straight pipe")
     axes.plot(
-        *_scaled(result.course(lambda x: x.weight)),
+        *scaled(result.course(lambda x: x.weight)),
         color=rgb(MEASURED),
         linestyle=":",
         linewidth=1.2,
@@ -48,14 +56,15 @@ def draw(result: LinePressures) -> Any:
             first = name not in axes.get_legend_handles_labels()[1]
             # A bend is short beside a line of hundreds of metres. Give the stripe that marks it a width that remains
             # visible.
-            middle, half = begin + 0.5 * x.part.length, 0.5 * max(x.part.length, MIN_STRIPE * places[-1])
+            middle = (begin + 0.5 * x.part.length) / metre
+            half = 0.5 * max(x.part.length / metre, MIN_STRIPE * places[-1])
             axes.axvspan(middle - half, middle + half, color=rgb(BEND if name == "bend" else NOT_STRAIGHT), linewidth=0,
                          zorder=0, label=name if first else "")  # fmt: skip
         begin += x.part.length
     if result.line.recorded is not None:
         axes.plot(
             0,
-            result.line.recorded / 1e5,
+            result.line.recorded / size,
             "+",
             color=rgb(MEASURED),
             markersize=12,
@@ -63,16 +72,45 @@ def draw(result: LinePressures) -> Any:
             clip_on=False,
             label="recorded",
         )
-    axes.set(xlabel="position along the line [m]", ylabel="pressure [bar]", xlim=(0, places[-1]), ylim=(0, None))
-    widths = sorted({1e3 * x.part.diameter for x in result.losses})
-    diameter = "diameter " + (f"{widths[0]:.4g} mm" if len(widths) == 1 else f"{widths[0]:.4g} to {widths[-1]:.4g} mm")
-    axes.set_title(
-        f"{result.line.name}, {diameter}, concrete {result.concrete.name}, {3600 * result.flow:.3g} m3/h", fontsize=10
-    )
+    _draw_pump(axes, result, size)
+    if result.fit is not None:
+        taps = result.fit.taps
+        axes.plot([tap.place / metre for tap in taps], [tap.pressure / size for tap in taps], "o", markersize=5,
+                  color=rgb(MEASURED), clip_on=False, label="gauges" + _flows_of(result))  # fmt: skip
+    axes.set(xlabel=f"position along the line [{'ft' if us else 'm'}]", ylabel=f"pressure [{'psi' if us else 'bar'}]",
+             xlim=(0, places[-1]), ylim=(0, None))  # fmt: skip
+    axes.set_title(_title(result), fontsize=10)
     legend_beside(axes, 9)
     open_frame(axes)
     return figure
 
 
-def _scaled(course: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    return course[0], course[1] / 1e5
+def _draw_pump(axes: Any, result: LinePressures, size: float) -> None:
+    """Draw the largest pressure of the pump and the pressure of a restart at full flow, in units of `size` [Pa]."""
+    if result.line.pump is not None:
+        axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", linewidth=1.4,
+                     label="pump")  # fmt: skip
+    if result.stop is not None:
+        band = result.restart(result.flow)
+        value, low, high = (x / size for x in (band.value, band.low, band.high))
+        axes.errorbar([0], [value], [[value - low], [high - value]], fmt="s", capsize=4, clip_on=False,
+                      color=rgb(RUN if result.simulated else SECOND), label="restart at full flow")  # fmt: skip
+
+
+def _flows_of(result: LinePressures) -> str:
+    """Return words on the flows at which gauges were read, if they differ from that of the line."""
+    assert result.fit is not None
+    others = any(abs(tap.flow - result.flow) > 0.02 * result.flow for tap in result.fit.taps)
+    return " (also at other flows)" if others else ""
+
+
+def _title(result: LinePressures) -> str:
+    """Return the title of the figure: line, bores from the pump to the end, concrete and flow."""
+    us = result.line.customary
+    bores = [result.losses[0].part.diameter]
+    for x in result.losses:
+        bores += [bore for bore in (x.part.diameter, x.part.outlet) if bore != bores[-1]]
+    shown = " to ".join(f"{bore / (CUSTOMARY_SIZES['in'] if us else 1e-3):.4g}" for bore in bores)
+    rate = result.flow / (CUSTOMARY_SIZES["yd3/h"] if us else 1 / 3600)
+    return (f"{result.line.name}, diameter {shown} {'in' if us else 'mm'}, concrete {result.concrete.name}, "
+            f"{rate:.3g} {'yd3/h' if us else 'm3/h'}")  # fmt: skip

@@ -6,8 +6,8 @@ import numpy as np
 
 from ...geometry.pipe_line import PipeLine
 from .answers import CUSTOMARY_SIZES, beside
-from .fit import LineFit
 from .fittings import MODEL_ERRORS
+from .line_fit import LineFit, Stretch
 
 NOTICED = 0.01
 """Smallest weight of the slip layer that was known before a measurement at which the report mentions it."""
@@ -24,7 +24,8 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
     found = [
-        f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 %, Student's t)",
+        f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 % for gauges that are "
+        f"off by up to {fit.gauge / 1e5:.2g} bar{beside(line.customary, 'psi', fit.gauge)}, see --gauge)",
         "",
         *(f"- {each.text}" for each in fit.constants),
         *(
@@ -36,12 +37,13 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
         f"{beside(line.customary, 'psi', measured[worst])} "
         f"(line {fit.taps[worst].row})",
+        *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else []),
         "",
         "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
         "30 %, that of other deliveries):",
         "",
         f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
-        f"uncertainty: {min(max(100 * fit.uncertainty, 0.1), 90):.2g} %, from: pipe}}",
+        f"uncertainty: {max(100 * fit.uncertainty, 0.1):.3g} %, from: pipe}}",
         "",
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
@@ -62,3 +64,28 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
                  f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
+
+
+def warning_of(fit: LineFit, customary: bool) -> str:
+    """Return a warning that no slip layer explains the gauges, with the friction that two stretches of the line need.
+
+    The fit must have a contradiction. The friction is in psi/ft if `customary` is true, and in bar/m otherwise.
+    """
+    found = fit.contradiction
+    assert found is not None, "the gauges do not contradict each other"
+    unit, metre = ("ft", CUSTOMARY_SIZES["ft"]) if customary else ("m", 1.0)
+    named, size = ("psi/ft", CUSTOMARY_SIZES["psi"] / metre) if customary else ("bar/m", 1e5)
+
+    def where(stretch: Stretch) -> str:
+        begin = f"{stretch.begin / metre:.3g}"
+        if stretch.end is None:
+            return f"behind {begin} {unit}"
+        return f"between {begin} and {stretch.end / metre:.3g} {unit}"
+
+    low, high = found.low, found.high
+    return (
+        f"WARNING: no slip layer explains all gauges, so the band was widened until it contains them. The gauges need "
+        f"{low.measured / size:.2g} {named} of friction {where(low)}, but {high.measured / size:.2g} {named} "
+        f"{where(high)}; the fitted layer gives {low.fitted / size:.2g} and {high.fitted / size:.2g}. Check the place "
+        "of the rise, the hose and reducer, and the gauges"
+    )

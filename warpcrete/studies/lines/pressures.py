@@ -14,6 +14,7 @@ from ...mix.mix import CAUSES
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .fittings import MODEL_ERRORS, range_of, uncertain_kinds
+from .line_fit import LineFit
 from .losses import friction, straight_friction, with_layer_factor
 
 
@@ -89,6 +90,9 @@ class LinePressures:
     factor `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
+    fit: LineFit | None = None
+    """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
+    None if no trial line was given."""
 
     @property
     def pressure(self) -> float:

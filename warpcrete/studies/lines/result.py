@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,16 @@ from .answers import (
     CUSTOMARY_SIZES,
     EFFICIENCY,
     MEASUREMENTS,
+    ON_CONCRETE,
     WORTHWHILE,
     PumpMargin,
+    RestartMargin,
     band_sentences,
     beside,
     motor_power,
     pressure_text,
 )
 from .figure import draw
-from .fit import LineFit
 from .fittings import METHODS_ON_BENDS, is_in_library
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
@@ -36,6 +37,10 @@ COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without 
 """Words on how often the band of a pressure contains the measured one, by the origin of the band. For slip layers that
 follow from the paste, 94 % of the measured concretes in straight pipe lie inside in `warpcrete validate`, and two of
 only three measured whole lines."""
+HALVINGS = 12
+"""Number of bisection steps in the search for the longest stop after which a pump restarts the line."""
+WIDENED = ", widened to contain all gauges, which contradict each other"
+"""Words that follow a band whose slip layer was fitted to gauges that no slip layer explains."""
 HIGHEST_PUMP = 500e5
 """Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
 (https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
@@ -53,9 +58,6 @@ class LineResult(LinePressures):
     band_origin: str = ""
     """Origin of the band of the slip layer: 'paste' or 'other' (see :attr:`warpcrete.mix.mix.Mix.band_origin`); empty
     if the user chose its width."""
-    fit: LineFit | None = None
-    """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
-    None if no trial line was given."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -133,6 +135,24 @@ class LineResult(LinePressures):
             None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow, self.line.customary)
         )
 
+    @property
+    def restart_margin(self) -> RestartMargin | None:
+        """Comparison of the restart at full flow with the pump; None if the line names no pump, or does not stop."""
+        pump, stop = self.line.pump, self.stop
+        if pump is None or stop is None:
+            return None
+
+        def suffices(rest: float) -> bool:
+            return replace(self, stop=replace(stop, rest=rest)).restart(self.flow).high <= pump.pressure
+
+        low, high = 0.0, 0.0 if suffices(stop.rest) else stop.rest
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if suffices(middle) else (low, middle)
+        return RestartMargin(
+            pump, self.restart(self.flow), self.restart(), low if low > 0 else None, self.line.customary
+        )
+
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
         """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
         ours: dict[str, float] = {}
@@ -150,6 +170,10 @@ class LineResult(LinePressures):
         for name, band in (("begins", self.restart()), ("at_full_flow", self.restart(self.flow))):
             record[name] = {"pressure": quantity(band.value, "Pa"), "pressure_low": quantity(band.low, "Pa"),
                             "pressure_high": quantity(band.high, "Pa"), "band_shares": dict(band.shares)}  # fmt: skip
+        margin = self.restart_margin
+        if margin is not None:
+            record["verdict"] = margin.verdict
+            record["longest_stop"] = None if margin.longest is None else quantity(margin.longest, "s")
         return record
 
     @property
@@ -161,7 +185,7 @@ class LineResult(LinePressures):
     def coverage(self) -> str:
         """Words on how often the band contains the pressure, to follow the band; empty if the user chose its width."""
         if self.fit is not None:
-            return " in about 95 % of cases"
+            return WIDENED if self.fit.contradiction is not None else " in about 95 % of cases"
         return COVERAGE.get(self.band_origin, "")
 
     def band_sentences(self) -> list[str]:
@@ -296,6 +320,10 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
             f"(theory), it starts to move at {_span(begins, us)}, and at full flow with {_span(full, us)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
+    if result.restart_margin is not None:
+        found.append(f"- {result.restart_margin.sentence()}")
+    if result.line.pump is not None:
+        found.append(f"- {ON_CONCRETE}")
     if result.line.recorded is not None:
         found.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")
     found += [f"- {remark}" for remark in result.remarks()]

@@ -134,7 +134,18 @@ def run_line(
             ours = theory * library_factor(part)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(
-        line, concrete, flow, losses, layer_factor, True, variants, stop, out, took, failed, band_origin
+        line,
+        concrete,
+        flow,
+        losses,
+        layer_factor,
+        True,
+        variants,
+        stop,
+        folder=out,
+        took=took,
+        failed=failed,
+        band_origin=band_origin,
     )
     if out is not None:
         write_result(result, out)

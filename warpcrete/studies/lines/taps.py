@@ -12,7 +12,7 @@ from ...core.errors import between, positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.limits import check_limit, check_velocity
 from ...core.inputs.text_files import read_columns
-from ...geometry.pipe_line import PipeLine
+from ...geometry.pipe_line import Part, PipeLine
 
 COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
@@ -74,3 +74,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
         found.append(Tap(values["place"], values["pressure"], values["flow"], row))
     return tuple(found)
+
+
+def is_free(part: Part) -> bool:
+    """Return True for a bend whose friction factor is fitted because the line's file states none."""
+    return part.kind == "bend" and part.factor is None

@@ -8,7 +8,7 @@ alone takes longer than the calculation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...core.errors import between, positive
@@ -16,8 +16,8 @@ from ...core.run.files import atomic_file, write_json
 from ...geometry.pipe_line import PipeLine
 from ...theory.pipe import Concrete
 from .figure import draw
-from .fit import LineFit
 from .fittings import library_factor
+from .line_fit import LineFit
 from .losses import GRAVITY, friction
 from .pressures import Loss, Stop
 from .result import LineResult, lines_of
@@ -76,7 +76,12 @@ def write_result(result: LineResult, out: Path) -> None:
     """Write the files line.json, line.md and line.png of a result into a folder."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "line.json", result.record())
-    with atomic_file(out / "line.md") as partial:
-        partial.write_text("\n".join(lines_of(result)) + "\n", encoding="utf-8")
+    write_lines(lines_of(result), out)
     with atomic_file(out / "line.png") as partial:
         draw(result).savefig(partial, dpi=150, format="png")
+
+
+def write_lines(lines: Sequence[str], out: Path) -> None:
+    """Write lines of text to the file line.md in the folder of a line; they replace its earlier text."""
+    with atomic_file(out / "line.md") as partial:
+        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -273,4 +273,9 @@ def _bytes(size: float) -> str:
 def _seconds(time: float) -> str:
     if time < 120:
         return f"{time:.2g} s" if time < 10 else f"{time:.0f} s"
-    return f"{time / 60:.2g} min" if time < 7200 else f"{time / 3600:.2g} h"
+    if time < 600:
+        return f"{time / 60:.2g} min"
+    hours, minutes = divmod(round(time / 60), 60)
+    if hours >= 100:
+        return f"{hours} h"
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min"

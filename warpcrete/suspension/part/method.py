@@ -8,6 +8,7 @@ from typing import Any
 from ...core.run.forecast import Forecast, Probe
 from ...mps.common.forecast import Course, flow_forecast, law_features
 from ...mps.part.method import METHOD as PARTS_OF_LINES
+from ..quantities import in_words
 from .display import PartSuspensionDisplay
 from .pictures import draw, plot_part_with_aggregates
 from .quantities import QUANTITIES, report_part
@@ -23,8 +24,8 @@ def forecast(scene: PartSuspensionScene, device: Any, precision: str, threads: i
         lambda simulation: {
             "dimensions": "half of the part, in space" if scene.is_half else "in space",
             "walls": "mesh" if scene.wall is not None else "exact",
-            "aggregates": f"{simulation.flow.aggregates.count}, of which {int((simulation.entering > 0).sum())} enter "
-                          "during the run",
+            "aggregates": f"{in_words(simulation.flow.aggregates, scene)}; {int((simulation.entering > 0).sum())} of "
+                          "them enter during the run",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
             **law_features(scene.concrete),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...dem.measure.blockage import least_advance
+from ...kernels.suspension.bodies import FULL
 from ...kernels.suspension.leaving import PARKED
 from ...kernels.suspension.pairs import WALL
 from ...mps.part.layout import Frame
@@ -78,7 +79,10 @@ class Census:
         The axial stress is that of the flow plus that of the forces between aggregates. It also carries the weight of
         the aggregates minus their buoyancy, which is not friction.
         """
-        s, stress = friction_ahead(self.flow)
+        state = self.flow.state
+        inner = (slice(1, -1),) * 3
+        solid = self.flow.aggregates.cover.solid.numpy()[: state.slots].reshape(state.shape)[inner] / int(FULL)
+        s, stress = friction_ahead(self.flow, np.maximum(1 - solid, 0.0))
         stress = stress + self._pair_stress(s)
         force = self.flow.aggregates.bodies.force.numpy().astype(float)
         share, scene = np.zeros(len(self.radius)), self.scene

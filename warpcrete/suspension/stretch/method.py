@@ -8,7 +8,7 @@ from ...core.run.forecast import Forecast, Probe
 from ...core.run.method import Method
 from ...mps.common.forecast import Course, flow_forecast, law_features
 from ...mps.common.stepping import run_abreast
-from ..aggregates import BodyState
+from ..quantities import in_words
 from .display import StretchDisplay
 from .pictures import draw, plot_stretch
 from .quantities import QUANTITIES, report
@@ -20,11 +20,11 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
     """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
     return flow_forecast(
         lambda: StretchSimulation(scene, device=str(device), precision=precision, threads=threads),
-        lambda simulation: Course(scene.duration, scene.time_step),
+        lambda simulation: Course(scene.duration, scene.time_step, _too_short(scene)),
         lambda simulation: {
             "dimensions": "in space, connected ends",
             "wall": "slip layer" if scene.slips else "mortar sticks",
-            "aggregates": _in_words(simulation.flow.aggregates),
+            "aggregates": in_words(simulation.flow.aggregates, scene),
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
             **law_features(scene.concrete),
         },
@@ -33,10 +33,15 @@ def forecast(scene: StretchScene, device: Any, precision: str, threads: int | No
     )
 
 
-def _in_words(bodies: BodyState) -> str:
-    if not bodies.kind.clumps:
-        return f"{bodies.count} spheres"
-    return f"{bodies.count}, of {bodies.spheres} spheres"
+def _too_short(scene: StretchScene) -> list[str]:
+    """Return a remark if a run at a constant pressure gradient is probably too short to become steady."""
+    # The flow must be steady over the last quarter of the run.
+    needed = scene.starting_time / 0.75
+    if scene.mean_velocity is not None or scene.duration >= needed:
+        return []
+    return [
+        f"the flow becomes steady after about {needed:.2g} s of simulated time, but 'duration' is {scene.duration:g} s"
+    ]
 
 
 METHOD = Method(

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.drawing.style import RUN, SECOND, THEORY, legend_beside, open_frame, rgb
 from ...core.run.run_loop import Run
+from .quantities import LATE
 
 
 def plot_stretch(run: Run) -> Any:
@@ -18,7 +19,7 @@ def plot_stretch(run: Run) -> Any:
     speed, fraction, course = figure.subplots(1, 3)
     profile = {name: np.array(column["value"]) for name, column in run.result["profile"].items()}
     radius = 1e3 * profile["radius"]
-    speed.plot(radius, profile["velocity"], color=rgb(RUN), label="this run")
+    speed.plot(radius, profile["velocity"], color=rgb(RUN), label=f"this run\nat {run.series['time'][-1]:.3g} s")
     speed.plot(radius, profile["velocity_alone"], "--", color=rgb(THEORY), label="mortar alone,\ntheory")
     speed.set(xlabel="distance from the axis [mm]", ylabel="velocity [m/s]", xlim=(0, None), ylim=(0, None))
     legend_beside(speed)
@@ -27,6 +28,10 @@ def plot_stretch(run: Run) -> Any:
     fixed = run.scene.mean_velocity is not None
     name, factor, label = ("gradient", 1e-3, "friction [kPa/m]") if fixed else ("flow", 3600, "flow [m3/h]")
     course.plot(run.series["time"][1:], factor * run.series[name][1:], color=rgb(RUN))
+    late = run.series["time"] >= (1 - LATE) * run.series["time"][-1]
+    mean = factor * float(run.series[name][late].mean())
+    course.plot(run.series["time"][late], np.full(late.sum(), mean), ":", color=rgb(RUN), label="mean\nin the report")
+    legend_beside(course)
     course.set(xlabel="time [s]", ylabel=label, ylim=(0, None))
     open_frame(speed, fraction, course)
     figure.suptitle(run.scene.caption, fontsize=10)

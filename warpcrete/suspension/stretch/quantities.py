@@ -68,7 +68,8 @@ def _flow_words(run: Run) -> str:
     if run.scene.mean_velocity is not None:
         return f"{3600 * number(run.result['flow']):.4g} m3/h"
     ours, alone = (3600 * number(run.result[name]) for name in ("flow", "flow_alone"))
-    return f"{ours:.4g} m3/h   (mortar without aggregates: {alone:.4g} m3/h)"
+    averaged = LATE * float(run.series["time"][-1])
+    return f"{ours:.4g} m3/h, mean of the last {averaged:.3g} s   (mortar without aggregates: {alone:.4g} m3/h)"
 
 
 def _stress_words(run: Run) -> str:

@@ -14,12 +14,18 @@ from ...core.device.device import PRECISIONS
 from ...core.drawing.html import Parametrised
 from ...core.errors import at_least, at_most, positive, refuse
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
+from ...kernels.mps.grid.walls import STICKY
 from ...mps.common.settings import MaximumIterations, PressureTolerance
 from ...theory.pipe import Concrete, Line, Steady, flow_of_pressure, least_stress, velocity
 from ..scene import SphereFields
 
 MIN_LENGTH = 3.0
 """Minimum length of the stretch, in diameters of the largest aggregate."""
+NEWTONIAN = 8 / 5.783
+"""Time constant of a Newtonian flow that starts in a pipe, divided by density times mean velocity over the pressure
+gradient. The number 5.783 is the square of the first zero of the Bessel function J0."""
+STEADY = 0.02
+"""Relative change of the flow over the last quarter of a run below which it counts as steady."""
 MIN_ACROSS = 8
 """Minimum number of cells across the pipe."""
 
@@ -167,6 +173,30 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         """Length of a time step [s]."""
         fastest = float(self.velocity_alone(np.zeros(1))[0]) + self.settling
         return min(self.courant * self.spacing / fastest, self.sample_interval)
+
+    @property
+    def starting_time(self) -> float:
+        """Estimated time until the flow of a constant pressure gradient has reached 98 % of its steady value [s].
+
+        The flow approaches its steady value exponentially. The time constant is that of a Newtonian fluid in a pipe
+        (Szymanski 1932), with the driving force reduced by the yield stress. On a slip layer with a yield stress, the
+        slip velocity first grows from that of a film that sticks. Every step uses the ratio of friction to velocity
+        from the step before, so that the velocity grows by at most the ratio of the stress at the wall to the yield
+        stress of the layer.
+        """
+        layer = self.slips and self.concrete.slip_yield > 0
+        held = self.ways * (least_stress(self.concrete, self.line) if self.slips else self.concrete.yield_stress)
+        steady = self.mortar_alone.flow / (math.pi * self.radius**2)
+        if self.depth:
+            steady = self.mortar_alone.flow / (2 * self.radius * self.depth)
+        constant = NEWTONIAN * self.density * steady / (self.gradient - held / self.radius)
+        time = constant * math.log(1 / STEADY)
+        if layer:
+            stiffest = self.concrete.viscosity + self.regularisation * self.concrete.yield_stress
+            film = self.wall_stress * self.cell_width / (float(STICKY) * stiffest)
+            slip = max(float(self.velocity_alone(np.array([self.radius]))[0]), film)
+            time += self.time_step * math.log(slip / film) / math.log(self.wall_stress / self.concrete.slip_yield)
+        return time
 
     @property
     def settling(self) -> float:

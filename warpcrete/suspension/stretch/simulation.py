@@ -18,10 +18,7 @@ from .display import StretchDisplay
 from .layout import stretch_layout, stretch_room
 from .probes import UNITS, fraction_profile, measured, velocity_profile
 from .quantities import QUANTITIES, RunData
-from .scene import StretchScene
-
-STEADINESS = 0.02
-"""Largest relative change of the flow over the last quarter of a run for it to count as steady."""
+from .scene import STEADY, StretchScene
 
 
 class StretchSimulation(AggregateRun):
@@ -64,7 +61,7 @@ class StretchSimulation(AggregateRun):
         name = "flow" if self.scene.mean_velocity is None else "gradient"
         time, flow = (np.array([row[column] for row in self._rows]) for column in ("time", name))
         late = flow[time >= 0.75 * time[-1]]
-        self.steady = len(late) > 1 and float(np.ptp(late)) <= STEADINESS * abs(float(late[-1]))
+        self.steady = len(late) > 1 and float(np.ptp(late)) <= STEADY * abs(float(late[-1]))
         return False
 
     def sizes(self) -> dict[str, Any]:

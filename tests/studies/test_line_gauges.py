@@ -1,0 +1,132 @@
+"""Band of a fit to a trial line: errors of the gauges, earlier knowledge, and gauges that contradict each other."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from test_line_fit import KNOWN, LINE, TRUE, known, taps
+
+from warpcrete.cli.main import cli
+from warpcrete.studies.lines.fit import fit_line
+from warpcrete.studies.lines.fit_report import fit_lines
+from warpcrete.studies.lines.losses import line_of, with_layer_factor
+from warpcrete.studies.lines.taps import Tap
+from warpcrete.studies.lines.theory_line import line_by_theory
+
+
+def gauges(rng, error=2e4, noise=1e4, flows=(20, 35), parts=(0, 3, 5)):
+    """Return pressures of gauges with an own error each, normally distributed, and scatter of each reading [Pa]."""
+    own = dict(zip((p.place for p in taps(flows=(20,), parts=parts)), error * rng.normal(size=len(parts)), strict=True))
+    return [replace(each, pressure=each.pressure + own[each.place] + noise * rng.normal())
+            for each in taps(flows=flows, parts=parts)]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", [1.0, 1 / 3, 3.0, 0.1, 10.0])
+def test_the_band_covers_the_pressure_however_wrong_the_earlier_knowledge_is(wrong):
+    """The gauges are off by 2 % of the largest pressure (standard deviation), half of the default error limit."""
+    rng, inside, points = np.random.default_rng(7), 0, taps(flows=(35,), parts=(0,))[0]
+    before = with_layer_factor(TRUE, wrong)
+    for _ in range(60):
+        some = gauges(rng, error=0.02 * points.pressure, flows=(35,))
+        fit = fit_line(LINE, before, some, known(before, 1.7))
+        bands = line_by_theory(fit.line(LINE), fit.concrete(before), 35 / 3600, variants=fit.variants(before), fit=fit)
+        inside += bands.band().contains(points.pressure)
+        assert bands.band().contains(some[0].pressure)
+    assert inside >= 54
+
+
+def test_earlier_knowledge_counts_the_less_the_more_the_gauges_contradict_it():
+    points = taps(flows=(30,), parts=(0, 3))
+    shares = []
+    for wrong in (1.0, 1.5, 2.0, 3.0, 10.0):
+        before = with_layer_factor(TRUE, wrong)
+        fit = fit_line(KNOWN, before, points, known(before, 1.7), gauge=5e5)
+        shares.append(fit.prior_share)
+    assert shares[0] == pytest.approx(shares[1], rel=0.3)
+    assert np.all(np.diff(shares[1:]) < 0) and shares[-1] < 0.02 < 0.1 < shares[0]
+
+
+SITE = line_of({"diameter": "125 mm", "parts": [
+    {"straight": 57}, {"bend": "up"}, {"straight": 24}, {"bend": "level"}, {"straight": 30}, {"bend": "left"},
+    {"straight": 15}, {"bend": "right"}, {"straight": 10.86}, {"reducer": {"to": "100 mm", "length": 1}},
+    {"hose": 4}]})  # fmt: skip
+"""Line of a site, on which two gauges contradict each other for every slip layer."""
+READ = [Tap(5.0, 52e5, 35 / 3600, 2), Tap(80.0, 31e5, 35 / 3600, 3)]
+
+
+@pytest.mark.parametrize("factor", [1.7, 10.0])
+def test_gauges_that_no_layer_explains_lie_in_a_wider_band_with_a_warning(factor):
+    """The earlier knowledge is 28 bar at the pump, which a gauge of 52 bar contradicts."""
+    before = replace(TRUE, slip_viscosity=530.0, slip_yield=10.0)
+    fit = fit_line(SITE, before, READ, known(before, factor))
+    assert fit.prior_share < 0.01 and fit.contradiction is not None
+    found = line_by_theory(SITE, fit.concrete(before), READ[0].flow, variants=fit.variants(before), fit=fit)
+    places, bands = found.bands()
+    for tap in READ:
+        low, high = (np.interp(tap.place, places, [getattr(x, end) for x in bands]) for end in ("low", "high"))
+        assert low - 1 <= tap.pressure <= high + 1
+    weight = 2400 * 9.81
+    rises = (
+        24 * weight - (24 - (80 - 57 - 0.785398)) * weight + 0.5 * weight,
+        (24 - (80 - 57 - 0.785398) + 0.5) * weight,
+    )
+    between, behind = (21e5 - rises[0]) / 75, (31e5 - rises[1]) / (SITE.length - 80)
+    assert [fit.contradiction.low.measured, fit.contradiction.high.measured] == pytest.approx(
+        [between, behind], rel=1e-4
+    )
+    text = "\n".join(fit_lines(fit, SITE))
+    assert text.count("WARNING: no slip layer explains all gauges") == 1
+    assert f"{between / 1e5:.2g} bar/m of friction between 5 and 80 m, but {behind / 1e5:.2g} bar/m behind 80 m" in text
+    assert "contain all gauges" in found.coverage
+    customary = "\n".join(fit_lines(fit, replace(SITE, customary=True)))
+    assert "psi/ft of friction between 16.4 and 262 ft" in customary
+
+
+def test_gauges_that_agree_by_chance_keep_the_error_of_a_gauge():
+    """Two nearly equal rows, and twenty rows of one gauge, leave at least its error in the band."""
+    flat = line_of({"diameter": "125 mm", "parts": [{"straight": 100}]})
+    for count in (2, 20):
+        points = [Tap(0.0, 10e5 + k, 0.01, k) for k in range(count)]
+        fit = fit_line(flat, TRUE, points)
+        assert fit.uncertainty > 0.04 and fit.gauge == pytest.approx(0.04 * 10e5, rel=1e-4)
+        assert fit_line(flat, TRUE, points, gauge=1e5).uncertainty > 0.0999
+
+
+def test_a_pasted_fit_gives_the_band_of_the_fit(tmp_path):
+    """The gauges contradict each other, so that the band is wide."""
+    ticket = {"parts": {"cement": 320, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1020}, "slump": "200 mm"}
+    (tmp_path / "taps.csv").write_text("place [m],pressure [bar],flow [m3/h]\n5,52,35\n80,12,35\n", encoding="utf-8")
+    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": ticket}), encoding="utf-8")
+    parts = [{"straight": 57}, {"bend": "up"}, {"straight": 24}, {"bend": "level"}, {"straight": 60}]
+    site = {"diameter": "125 mm", "flow": "35 m3/h", "concrete": "mix.yaml", "parts": parts}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
+    call = ["line", str(tmp_path / "site.yaml"), "--out"]
+    done = CliRunner().invoke(cli, [*call, str(tmp_path / "one"), "--fit", str(tmp_path / "taps.csv")])
+    assert done.exit_code == 0, done.output
+    layer = yaml.safe_load(next(x for x in done.output.splitlines() if x.strip().startswith("layer: {")))
+    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": {**ticket, **layer}}), encoding="utf-8")
+    again = CliRunner().invoke(cli, [*call, str(tmp_path / "two")])
+    assert again.exit_code == 0, again.output
+    first, second = (json.loads((tmp_path / x / "line.json").read_text(encoding="utf-8")) for x in ("one", "two"))
+    for key in ("pressure", "pressure_low", "pressure_high"):
+        assert second[key]["value"] == pytest.approx(first[key]["value"], rel=2e-3)
+
+
+def test_the_error_of_the_gauges_is_an_option(tmp_path):
+    (tmp_path / "taps.csv").write_text("place [m],pressure [bar],flow [m3/h]\n5,52,35\n80,31,35\n", encoding="utf-8")
+    call = ["line", "--slump", "200 mm", "--diameter", "125 mm", "--length", "150 m", "--flow", "35 m3/h"]
+    fit = ["--fit", str(tmp_path / "taps.csv")]
+    for more, says in ((fit, "off by up to 2.1 bar"), ([*fit, "--gauge", "10 %"], "off by up to 5.2 bar"),
+                       ([*fit, "--gauge", "1 bar"], "off by up to 1 bar")):  # fmt: skip
+        done = CliRunner().invoke(cli, [*call, *more])
+        assert done.exit_code == 0 and says in done.output, done.output
+    for more, says in (
+        (["--gauge", "1 bar"], "has no effect without --fit"),
+        ([*fit, "--gauge", "80 bar"], "must be in [0, 5.2e+06"),
+        ([*fit, "--gauge", "x %"], "gauge = 'x %'"),
+    ):
+        done = CliRunner().invoke(cli, [*call, *more])
+        assert done.exit_code != 0 and (says in done.output or says in str(done.exception)), done.output

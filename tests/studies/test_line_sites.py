@@ -1,0 +1,141 @@
+"""Answers of `warpcrete line` for a site: restarts, complete files, pictures, and sparse inputs."""
+
+import json
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from warpcrete.cli.main import cli
+from warpcrete.mix.mix import read_mix
+from warpcrete.studies.lines.answers import ON_CONCRETE
+from warpcrete.studies.lines.losses import line_of
+from warpcrete.studies.lines.pressures import Stop
+from warpcrete.studies.lines.theory_line import line_by_theory
+
+TICKET = {"parts": {"cement": 320, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1020, "superplasticizer": 3.2},
+          "sizes": ["4 mm", "16 mm"], "slump": "200 mm"}  # fmt: skip
+PARTS = [{"straight": 57}, {"bend": "up"}, {"straight": 24}, {"bend": "level"}, {"straight": 55},
+         {"reducer": {"to": "100 mm"}}, {"hose": 4}]  # fmt: skip
+
+
+@pytest.fixture
+def site(tmp_path):
+    """Return a function that calls `warpcrete line` with the files of a site, and returns what it prints."""
+    (tmp_path / "ticket.yaml").write_text(yaml.safe_dump({"name": "C30/37", "mix": TICKET}), encoding="utf-8")
+    entries = {"diameter": "125 mm", "flow": "35 m3/h", "concrete": "ticket.yaml", "pump": "85 bar", "parts": PARTS}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(entries), encoding="utf-8")
+
+    def call(*options):
+        done = CliRunner().invoke(cli, ["line", str(tmp_path / "site.yaml"), *map(str, options)])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    return call
+
+
+def result(tmp_path, bar, rest):
+    (tmp_path / "ticket.yaml").write_text(yaml.safe_dump({"mix": TICKET}), encoding="utf-8")
+    mix = read_mix(tmp_path / "ticket.yaml")
+    line = line_of({"diameter": "125 mm", "pump": f"{bar} bar", "parts": PARTS})
+    stop = Stop(rest, 0.5, (0.1, 1.0))
+    return line_by_theory(line, mix.concrete, 35 / 3600, variants=mix.variants, stop=stop)
+
+
+@pytest.mark.parametrize(("bar", "verdict"), [(200, "restarts"), (85, "may fail"), (50, "is too weak")])
+def test_the_pump_is_compared_with_the_restart(tmp_path, bar, verdict):
+    found = result(tmp_path, bar, 2400.0)
+    begins, full = found.restart(), found.restart(found.flow)
+    assert begins.value < 85e5 < full.high < 200e5 and begins.value > 50e5
+    assert found.restart_margin.verdict == verdict and verdict in found.restart_margin.sentence()
+    assert found.record()["restart"]["verdict"] == verdict
+    assert (found.record()["restart"]["longest_stop"] is None) == (verdict == "restarts")
+
+
+def test_the_longest_stop_just_needs_the_whole_pressure_of_the_pump(tmp_path):
+    found = result(tmp_path, 85, 2400.0)
+    longest = found.restart_margin.longest
+    assert 60 < longest < 2400
+    assert result(tmp_path, 85, longest).restart(found.flow).high == pytest.approx(85e5, rel=2e-3)
+    assert f"move the concrete at least every {longest / 60:.2g} min" in found.restart_margin.sentence()
+    weak = result(tmp_path, 30, 2400.0).restart_margin
+    assert weak.longest is None and "do not interrupt the flow" in weak.sentence()
+
+
+def test_the_file_contains_all_that_is_printed(site, tmp_path):
+    (tmp_path / "taps.csv").write_text("place [m],pressure [bar],flow [m3/h]\n5,30,35\n80,14,35\n", encoding="utf-8")
+    for name, more in (("one", ["--practice", "--rest", "40 min"]), ("two", ["--fit", tmp_path / "taps.csv"])):
+        printed = site("--out", tmp_path / name, *more)
+        text = (tmp_path / name / "line.md").read_text(encoding="utf-8")
+        assert printed.strip() == f"{text.strip()}\n\nfolder: {tmp_path / name}"
+        assert "will it block?" in text and text.count(ON_CONCRETE) == 1
+        assert (tmp_path / name / "blocking.json").is_file()
+    assert "deviation [bar]" in text
+    assert "JGJ/T 10" in (tmp_path / "one" / "line.md").read_text(encoding="utf-8")
+
+
+def test_files_are_complete_before_anything_is_printed(site, tmp_path, monkeypatch):
+    """A reader such as `head` may close the output after a few lines."""
+    import click
+
+    def closed(*_, **__):
+        assert (tmp_path / "out" / "blocking.json").is_file()
+        assert "will it block?" in (tmp_path / "out" / "line.md").read_text(encoding="utf-8")
+        raise BrokenPipeError
+
+    monkeypatch.setattr(click, "echo", closed)
+    with pytest.raises(BrokenPipeError):
+        CliRunner().invoke(cli, ["line", str(tmp_path / "site.yaml"), "--out", str(tmp_path / "out")],
+                           catch_exceptions=False)  # fmt: skip
+
+
+def test_the_picture_shows_gauges_pump_and_restart_in_the_units_of_the_line(tmp_path):
+    found = result(tmp_path, 85, 2400.0)
+    axes = found.plot().axes[0]
+    names = axes.get_legend_handles_labels()[1]
+    assert "pump" in names and "restart at full flow" in names
+    assert "diameter 125 to 100 mm" in axes.get_title() and axes.get_ylabel() == "pressure [bar]"
+    line = line_of({"diameter": "5 in", "pump": "1233 psi", "parts": [{"straight": "300 ft"}]})
+    axes = line_by_theory(line, found.concrete, 0.01).plot().axes[0]
+    assert axes.get_xlabel() == "position along the line [ft]" and axes.get_ylabel() == "pressure [psi]"
+    assert axes.get_xlim()[1] == pytest.approx(300) and "diameter 5 in" in axes.get_title()
+
+
+def test_the_name_in_the_file_of_a_concrete_is_that_of_the_result(site):
+    assert "C30/37 at 35 m3/h" in site()
+
+
+def test_a_reducer_without_a_length_is_one_metre_long():
+    parts = [{"straight": 10}, {"reducer": {"to": "100 mm"}}]
+    assert line_of({"diameter": "125 mm", "parts": parts}).parts[1].length == 1.0
+
+
+@pytest.mark.parametrize(
+    ("entries", "more", "says"),
+    [
+        ({"slump": "7 in", "sizes": "3/4 in"}, [], "add 'density: 2350 kg/m3' (147 lb/ft3)"),
+        (
+            TICKET | {"layer": {"points": [["35 m3/h", "21 bar"]], "diameter": "125 mm", "length": "75 m"}},
+            [],
+            "'1 point at one flow'",
+        ),
+        (TICKET, ["--rest", "40"], "did you mean '40 min'? For seconds, write '40 s'"),
+    ],
+)
+def test_sparse_inputs_are_refused_in_plain_words(site, tmp_path, entries, more, says):
+    (tmp_path / "ticket.yaml").write_text(yaml.safe_dump({"mix": entries}), encoding="utf-8")
+    done = CliRunner().invoke(cli, ["line", str(tmp_path / "site.yaml"), *more])
+    said = f"{done.output} {done.exception}"
+    assert done.exit_code != 0 and says in said and "None" not in said
+
+
+def test_a_slump_alone_is_too_little_for_the_rules_against_blocking():
+    call = ["line", "--slump", "7 in", "--stone", "3/4 in", "--diameter", "5 in", "--length", "450 ft"]
+    done = CliRunner().invoke(cli, [*call, "--flow", "40 yd3/h"])
+    assert "will it block? not enough is known of the concrete to say (6 unknown, 1 fine" in done.output
+
+
+def test_the_record_holds_the_longest_stop(site, tmp_path):
+    site("--rest", "40 min", "--out", tmp_path / "out")
+    record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
+    assert record["restart"]["longest_stop"]["unit"] == "s"

@@ -1,0 +1,131 @@
+"""Band of a fit to a trial line: what was known of the slip layer before counts, and the gauges lie inside the band."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ...geometry.pipe_line import PipeLine
+from ...theory.pipe import Concrete
+from .line_fit import Contradiction, LineFit, Stretch
+from .losses import GRAVITY
+from .tap_model import TapModel, metre_model
+
+SCALED = "not determined by these points; what was known before of the layer changes it like the viscosity"
+"""Text on a slip yield that the measured pressures do not determine. What was known of the slip layer before the
+measurement changes it in proportion to the slip viscosity."""
+LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60
+"""Ranges of factors on a fitted slip layer and of its uncertainty, and number of bisection steps, in searches."""
+
+
+def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
+    """Return a fit whose slip layer also counts what was known of it before the measurement.
+
+    Both pieces of knowledge are bands of the logarithm of the friction in straight pipe at the mean flow. The friction
+    becomes their mean, weighted by the inverse squares of the bands. The fitted constants of the layer are multiplied
+    by one factor that gives this friction. If the fit lies outside the earlier band, this band is widened to contain
+    the fit, so that earlier knowledge counts the less, the more the gauges contradict it.
+    """
+    pipe = metre_model(line, concrete, fit.taps)
+    own = np.array([fit.constants[0].value, fit.constants[1].value, 1.0])
+
+    def friction(constants: np.ndarray) -> float:
+        return float(pipe.pressures(constants)[0])
+
+    def constants_of(each: Concrete) -> np.ndarray:
+        return np.array([each.slip_viscosity, each.slip_yield, 1.0])
+
+    before = friction(constants_of(concrete))
+    wide_before = 0.5 * math.log(friction(constants_of(prior[1])) / friction(constants_of(prior[0])))
+    wide_before = max(wide_before, abs(math.log(friction(own) / before)))
+    wide = math.log1p(fit.uncertainty)
+    share = wide**2 / (wide**2 + wide_before**2) if wide_before > 0 else 0.0
+    wanted = friction(own) * (before / friction(own)) ** share
+    factor = _bisected(LAYER_FACTORS, lambda x: friction(own * [x, x, 1.0]) < wanted)
+    narrower = math.sqrt(1 - share)
+    layer = [replace(each, value=factor * each.value,
+                     low=factor * (each.value + narrower * (each.low - each.value)),
+                     high=factor * (each.value + narrower * (each.high - each.value)),
+                     reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
+             for each in fit.constants[:2]]  # fmt: skip
+    fit = replace(fit, constants=(*layer, *fit.constants[2:]), uncertainty=math.expm1(wide * narrower),
+                  prior_share=share)  # fmt: skip
+    return replace(fit, pressures=tuple(_at_taps(fit, line, concrete)(1.0).tolist()))
+
+
+def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
+    """Return a fit whose band contains the gauges that it explains.
+
+    The mean reading of the gauge nearest to the pump must lie inside the band, and those of the other gauges within
+    their error of it. If this fails for the other gauges, no slip layer explains them all. The band is then widened
+    until the mean readings of all gauges lie inside, and the fit names the contradiction. With an error of 0, all
+    deviations count as scatter, so that no contradiction is found.
+    """
+    model = _at_taps(fit, line, concrete)
+    places = np.array([tap.place for tap in fit.taps])
+    measured = np.array([tap.pressure for tap in fit.taps])
+    gauges = [places == place for place in np.unique(places)]
+
+    def outside(uncertainty: float, among: list[np.ndarray]) -> float:
+        low, high = model(1 / (1 + uncertainty)), model(1 + uncertainty)
+        return max(max(float(np.mean((low - measured)[own])), float(np.mean((measured - high)[own]))) for own in among)
+
+    explained = fit.gauge == 0 or outside(fit.uncertainty, gauges) <= fit.gauge
+    wanted = gauges[:1] if explained else gauges
+    uncertainty = fit.uncertainty
+    if outside(uncertainty, wanted) > 0:
+        uncertainty = _bisected(
+            (max(uncertainty, UNCERTAINTIES[0]), UNCERTAINTIES[1]), lambda x: outside(x, wanted) > 0
+        )
+    wider = uncertainty / fit.uncertainty if fit.uncertainty > 0 else 1.0
+    layer = [replace(each, low=max(each.value - wider * (each.value - each.low), 0.0),
+                     high=each.value + wider * (each.high - each.value)) for each in fit.constants[:2]]  # fmt: skip
+    return replace(fit, constants=(*layer, *fit.constants[2:]), uncertainty=uncertainty,
+                   contradiction=None if explained else _contradiction(fit, line, concrete))  # fmt: skip
+
+
+def _bisected(ends: tuple[float, float], is_below: Callable[[float], bool]) -> float:
+    """Return the largest value between the positive `ends` for which `is_below` is true, by bisection of logarithms.
+
+    The result lies above this value by a tiny fraction, so that `is_below` is false for it.
+    """
+    low, high = ends
+    for _ in range(BISECTIONS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if is_below(middle) else (low, middle)
+    return high
+
+
+def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[float], np.ndarray]:
+    """Return a function of a factor on the fitted slip layer, which gives the pressures at the taps [Pa]."""
+    bends = fit.constants[2] if len(fit.constants) > 2 and fit.constants[2].fitted else None
+    model = TapModel(line, concrete, fit.taps, bends=bends is not None)
+    eta, tau = (each.value for each in fit.constants[:2])
+    return lambda x: model.pressures(np.array([x * eta, x * tau, 1.0 if bends is None else bends.value]))
+
+
+def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:
+    """Return the two stretches of a trial line at one flow whose gauges contradict each other most.
+
+    Returns None if no flow was measured at two places.
+    """
+    weights = concrete.density * GRAVITY * np.array(TapModel(line, concrete, fit.taps).rises)
+    by_flow: dict[float, dict[float, tuple[float, float]]] = {}
+    for tap, fitted, weight in zip(fit.taps, fit.pressures, weights.tolist(), strict=True):
+        by_flow.setdefault(tap.flow, {}).setdefault(tap.place, (tap.pressure - weight, fitted - weight))
+    found = []
+    for readings in by_flow.values():
+        places = sorted(readings)
+        stretches = []
+        for begin, end in zip(places, [*places[1:], None], strict=True):
+            length = (line.length if end is None else end) - begin
+            behind = (0.0, 0.0) if end is None else readings[end]
+            measured, own = ((a - b) / length for a, b in zip(readings[begin], behind, strict=True))
+            stretches.append(Stretch(begin, end, measured, own))
+        stretches.sort(key=lambda x: x.measured / x.fitted)
+        if len(stretches) > 1:
+            found.append(Contradiction(stretches[0], stretches[-1]))
+    return max(found, key=lambda x: x.high.measured / x.high.fitted - x.low.measured / x.low.fitted, default=None)

@@ -1,0 +1,144 @@
+"""Result of a fit of the slip layer and of the friction factor of bends to pressures along a trial line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...core.units import quantity
+from ...geometry.pipe_line import Part, PipeLine
+from ...theory.pipe import Concrete
+from .losses import with_layer_factor
+from .taps import Tap, is_free
+
+
+@dataclass(frozen=True)
+class FittedConstant:
+    """Constant of the slip layer or the bends that was fitted to a trial line, with its 95 % confidence interval."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    fitted: bool
+    """True if the measured pressures determine the constant. Otherwise `reason` states how it got its value."""
+    reason: str = "not determined by these points, kept"
+    """Explanation of the value of a constant that the measured pressures do not determine."""
+
+    @property
+    def text(self) -> str:
+        """Name, value and confidence interval of the constant as text, or a remark that it was not determined."""
+        unit = f" {self.unit}" if self.unit else ""
+        if not self.fitted and not self.unit:
+            return f"{self.name}: {self.reason}"
+        if not self.fitted:
+            return f"{self.name} {self.value:.4g}{unit} ({self.reason})"
+        return f"{self.name} {self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Part of a trial line between two gauges, or behind the last one, and its friction per metre at one flow."""
+
+    begin: float
+    """Distance of the first gauge from the pump [m]."""
+    end: float | None
+    """Distance of the second gauge from the pump [m]; None for the end of the line."""
+    measured: float
+    """Friction between the gauges according to their readings [Pa/m]."""
+    fitted: float
+    """Friction between the gauges according to the fit [Pa/m]."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Gauges that no slip layer explains: the two stretches of the line whose readings contradict each other most."""
+
+    low: Stretch
+    """Stretch with the smallest measured friction relative to that of the fit."""
+    high: Stretch
+    """Stretch with the largest measured friction relative to that of the fit."""
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """Slip layer and factor of bends that were fitted to pressures at taps, the places of gauges on a pump line."""
+
+    taps: tuple[Tap, ...]
+    constants: tuple[FittedConstant, ...]
+    """Fitted constants in this order: the viscosity of the slip layer, its yield stress and, if the line has bends, the
+    friction of bends divided by that of straight pipe."""
+    pressures: tuple[float, ...]
+    """Pressures at the taps (places of gauges) according to the fit [Pa], in the order of the taps."""
+    uncertainty: float
+    """Uncertainty u of the friction of straight pipe. Its band extends from 1 / (1 + u) to 1 + u times the friction."""
+    gauge: float
+    """Error limit of the gauges [Pa]."""
+    prior_share: float = 0.0
+    """Weight in the slip layer of what was known of it before the measurement, between 0 and 1."""
+    contradiction: Contradiction | None = None
+    """Contradiction between the gauges; None if one slip layer explains them all."""
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
+        off = self.deviations()
+        return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
+
+    def deviations(self) -> np.ndarray:
+        """Return the pressures of the fit minus the measured ones [Pa], shape (taps,)."""
+        return np.array(self.pressures) - [tap.pressure for tap in self.taps]
+
+    def concrete(self, concrete: Concrete) -> Concrete:
+        """Return a copy of a concrete that has the fitted slip layer."""
+        return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
+
+    def variants(
+        self, concrete: Concrete, before: Mapping[str, tuple[Concrete, Concrete]] | None = None
+    ) -> dict[str, tuple[Concrete, Concrete]]:
+        """Return pairs of concretes at the lower and upper ends of the bands of their properties, by cause.
+
+        The cause 'slip layer' has the band of the fit. The density keeps its band in `before`, the pairs of before the
+        measurement. The constants of the bulk are no cause of their own, because the layer was fitted together with
+        them: with another bulk, the same pressures give another layer.
+        """
+        own = self.concrete(concrete)
+        low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
+        found = {"slip layer": (low, high)}
+        if before is not None and "density" in before:
+            found["density"] = (self.concrete(before["density"][0]), self.concrete(before["density"][1]))
+        return found
+
+    def line(self, line: PipeLine) -> PipeLine:
+        """Return the line whose bends have the fitted factor.
+
+        Bends whose factor the line's file states keep that factor.
+        """
+        bends = self.constants[2] if len(self.constants) > 2 else None
+        if bends is None or not bends.fitted:
+            return line
+
+        def own(part: Part) -> Part:
+            return replace(part, factor=bends.value, factor_range=(bends.low, bends.high)) if is_free(part) else part
+
+        return replace(line, parts=tuple(own(part) for part in line.parts))
+
+    def record(self) -> dict[str, Any]:
+        """Return the fit to the trial line as an entry of the file line.json."""
+        return {
+            "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
+                          for x in self.constants},
+            "uncertainty": self.uncertainty,
+            "prior_share": self.prior_share,
+            "gauge_error": quantity(self.gauge, "Pa"),
+            "contradiction": None if self.contradiction is None else asdict(self.contradiction),
+            "scatter": quantity(self.scatter, "Pa"),
+            "taps": [{"place": quantity(tap.place, "m"), "flow": quantity(tap.flow, "m3/s"),
+                      "measured": quantity(tap.pressure, "Pa"), "fitted": quantity(fitted, "Pa")}
+                     for tap, fitted in zip(self.taps, self.pressures, strict=True)],
+        }  # fmt: skip
