@@ -250,7 +250,7 @@ OPTIONS = [  # words, and what is said
     ("run pipe --bind nowhere --live", ""), ("run pipe --hydration 150", ""),
     ("run pipe --seed -1", "seed"), ("run pipe --seed 1.0", "seed"), ("run pipe --seed \u0663x", "seed"),
     ("run part --line .", "directory"), ("run part --angle 200", "angle"), ("run part --angle 0", "angle"),
-    ("run part --line burj-khalifa --quiet", ""), ("run part --wall a.stl --unit bend-level", ""), ("run jring", ""),
+    ("run part --line burj-khalifa --quiet", ""), ("run part --wall a.stl --unit bend-level", ""),
     ("run slump --method dem --method flow", "method"), ("run --method dem", ""),
     ("run slump --lift-time -1", "lift_time"), ("run funnel --gravity 0", ""), ("run lbox --spacing 0.5", "spacing"),
     ("run --resume .", "not the folder of a run"), ("run --resume nowhere", "not the folder of a run"), ("run --resume whole", "finished"),
