@@ -130,7 +130,7 @@ def report(study: Study) -> None:
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
         click.echo(study.markdown())
-    if "size_max" in study.varied and any("pressure" in result for result in study.results.values()):
+    if "size_max" in study.varied and any("pressure" in each.name for each in study.compared):
         click.echo(f"note: {SIZES}")
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
