@@ -139,7 +139,7 @@ def test_a_run_reports_its_results(device):
     method = method_of(run.scene)
     told = dict(report_of(method.quantities, run)) | dict(method.report(run))
     assert run.result["method"] == "suspension" and run.finished and not run.result["blocked"]
-    assert {"pressure", "friction upstream", "bend, taper", "aggregates"} <= set(told)
+    assert {"pressure", "friction upstream", "bend, taper, bore", "aggregates"} <= set(told)
     late = run.series["time"] >= 0.5 * run.series["time"][-1]
     assert number(run.result["pressure"]) == pytest.approx(run.series["pressure"][late].mean())
     table = run.tables["stations"]
