@@ -12,7 +12,7 @@ from test_line_fit import KNOWN, LINE, TRUE, known, taps
 from warpcrete.cli.main import cli
 from warpcrete.studies.lines.fit import fit_line
 from warpcrete.studies.lines.fit_report import fit_lines
-from warpcrete.studies.lines.losses import line_of, with_layer_factor
+from warpcrete.studies.lines.losses import line_of, straight_friction, with_layer_factor
 from warpcrete.studies.lines.taps import Tap
 from warpcrete.studies.lines.theory_line import line_by_theory
 
@@ -130,3 +130,42 @@ def test_the_error_of_the_gauges_is_an_option(tmp_path):
     ):
         done = CliRunner().invoke(cli, [*call, *more])
         assert done.exit_code != 0 and (says in done.output or says in str(done.exception)), done.output
+
+
+HOSE = line_of({"diameter": "125 mm", "parts": [{"straight": 90}, {"hose": 5}]})
+"""Line that ends with a hose, whose friction lies between 1 and 2 times that of straight pipe."""
+
+
+def test_another_friction_of_a_hose_comes_with_another_layer():
+    """The band of a hose is that of fits in which the hose has another factor, because gauges hold the pressure."""
+    points = [Tap(3.0, 38e5, 30 / 3600, 2), Tap(50.0, 20e5, 30 / 3600, 3)]
+
+    def answer(factor):
+        hose = replace(HOSE.parts[1], factor=factor, factor_range=(factor, factor)) if factor else HOSE.parts[1]
+        line = replace(HOSE, parts=(HOSE.parts[0], hose))
+        fit = fit_line(line, TRUE, points, known(TRUE, 2.0))
+        own = line_by_theory(line, fit.concrete(TRUE), 30 / 3600, variants=fit.variants(TRUE), fit=fit)
+        return own, fit
+
+    own, fit = answer(None)
+    changed = [own._friction_with("hose", end) for end in (0, 1)]
+    ends = [own.course(lambda x, each=each: each(x) + x.weight)[1][0] for each in changed]
+    refitted = [answer(factor)[0].pressure for factor in (1.0, 2.0)]
+    assert ends == pytest.approx(refitted, rel=0.01)
+    assert abs(ends[1] - ends[0]) < 0.04 * own.pressure < own.losses[1].friction / 2
+    assert own.band().low > 0.97 * points[0].pressure
+    assert fit.surprise is None or "outside its band" in "\n".join(fit_lines(fit, HOSE))
+
+
+def test_gauges_outside_of_what_was_expected_are_a_surprise():
+    points = taps(flows=(30,), parts=(0, 3))
+    for wrong, surprising in ((1.0, False), (1.5, False), (0.2, True), (5.0, True)):
+        before = with_layer_factor(TRUE, wrong)
+        fit = fit_line(KNOWN, before, points, known(before, 1.7))
+        assert (fit.surprise is not None) == surprising
+        assert (
+            "times the friction in straight pipe that was expected" in "\n".join(fit_lines(fit, KNOWN))
+        ) == surprising
+        if surprising:
+            true, expected = (straight_friction(KNOWN.parts[0], each, 30 / 3600) for each in (TRUE, before))
+            assert fit.surprise == pytest.approx(true / expected, rel=0.02)

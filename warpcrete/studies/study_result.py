@@ -207,7 +207,7 @@ class Study:
                 text = rounded(mean) if np.isfinite(mean) else "none"
                 text += f" +- {rounded(scatter, 2)}" if np.isfinite(scatter) else ""
                 met = row.get(f"{each.name}_runs")
-                cells.append(text if met is None else f"{text} ({met} of {row['runs']} runs)")
+                cells.append(text if not met else f"{text} ({met} of {row['runs']} runs)")
             lines.append("| " + " | ".join([*cells, *(str(row[name]) for name in COUNTS)]) + " |")
         return "\n".join(lines)
 

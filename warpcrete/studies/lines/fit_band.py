@@ -39,7 +39,9 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
         return np.array([each.slip_viscosity, each.slip_yield, 1.0])
 
     before = friction(constants_of(concrete))
-    wide_before = 0.5 * math.log(friction(constants_of(prior[1])) / friction(constants_of(prior[0])))
+    low, high = (friction(constants_of(end)) for end in prior)
+    ratio = friction(own) / before
+    wide_before = 0.5 * math.log(high / low)
     wide_before = max(wide_before, abs(math.log(friction(own) / before)))
     wide = math.log1p(fit.uncertainty)
     share = wide**2 / (wide**2 + wide_before**2) if wide_before > 0 else 0.0
@@ -52,7 +54,7 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
                      reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
              for each in fit.constants[:2]]  # fmt: skip
     fit = replace(fit, constants=(*layer, *fit.constants[2:]), uncertainty=math.expm1(wide * narrower),
-                  prior_share=share)  # fmt: skip
+                  prior_share=share, surprise=None if low <= ratio * before <= high else ratio)  # fmt: skip
     return replace(fit, pressures=tuple(_at_taps(fit, line, concrete)(1.0).tolist()))
 
 

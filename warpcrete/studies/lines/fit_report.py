@@ -33,6 +33,7 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
             if fit.prior_share >= NOTICED
             else []
         ),
+        *([_surprise(fit.surprise)] if fit.surprise is not None else []),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
         f"{beside(line.customary, 'psi', measured[worst])} "
@@ -64,6 +65,14 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
                  f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
+
+
+def _surprise(ratio: float) -> str:
+    """Return a remark on a layer whose friction differs from what was expected by a ratio, outside the band of that."""
+    return (
+        f"- the gauges need {ratio:.2g} times the friction in straight pipe that was expected, outside its band: check "
+        "the slump, the gauges (pressure of the concrete, not of the oil), and whether concrete leaks or a plug begins"
+    )
 
 
 def warning_of(fit: LineFit, customary: bool) -> str:

@@ -81,6 +81,9 @@ class LineFit:
     """Error limit of the gauges [Pa]."""
     prior_share: float = 0.0
     """Weight in the slip layer of what was known of it before the measurement, between 0 and 1."""
+    surprise: float | None = None
+    """Friction of the fit in straight pipe, divided by what was expected before the measurement; None if the fit lies
+    inside the band of what was expected, or if nothing was."""
     contradiction: Contradiction | None = None
     """Contradiction between the gauges; None if one slip layer explains them all."""
 
@@ -135,6 +138,7 @@ class LineFit:
                           for x in self.constants},
             "uncertainty": self.uncertainty,
             "prior_share": self.prior_share,
+            "surprise": self.surprise,
             "gauge_error": quantity(self.gauge, "Pa"),
             "contradiction": None if self.contradiction is None else asdict(self.contradiction),
             "scatter": quantity(self.scatter, "Pa"),

@@ -127,11 +127,10 @@ class LinePressures:
         places, ours = self.course(lambda loss: loss.friction + loss.weight)
         ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
         for kind in uncertain_kinds(self.line.parts):
+            changed = [self._friction_with(kind, end) for end in (0, 1)]
             ends[MODEL_ERRORS[kind].cause] = [
-                self.course(lambda x, k=kind, e=end: (x.at(e) if x.part.kind == k else x.friction) + x.weight)[1]
-                .tolist()
-                for end in (0, 1)
-            ]  # fmt: skip
+                self.course(lambda x, own=own: own(x) + x.weight)[1].tolist() for own in changed
+            ]
         found = [
             combined(value, {cause: (low[k], high[k]) for cause, (low, high) in ends.items()})
             for k, value in enumerate(ours.tolist())
@@ -177,15 +176,30 @@ class LinePressures:
         ends = {cause: (pressure(low, stop.growth, own), pressure(high, stop.growth, own))
                 for cause, (low, high) in self._variants().items()}  # fmt: skip
         for kind in uncertain_kinds(self.line.parts):
-            low, high = (
-                pressure(self.concrete, stop.growth, lambda x, k=kind, e=e: x.at(e) if x.part.kind == k else x.friction)
-                for e in (0, 1)
-            )
+            low, high = (pressure(self.concrete, stop.growth, self._friction_with(kind, end)) for end in (0, 1))
             ends[MODEL_ERRORS[kind].cause] = (low, high)
         if stop.band is not None:
             low, high = (pressure(self.concrete, each, own) for each in stop.band)
             ends["thixotropy"] = (low, high)
         return combined(value, ends)
+
+    def _friction_with(self, kind: str, end: int) -> Callable[[Loss], float]:
+        """Return a function of a part's loss that gives its friction [Pa] if fittings of a kind have another friction.
+
+        These fittings are at the lower (`end` 0) or upper (1) end of their band. The layer of a fit to a trial line was
+        found with the present friction of the fittings. With another friction of theirs, the same gauges give another
+        layer, so all friction is multiplied by the factor that keeps the mean friction ahead of the gauges.
+        """
+
+        def changed(x: Loss) -> float:
+            return x.at(end) if x.part.kind == kind else x.friction
+
+        if self.fit is None:
+            return changed
+        places = [tap.place for tap in self.fit.taps]
+        before, after = (float(np.interp(places, *self.course(of)).sum()) for of in (lambda x: x.friction, changed))
+        factor = before / after if after > 0 else 1.0
+        return lambda x: factor * changed(x)
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
         """Return the positions of the line's start and of the ends of its parts [m], and the pressures there [Pa].
