@@ -7,10 +7,10 @@ import inspect
 import textwrap
 from typing import TypeVar
 
-Class = TypeVar("Class", bound=type)
+T = TypeVar("T", bound=type)
 
 
-def help_on_fields(documented: Class) -> Class:
+def help_on_fields(documented: T) -> T:
     """Append the meaning of each field to the docstring of a class, so that `help` shows it.
 
     Python drops texts that stand below fields. This decorator reads them from the source and leaves the class as it is
