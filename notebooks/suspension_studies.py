@@ -1,4 +1,4 @@
-"""What aggregates do in a mortar: slip layer, migration, standard tests, blocking at bars, and segregation.
+"""Studies of aggregates in a mortar: slip layer, migration, standard tests, blocking at bars, and segregation.
 
     python notebooks/suspension_studies.py --device cuda --out aggregates --gpu-workers 5 --cpu-workers 10 --limit 480
     python notebooks/suspension_studies.py --device cpu --out aggregates --cpu-workers 1 --only f --tiny
@@ -52,7 +52,7 @@ class Case:
     large: bool = False
     """True if the simulation is so large that it should run on a GPU."""
     varied: dict[str, Any] | None = None
-    """What distinguishes this case from others of its study, for tables."""
+    """Values that distinguish this case from others of its study, for tables."""
 
 
 def mortar(concrete: dict[str, float], fraction: float) -> dict[str, Any]:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
-from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.inputs.knobs import Trading
 from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.common.mixes import NO_LAYER, ConcreteParameters
-from warpcrete.suspension.aggregates import MIN_CELLS
 from warpcrete.suspension.scene import MAX_FRACTION, AggregateParameters
 from warpcrete.suspension.stretch.checks import check_stretch
+from warpcrete.suspension.stretch.columns import stretch_knobs
 from warpcrete.suspension.stretch.scene import StretchScene, StretchSettings
 
 REMARKS = (
@@ -80,13 +79,4 @@ def scene(parameters: StretchParameters) -> StretchScene:
 check = check_stretch
 
 
-def _knobs(given: StretchParameters) -> Iterator[Knob]:
-    coarsest = min(given.diameters[0] / MIN_CELLS, given.diameter / 8)
-    factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
-    yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m", resolution=True)
-    yield scaled("courant", "courant", given.courant, [f for f in (2.0, 1.0, 0.5) if f * given.courant <= 1], -0.8)
-    yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")
-    yield precisions()
-
-
-trading = Trading(_knobs, quantities=("flow",))
+trading = Trading(stretch_knobs, quantities=("flow",))

@@ -86,7 +86,7 @@ def test_aggregates_enter_like_a_plug_and_none_is_lost(device):
         inside = (place > 0.98 * seen.radius[seen.free]) & (place < scene.axis.length + seen.radius[seen.free])
         assert inside.all()
     assert seen.entered.sum() > 3 and seen.left.sum() > 2
-    # What flows in flows out, although aggregates cover parts of the faces at both ends.
+    # Inflow equals outflow, although aggregates cover parts of the faces at both ends.
     row = simulation.measured()
     assert abs(row["outflow_error"]) < 1e-3 and row["coupled_error"] <= 1e-4
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from ...core.errors import refuse
 from ...core.inputs.knobs import Knob, Trading, precisions, scaled
@@ -97,14 +97,17 @@ def column_trading(dimensions: int) -> Trading:
     plain = flow_trading(dimensions)
     return replace(
         plain,
-        knobs=lambda given: _knobs(given) if given.suspended else plain.knobs(given),
+        knobs=lambda given: stretch_knobs(given) if given.suspended else plain.knobs(given),
         closed_form=lambda given: not given.suspended and plain.closed_form(given),
         variants=lambda given: {} if given.suspended else plain.variants(given),
     )
 
 
-def _knobs(given: ColumnWithAggregates) -> Iterator[Knob]:
-    """Yield the settings that a trade-off study varies in a flow with aggregates."""
+def stretch_knobs(given: Any) -> Iterator[Knob]:
+    """Yield the settings that a trade-off study varies in a stretch of pipe or channel with aggregates.
+
+    `given` holds the parameters of the scene: those of :class:`ColumnWithAggregates` or of the scene `stretch`.
+    """
     coarsest = min(given.diameters[0] / MIN_CELLS, given.diameter / 8)
     factors = [f for f in (1.3, 1.0, 0.75, 0.5) if f * given.spacing <= coarsest]
     yield scaled("spacing", "spacing", given.spacing, factors, -4.0, "m", resolution=True)
