@@ -10,6 +10,9 @@ from ...core.drawing.style import SECOND, rgb
 from ...core.run.run_loop import Run
 from ...mps.part.pictures import plot_part
 
+RIGHT_OF_AXIS = 1.2
+"""Horizontal position of the legend beside the second axis, in widths of the first pair of axes."""
+
 
 def plot_part_with_aggregates(run: Run) -> Any:
     """Return a figure of pressures as of a part without aggregates, and of the fraction of aggregates along the axis.
@@ -23,6 +26,9 @@ def plot_part_with_aggregates(run: Run) -> Any:
     fraction.plot(place, values, color=rgb(SECOND), linewidth=1)
     fraction.set(ylim=(0, max(0.7, 1.05 * float(values.max()))))
     fraction.set_ylabel("fraction of aggregates", color=rgb(SECOND))
+    if (legend := along.get_legend()) is not None:
+        # The second axis has its numbers and its label where the legend stands otherwise.
+        legend.set_bbox_to_anchor((RIGHT_OF_AXIS, 0.5), transform=along.transAxes)
     return figure
 
 
