@@ -1,0 +1,357 @@
+"""Messages with which wrong arguments of Python functions and wrong entries of files are refused, kept (see `kept`).
+
+The cases lie on both sides of a limit. A case that is allowed has the word "accepted" as its message.
+"""
+
+import re
+import warnings
+from dataclasses import replace
+
+import kept
+import numpy as np
+import trimesh
+
+from warpcrete import scenes
+from warpcrete.core.errors import PlausibilityWarning, WarpcreteError
+from warpcrete.core.inputs.limits import LIMITS, check_limit, check_velocity, check_whole
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.laws import Contact
+from warpcrete.dem.pumping.components import fractions_of
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.containers import Fill, PipeContainer
+from warpcrete.dem.scene.scene import AxisDrive, Bodies, PressureProbe, Scene
+from warpcrete.dem.scene.settings import Bonds, Hydration, Rest
+from warpcrete.dem.scene.sizes import SieveCurve, Uniform
+from warpcrete.dem.scene.slices import Stations
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.bores import Bores
+from warpcrete.geometry.lines import line_of, read_line
+from warpcrete.geometry.pumps import pump_of
+from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
+from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.scenes import modules
+from warpcrete.studies.calibration.calibrate import calibrate
+from warpcrete.studies.calibration.targets import read_task, task_of
+from warpcrete.studies.cases import MAX_CASES, cases_of
+from warpcrete.studies.lines.folder import check_known
+from warpcrete.studies.validation.cases import read_cases
+from warpcrete.suspension.aggregates import Aggregates
+from warpcrete.theory.pipe import CONCRETES, measured_layer
+from warpcrete.theory.pipe import Line as PipeLine
+
+STRAIGHT = Axis((0, 0, 0), (0, 0, 1), (Line(0.4),))
+SPHERE = clumps.sphere()
+BOX = trimesh.creation.box((0.1, 0.1, 0.1))
+FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+
+
+def told(make, folder):
+    """Return the warnings of a call and the message of its refusal, or the word "accepted"."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", PlausibilityWarning)
+        try:
+            make()
+            found = "accepted"
+        except WarpcreteError as error:
+            found = str(error)
+    said = [str(each.message) for each in caught if each.category is PlausibilityWarning]
+    return " | ".join([*said, found]).replace(str(folder), "FOLDER")
+
+
+def compare(name, cases, folder="\0"):
+    kept.compare(f"refusals-{name}", "\n".join(f"{called}: {told(make, folder)}" for called, make in cases.items()))
+
+
+def test_kept_refusals_of_shapes():
+    corners = BOX.vertices
+
+    def mesh(vertices=corners, faces=BOX.faces):
+        return MeshWall(name="wall", vertices=vertices, faces=faces)
+
+    def pipe(**moves):
+        return PipeWall(name="pipe", axis=STRAIGHT, radius=0.1, motion=Prescribed(**moves))
+
+    def clump(centres, radii):
+        return clumps.clump("stone", np.array(centres), np.array(radii))
+
+    cases = {
+        "axis without direction": lambda: Axis((0, 0, 0), (0, 0, 0), (Line(1.0),)),
+        "axis without pieces": lambda: Axis((0, 0, 0), (0, 0, 1), ()),
+        "axis that bends straight on": lambda: Axis((0, 0, 0), (0, 0, 1), (Arc(0.2, 1.0, (0, 0, 3)),)).segments(),
+        "axis that bends almost straight on": lambda: Axis((0, 0, 0), (0, 0, 1), (Arc(0.2, 1.0, (1e-3, 0, 3)),)),
+        "no bore": lambda: Bores((0.0, 0.1), (0.05, 0.0)),
+        "pipe that turns": lambda: pipe(spin=(0, 0, 1)),
+        "pipe that moves": lambda: pipe(velocity=(0, 0, 1)),
+        "mesh": mesh,
+        "mesh of words": lambda: mesh(vertices=[["a", "b", "c"]]),
+        "mesh in a plane": lambda: mesh(vertices=corners[:, :2]),
+        "mesh without end": lambda: mesh(vertices=np.where(corners > 0, np.inf, corners)),
+        "mesh without faces": lambda: mesh(faces=np.zeros((0, 3))),
+        "mesh of squares": lambda: mesh(faces=np.zeros((2, 4))),
+        "mesh with a corner too many": lambda: mesh(faces=np.minimum(BOX.faces + 1, 8)),
+        "mesh with a corner below 0": lambda: mesh(faces=BOX.faces - 1),
+        "clump": lambda: clump([[0, 0, 0], [0, 0, 1]], [1, 0.5]),
+        "clump of words": lambda: clump([["a", 0, 0]], [1]),
+        "clump of nothing": lambda: clump(np.zeros((0, 3)), []),
+        "clump with a centre too many": lambda: clump(np.zeros((2, 3)), [1]),
+        "clump without end": lambda: clump([[0, 0, np.nan]], [1]),
+        "clump without size": lambda: clump([[0, 0, 0], [0, 0, 1]], [1, 0]),
+        "clump of half a sphere": lambda: clumps.from_mesh(BOX, 1.5),
+        "clump of true": lambda: clumps.from_mesh(BOX, True),
+        "clump of too many spheres": lambda: clumps.from_mesh(BOX, 501),
+        "coarse clump": lambda: clumps.from_mesh(BOX, 2, resolution=3),
+        "clump of a plate": lambda: clumps.from_mesh(trimesh.creation.box((1, 1, 0.01)), 2, resolution=8),
+        "clump of more spheres than a plate has": lambda: clumps.from_mesh(BOX, 400, resolution=4),
+        "openings of words": lambda: SieveCurve(("a", "b"), (0, 1)),
+        "openings without end": lambda: SieveCurve((0.004, np.inf), (0, 1)),
+        "one opening": lambda: SieveCurve((0.004,), (0,)),
+        "openings and shares": lambda: SieveCurve((0.004, 0.008), (0, 0.5, 1)),
+        "openings that repeat": lambda: SieveCurve((0.004, 0.004), (0, 1)),
+        "opening of nothing": lambda: SieveCurve((0.0, 0.004), (0, 1)),
+        "shares from above 0": lambda: SieveCurve((0.004, 0.008), (0.1, 1)),
+        "shares to below 1": lambda: SieveCurve((0.004, 0.008), (0, 0.9)),
+        "shares that fall": lambda: SieveCurve((0.004, 0.008, 0.016, 0.02), (0, 0.6, 0.5, 1)),
+        "shares that stay": lambda: SieveCurve((0.004, 0.008, 0.016, 0.02), (0, 0.5, 0.5, 1)),
+        "one edge": lambda: Stations(axis=STRAIGHT, bores=Bores((0.0,), (0.05,)), edges=(0.0,)),
+        "edges that repeat": lambda: Stations(axis=STRAIGHT, bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.1, 0.1)),
+        "shares of shapes": lambda: fractions_of("2,1,x"),
+        "pump of 9 bar": lambda: pump_of("9 bar"),
+        "pump in bar without unit": lambda: pump_of(85),
+        "pump without pressure": lambda: pump_of({"power": "90 kW"}),
+        "aggregates in a plane": lambda: Aggregates(np.zeros((2, 2)), np.ones(2), 2650.0),
+        "aggregates with a radius too many": lambda: Aggregates(np.zeros((2, 3)), np.ones(3), 2650.0),
+        "aggregates without size": lambda: Aggregates(np.zeros((2, 3)), np.array([1.0, 0.0]), 2650.0),
+        "aggregates nowhere": lambda: Aggregates(np.full((1, 3), np.nan), np.ones(1), 2650.0),
+    }  # fmt: skip
+    compare("shapes", cases)
+
+
+def test_kept_refusals_of_scenes():
+    one = Bodies(positions=np.array([[0, 0, 0.1]]), sizes=0.01, group="front")
+    plain = Scene(name="own", duration=0.1, bodies=(one,), walls=(FLOOR,))
+    fill = dict(container=PipeContainer(STRAIGHT, 0.05, 0.3), sizes=Uniform(0.01, 0.02), templates=(SPHERE,))
+
+    def changed(**changes):
+        return lambda: replace(plain, **changes)
+
+    drive, bonds = AxisDrive(group="front", axis=STRAIGHT, force=1.0), Bonds()
+    cases = {
+        "scene": changed(),
+        "positions of words": lambda: Bodies(positions=[["a"]], sizes=0.01),
+        "positions in a plane": lambda: Bodies(positions=np.zeros((2, 2)), sizes=0.01),
+        "positions without end": lambda: Bodies(positions=np.full((1, 3), np.inf), sizes=0.01),
+        "a size too many": lambda: Bodies(positions=np.zeros((2, 3)), sizes=(0.01, 0.01, 0.01)),
+        "no size": lambda: Bodies(positions=np.zeros((2, 3)), sizes=(0.01, 0.0)),
+        "seed below 0": changed(seed=-1),
+        "seed of true": changed(seed=True),
+        "half a seed": changed(seed=0.5),
+        "precision": changed(precision="float16"),
+        "two walls of one name": changed(walls=(FLOOR, FLOOR)),
+        "pressure on no wall": changed(pressure=PressureProbe(wall="piston", area=0.01)),
+        "two drives of one group": changed(drives=(drive, drive)),
+        "drive": changed(drives=(drive,)),
+        "drive of no group": changed(drives=(AxisDrive(group="back", axis=STRAIGHT, force=1.0),)),
+        "bonds of no group": changed(group_bonds={"back": bonds}),
+        "rest at no wall": changed(rest=Rest(at=0.1, duration=600.0, wall="piston")),
+        "rest": changed(rest=Rest(at=0.1, duration=600.0, wall="floor"), bonds=bonds),
+        "hydration without bonds": changed(hydration=Hydration(fraction=0.1)),
+        "hydration": changed(hydration=Hydration(fraction=0.1), bonds=bonds),
+        "segregation without a pipe": changed(segregation=True),
+        "damping of all": changed(local_damping=0.995),
+        "contacts of no material": lambda: build_model(
+            replace(plain, contacts={("aggregate", "steel"): Contact()}), "cpu", "float64"
+        ),
+        "filling": lambda: Fill(**fill, solid_fraction=0.8),
+        "filling beyond what fits": lambda: Fill(**fill, solid_fraction=0.81),
+        "filling of nothing": lambda: Fill(**fill, solid_fraction=0.009),
+        "filling to both": lambda: Fill(**fill, solid_fraction=0.5, pressure=1e3),
+        "filling to neither": lambda: Fill(**fill),
+        "filling without pressure": lambda: Fill(**fill, pressure=0.0),
+        "filling without shapes": lambda: Fill(**fill | {"templates": ()}, solid_fraction=0.5),
+        "filling without shares": lambda: Fill(**fill, solid_fraction=0.5, fractions=(0.0,)),
+        "filling with a share too many": lambda: Fill(**fill, solid_fraction=0.5, fractions=(0.5, 0.5)),
+        "filling of stones as thick as the pipe": lambda: Fill(
+            **fill | {"sizes": Uniform(0.01, 0.1)}, solid_fraction=0.5
+        ),
+        "flow with aggregates in a plane": lambda: scenes.stretch(aggregate_largest=0.06, aggregate_smallest=0.055),
+        "coarse flow with aggregates": lambda: scenes.stretch(spacing=0.02),
+    }
+    compare("scenes", cases)
+
+
+def test_kept_refusals_of_limits():
+    cases = {}
+    for name, limit in LIMITS.items():
+        unit = "" if limit.unit == "1" else limit.unit
+        ends = [limit.low, limit.high, *(limit.usual or ())]
+        for value in sorted({factor * end for end in ends for factor in (1 - 1e-6, 1.0, 1 + 1e-6)}):
+            cases[f"{name} {value:.9g}"] = lambda name=name, value=value, unit=unit: check_limit(name, value, unit)
+    for velocity in (2.9, 3.1, 4.9, 5.1, 9.9, 10.1):
+        cases[f"velocity {velocity}"] = lambda velocity=velocity: check_velocity("flow", 0.1, velocity)
+    for power in (31, 32, 53, 54, 63, 64):
+        cases[f"seed {power}"] = lambda power=power: check_whole("seed", 2**power - 1)
+        cases[f"count {power}"] = lambda power=power: check_whole("strokes", 2**power - 1)
+    compare("limits", cases)
+
+
+def test_kept_refusals_of_entries(tmp_path):
+    mix = dict(parts={"cement": "400 kg/m3", "water": "180 kg/m3", "sand": "800 kg/m3", "gravel": "950 kg/m3"},
+               slump="200 mm")  # fmt: skip
+    line = dict(diameter="125 mm", parts=[{"straight": "10 m"}])
+    slump = dict(scene="slump", quantity="spread", value="500 mm", uncertainty="5%")
+    targets = dict(vary={"yield_stress": [20, 150]}, targets=[slump])
+    case = "{id: a, kind: slump, source: smith, measured: 200 mm}"
+
+    def mixed(**changes):
+        return lambda: mix_of(mix | changes, tmp_path)
+
+    def sought(*more, **changes):
+        return lambda: task_of(targets | {"targets": [slump | changes, *more]}, modules())
+
+    def measured(*entries, head="sources: {smith: Smith 2020}"):
+        path = tmp_path / "cases.yaml"
+
+        def read():
+            path.write_text("\n".join((head, "cases:", *(f"- {each}" for each in entries))), encoding="utf-8")
+            return read_cases(path)
+
+        return read
+
+    def layer(flows, pressures):
+        return lambda: measured_layer(CONCRETES["no1"], PipeLine(radius=0.0625, length=10.0), flows, pressures)
+
+    cases = {
+        "line of words": lambda: line_of("straight"),
+        "line without diameter": lambda: line_of({"parts": line["parts"]}),
+        "line without parts": lambda: line_of({"diameter": "125 mm", "parts": []}),
+        "no folder of a line": lambda: check_known(tmp_path),
+        "mix": mixed(),
+        "layer of words": mixed(layer="thin"),
+        "empty layer": mixed(layer={}),
+        "pairs of three": mixed(layer={"points": [[1, 2, 3]], "diameter": "125 mm", "length": "10 m"}),
+        "sieve of words": mixed(sieve="4: 0"),
+        "sieve of one opening": mixed(sieve={4: 0}),
+        "sieve of two kinds of shares": mixed(sieve={4: "0 %", 8: 1}),
+        "sieve of per cent": mixed(sieve={4: 0, 8: 60, 16: 100}),
+        "sieve with sand": mixed(sieve={0.99: 0, 8: 1}),
+        "sieve of rocks": mixed(sieve={4: 0, 301: 1}),
+        "sizes of three": mixed(sizes=["4 mm", "8 mm", "16 mm"]),
+        "sizes of words": mixed(sizes={"4 mm": 1}),
+        "size below twice the smallest": mixed(sizes="7.9 mm"),
+        "size": mixed(sizes="8 mm"),
+        "thickener of words": mixed(thickener="yes"),
+        "denied thickener": mixed(parts=mix["parts"] | {"viscosity modifier": "1 kg/m3"}, thickener=False),
+        "water and binder": mixed(water_binder=0.45),
+        "other water and binder": mixed(water_binder=0.9),
+        "little water": mixed(parts=mix["parts"] | {"water": "40 kg/m3", "gravel": "1300 kg/m3"}),
+        "too full": mixed(parts=mix["parts"] | {"gravel": "1250 kg/m3"}, air="2 %"),
+        "rather full": mixed(parts=mix["parts"] | {"gravel": "1080 kg/m3"}, air="2 %"),
+        "two slumps": mixed(slump="40 mm", spread="650 mm"),
+        "targets": sought(),
+        "target of words": lambda: task_of(targets | {"targets": ["slump"]}, modules()),
+        "target of words as value": sought(value=True),
+        "target below 0": sought(value=-0.1),
+        "range on no scale": lambda: task_of(
+            targets | {"vary": {"yield_stress": {"low": 20, "high": 150, "scale": "square"}}}, modules()
+        ),
+        "range from 0 on a logarithmic scale": lambda: task_of(
+            targets | {"vary": {"yield_stress": {"low": 0, "high": 150, "scale": "log"}}}, modules()
+        ),
+        "range on a linear scale": lambda: task_of(
+            targets | {"vary": {"yield_stress": {"low": 0, "high": 150, "scale": "linear"}}}, modules()
+        ),
+        "no trials": lambda: calibrate(targets, out=tmp_path / "x", trials=3, device="cpu"),
+        "no batch": lambda: calibrate(targets, out=tmp_path / "x", batch=0, device="cpu"),
+        "repeats below 0": lambda: calibrate(targets, out=tmp_path / "x", repeat=-1, device="cpu"),
+        "seeds and repeats": lambda: cases_of({}, {"seed": [1, 2]}, repeat=2),
+        "seeds": lambda: cases_of({}, {"seed": [1, 2]}),
+        "repeats without seed": lambda: cases_of({}, {"spacing": [0.1]}, repeat=2, seeded=False),
+        "values that repeat": lambda: cases_of({}, {"spacing": [0.1, 0.1]}),
+        "most repeats": lambda: cases_of({}, {}, repeat=MAX_CASES),
+        "too many repeats": lambda: cases_of({}, {}, repeat=MAX_CASES + 1),
+        "no repeat": lambda: cases_of({}, {}, repeat=0),
+        "cases": measured(case),
+        "no cases": measured(head="sources: {smith: Smith 2020}"),
+        "cases of one name": measured(case, case),
+        "case of words": measured("slump"),
+        "case without source": measured("{id: a, kind: slump, measured: 200 mm}"),
+        "case without value": measured(case.replace("200 mm", "0 mm")),
+        "case of an unknown source": measured(case.replace("smith", "jones")),
+        "layer of pressures": layer((0.005, 0.01), (3e5, 3.8e5)),
+        "layer of one flow": layer((0.005, 0.005), (1.5e5, 2.5e5)),
+        "layer of a pressure too many": layer((0.005, 0.01), (1.5e5, 2.5e5, 3e5)),
+        "layer of no pressure": layer((0.005, 0.01), (1.5e5, np.nan)),
+        "layer of falling pressures": layer((0.005, 0.01), (2.5e5, 1.5e5)),
+    }
+    compare("entries", cases, tmp_path)
+
+
+LINE = """\
+name: site
+source: data sheet
+recorded: 85 bar
+diameter: 125 mm
+flow: 30 m3/h
+concrete: no1
+largest_stone: 16 mm
+pump: 120 bar
+begin: level
+parts:
+- straight: 10 m
+- bend: {to: up, angle: 90, radius: 1 m}
+- straight: {length: 6 m, rise: 6 m, diameter: 125 mm}
+- bend: level
+- reducer: {to: 100 mm, length: 1 m}
+- hose: {length: 5 m, layer: 1.5}
+- valve: {length: 0.5 m, factor: 3}
+"""
+MIX = """\
+mix:
+  density: 2350 kg/m3
+  air: 2 %
+  aggregate: 40 %
+  aggregate_density: 2650 kg/m3
+  sizes: [4 mm, 16 mm]
+  slump: 200 mm
+  spread: 0.5 m
+  t500: 3 s
+  water_binder: 0.45
+  voids: 24 %
+  fine_sand: 15 %
+  thickener: false
+"""
+TARGETS = """\
+base: no1
+vary:
+  yield_stress: [20, 150]
+  viscosity: {low: 10, high: 100, scale: log}
+targets:
+- {scene: slump, quantity: spread, value: 500 mm, uncertainty: 5 %}
+- {scene: funnel, quantity: funnel_time, value: 8 s, uncertainty: 10 %, held_out: true}
+"""
+WRONG = re.compile(r"(?<=: )(?:[^\s\[{:,}][^,}\]\n:]*)(?=[,}\n])|\[[^\]]*\]")
+"""Values of a YAML text; each is replaced in turn."""
+
+
+def test_kept_refusals_of_each_entry_of_a_file(tmp_path):
+    """Put a nonsensical, a tiny and a negative value at each place of a file; the message names file and line."""
+    path = tmp_path / "own.yaml"
+    kinds = {
+        "line": (LINE, lambda: read_line(path)),
+        "mix": (MIX, lambda: read_mix(path)),
+        "targets": (TARGETS, lambda: read_task(path, modules())),
+    }
+    cases = {}
+    for kind, (text, read) in kinds.items():
+        places = [None, *WRONG.finditer(text)]
+        for place in places:
+            for value in ("[[x]]", "1e-9", "-3", "99") if place else ("",):
+
+                def reading(text=text, place=place, value=value, read=read):
+                    changed = text[: place.start()] + value + text[place.end() :] if place else text
+                    path.write_text(changed, encoding="utf-8")
+                    read()
+
+                line = text[: place.start()].count("\n") + 1 if place else 0
+                cases[f"{kind} {line}, {place.group() if place else 'as it is'} -> {value}"] = reading
+    compare("places", cases, tmp_path)
