@@ -91,8 +91,9 @@ def test_kept_figures_and_rules_of_mixes():
             "variants": {cause: [constants(each) for each in pair] for cause, pair in mix.variants.items()},
             "parameters": [mix.flow, mix.elements, mix.aggregates],
             "given": mix.given,
-            "rules": [[each.record() for each in of_bore] for of_bore in rules],
-            "lines": [rule_lines(of_bore) for of_bore in rules],
+            "rules": [[f"{each.verdict} {each.found}" for each in of_bore] for of_bore in rules],
+            "records": [each.record() for each in rules[1]],
+            "lines": rule_lines(rules[0]),
             "worst": [worst(of_bore) for of_bore in rules],
         }
     kept.compare("mix-rules", found)

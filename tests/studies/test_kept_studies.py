@@ -1,6 +1,8 @@
 """Tables, records and figures of studies, trade-offs and calibrations, made of made-up results, kept (see `kept`)."""
 
+import contextlib
 import importlib
+import io
 import itertools
 import json
 from types import SimpleNamespace
@@ -9,6 +11,9 @@ import kept
 import numpy as np
 import pytest
 
+from warpcrete.cli.calibrate import INTERRUPTED
+from warpcrete.cli.calibrate import report as print_calibration
+from warpcrete.cli.trade import report as print_trade
 from warpcrete.core.errors import InstabilityError, SceneError
 from warpcrete.core.run.method import Quantity
 from warpcrete.core.units import quantity
@@ -97,6 +102,17 @@ def test_a_study_is_kept(tmp_path, kind):
     )
 
 
+def printed(report, found):
+    """Return what a report prints, without the name of the folder, and the exit code if it ends the program."""
+    code = None
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        try:
+            report(found)
+        except SystemExit as ended:
+            code = ended.code
+    return [*text.getvalue().replace(str(found.folder), "FOLDER").splitlines(), code]
+
+
 def made_trade(folder, **more):
     """Return a trade of the pipe with results for the scene as given, single knobs, all knobs, and a failed run."""
     pipe = importlib.import_module("warpcrete.scenes.pipe")
@@ -162,8 +178,13 @@ def test_a_trade_is_kept(tmp_path, kind):
             "expected": [trade.expected(point) for point in trade.points],
             "repr": repr(trade).partition(", folder")[0],
             "figure": kept.drawn(draw_trade(trade)),
+            "printed": printed(print_trade, trade),
         },
     )
+    trade.interrupted = True
+    *lines, code = printed(print_trade, trade)
+    assert "settings not run; continue with: warpcrete trade --resume FOLDER --budget 20min" in lines[-1]
+    assert code == INTERRUPTED
 
 
 class Linear:
@@ -240,6 +261,8 @@ def test_a_calibration_is_kept(tmp_path):
             "pairs": confounded_pairs(found.posterior, 0.0),
             "figure": kept.drawn(draw_calibration(found, modules())),
             "repr": repr(found).split(", folder")[0],
+            "html": found._repr_html_().replace(str(tmp_path), "FOLDER"),
+            "printed": printed(print_calibration, found),
         },
     )
     bare = Calibration(tmp_path, task, {}, found.trials, settled=True)
