@@ -14,7 +14,7 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
     def compiled(*rest, **settings):
         raise AssertionError("compiled in spite of a wrong name")
 
-    monkeypatch.setattr("warpcrete.studies.tradeoffs.explain.explain", compiled)
+    monkeypatch.setattr("warpcrete.cli.warm.explain", compiled)
     for words, message in (
         (("tube", "tub"), "'tub'"), (("tube", "--device", "cuda:99"), "cuda:99"),
     ):  # fmt: skip
@@ -26,7 +26,7 @@ def test_each_named_scene_is_forecast_on_the_device_without_a_cache(monkeypatch)
     """A cached forecast would compile nothing, and another device or scene would compile other kernels."""
     calls = []
     monkeypatch.setattr(
-        "warpcrete.studies.tradeoffs.explain.explain", lambda *given, **settings: calls.append((given, settings))
+        "warpcrete.cli.warm.explain", lambda *given, **settings: calls.append((given, settings))
     )
     done = command("warm", "tube", "pipe", "--device", "cpu")
     assert done.returncode == 0, done.stderr
