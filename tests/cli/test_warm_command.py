@@ -25,9 +25,7 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
 def test_each_named_scene_is_forecast_on_the_device_without_a_cache(monkeypatch):
     """A cached forecast would compile nothing, and another device or scene would compile other kernels."""
     calls = []
-    monkeypatch.setattr(
-        "warpcrete.cli.warm.explain", lambda *given, **settings: calls.append((given, settings))
-    )
+    monkeypatch.setattr("warpcrete.cli.warm.explain", lambda *given, **settings: calls.append((given, settings)))
     done = command("warm", "tube", "pipe", "--device", "cpu")
     assert done.returncode == 0, done.stderr
     assert [given[0].name for given, _ in calls] == [scenes.tube().name, scenes.pipe().name]
