@@ -1,6 +1,7 @@
 """Messages with which wrong arguments of Python functions and wrong entries of files are refused, kept (see `kept`).
 
-The cases lie on both sides of a limit. A case that is allowed has the word "accepted" as its message.
+The cases lie on both sides of a limit. A case that is allowed has the word "accepted" as its message, and the result of
+its function if this is a text.
 """
 
 import re
@@ -10,6 +11,7 @@ from dataclasses import replace
 import kept
 import numpy as np
 import trimesh
+from tubes import bent, tube
 
 from warpcrete import scenes
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError
@@ -46,12 +48,12 @@ FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
 
 
 def told(make, folder):
-    """Return the warnings of a call and the message of its refusal, or the word "accepted"."""
+    """Return the warnings of a call, and the message of its refusal or the word "accepted" with a returned text."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PlausibilityWarning)
         try:
-            make()
-            found = "accepted"
+            made = make()
+            found = f"accepted: {made}" if isinstance(made, str) else "accepted"
         except WarpcreteError as error:
             found = str(error)
     said = [str(each.message) for each in caught if each.category is PlausibilityWarning]
@@ -284,6 +286,35 @@ def test_kept_refusals_of_entries(tmp_path):
         "layer of falling pressures": layer((0.005, 0.01), (2.5e5, 1.5e5)),
     }
     compare("entries", cases, tmp_path)
+
+
+def test_kept_refusals_of_meshes(tmp_path):
+    """Parts whose bore is a mesh that leads up, through a bend, or to a narrower pipe."""
+    up, elbow = Axis((0, 0, 0), (0, 0, 1), (Line(0.2),)), Axis((0, 0, 0), (1, 0, 0), (Arc(0.3, np.pi / 2, (0, 0, 1)),))
+    files = {name: str(bent(tmp_path / f"{name}.stl", axis, 0.05, 24)) for name, axis in (("up", up), ("elbow", elbow))}
+    files["narrow"] = str(tube(tmp_path / "narrow.stl", [0.05, 0.05, 0.04, 0.04], length=0.2))
+
+    def made(file, **given):
+        scene = scenes.part(unit="mesh", wall=files[file], **{"diameter": 0.1, **given})
+        (end,), (way,) = scene.axis.at([scene.axis.length])
+        return " ".join(f"{round(each, 2) + 0.0:g}" for each in (scene.axis.length, *end, *way, *scene.bores.radii))
+
+    def pushed(**given):
+        return scenes.part_dem(unit="mesh", wall=files["narrow"], wall_scale=1e-3, **given)
+
+    cases = {
+        "up": lambda: made("up"),
+        "elbow": lambda: made("elbow"),
+        "narrow": lambda: made("narrow", wall_scale=1e-3),
+        "narrow of another scale": lambda: made("narrow"),
+        "diameter": lambda: made("up", diameter=0.102),
+        "outlet": lambda: made("up", outlet_diameter=0.09),
+        "slip layer": lambda: made("up", slip_thickness=1e-3, slip_viscosity=900.0),
+        "no mesh": lambda: scenes.part(unit="mesh"),
+        "pushed with a diameter": lambda: pushed(diameter=0.102),
+        "pushed with an outlet": lambda: pushed(diameter=0.1, outlet_diameter=0.08),
+    }
+    compare("meshes", cases, tmp_path)
 
 
 LINE = """\

@@ -432,7 +432,7 @@ def test_what_is_shipped_of_a_trade(flow_trade):
 
 
 def test_the_reference_is_as_fine_as_the_budget_allows():
-    """Costs double with each level of `a` and triple with each of `b`; the knob that saves most for its error gives way.
+    """Costs double with each level of `a` and triple with each of `b`; what saves most for its error gives way.
 
     From the finest levels, (2, 2), the ratios of saving to error are 34 for `a` and 27 for `b`, then 7 and 27, 7 and
     22, and 7 at last. The costs are 36, 18, 6, 2 and 1 times that of the scene as given, 10 s in two rounds of seeds.
