@@ -17,7 +17,8 @@ from warpcrete import scenes
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError
 from warpcrete.core.inputs.limits import LIMITS, check_limit, check_velocity, check_whole
 from warpcrete.dem.engine.model import build_model
-from warpcrete.dem.laws import Contact
+from warpcrete.dem.laws import Contact, HertzMindlin
+from warpcrete.dem.laws.base import damping_ratio
 from warpcrete.dem.pumping.components import fractions_of
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.containers import Fill, PipeContainer
@@ -29,17 +30,24 @@ from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.lines import line_of, read_line
 from warpcrete.geometry.pumps import pump_of
-from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
+from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Stops
 from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.mix.stones import read_shape
+from warpcrete.mps.scene import Aggregates as Grains
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate
 from warpcrete.studies.calibration.targets import read_task, task_of
 from warpcrete.studies.cases import MAX_CASES, cases_of
+from warpcrete.studies.lines.elements import Elements
 from warpcrete.studies.lines.folder import check_known
+from warpcrete.studies.lines.pipeline import pipeline_pressure
+from warpcrete.studies.lines.theory_line import check_settings
 from warpcrete.studies.validation.cases import read_cases
 from warpcrete.suspension.aggregates import Aggregates
-from warpcrete.theory.pipe import CONCRETES, measured_layer
+from warpcrete.theory.pipe import CONCRETES, after_rest, kaplan, measured_layer, steady, steady_of_stress
 from warpcrete.theory.pipe import Line as PipeLine
+from warpcrete.theory.segregated import Segregated
+from warpcrete.theory.suspension import thickening
 
 STRAIGHT = Axis((0, 0, 0), (0, 0, 1), (Line(0.4),))
 SPHERE = clumps.sphere()
@@ -136,6 +144,9 @@ def test_kept_refusals_of_scenes():
     def changed(**changes):
         return lambda: replace(plain, **changes)
 
+    stones = dict(aggregate_fraction=0.1, aggregate_smallest=0.02, aggregate_largest=0.02, spacing=0.005)
+    mortar = scenes.slump(**stones, lift_time=0.0)
+    part = scenes.part(**stones, diameter=0.1, unit="bend-level")
     drive, bonds = AxisDrive(group="front", axis=STRAIGHT, force=1.0), Bonds()
     cases = {
         "scene": changed(),
@@ -176,7 +187,11 @@ def test_kept_refusals_of_scenes():
             **fill | {"sizes": Uniform(0.01, 0.1)}, solid_fraction=0.5
         ),
         "flow with aggregates in a plane": lambda: scenes.stretch(aggregate_largest=0.06, aggregate_smallest=0.055),
-        "coarse flow with aggregates": lambda: scenes.stretch(spacing=0.02),
+        "coarse flow with aggregates": lambda: scenes.stretch(spacing=0.02, length=0.3),
+        "mortar with aggregates in a plane": lambda: replace(mortar, depth=0.0, round=False, sides={}, walls=()),
+        "part without aggregates": lambda: replace(part, aggregate_fraction=0.0),
+        "part with wide aggregates": lambda: replace(part, aggregate_diameters=(0.02, 0.07)),
+        "part with narrow aggregates": lambda: replace(part, aggregate_diameters=(0.014, 0.02)),
     }
     compare("scenes", cases)
 
@@ -286,6 +301,63 @@ def test_kept_refusals_of_entries(tmp_path):
         "layer of falling pressures": layer((0.005, 0.01), (2.5e5, 1.5e5)),
     }
     compare("entries", cases, tmp_path)
+
+
+def test_kept_refusals_of_numbers():
+    """Numbers on both sides of the limits that functions of Python check, beside those that scenes declare."""
+    mortar, line, inf = CONCRETES["no1"], PipeLine(radius=0.0625, length=10.0), np.inf
+    one = Bodies(positions=np.array([[0, 0, 0.1]]), sizes=0.01)
+    apart = Segregated(mortar, line, 0.4, 0.1)
+    limits = {
+        "restitution": (damping_ratio, (-1e-9, 0.0, 1.0, 1.001)),
+        "poisson": (lambda x: HertzMindlin.of(1e9, x), (-1e-9, 0.0, 0.5, 0.501)),
+        "stops": (lambda x: Stops(count=x, stroke_time=1.0, pause=0.0), (0, 1, True, 1.0, 1_000_000, 1_000_001)),
+        "stroke time": (lambda x: Stops(count=1, stroke_time=x, pause=0.0), (0.0, 1e-9)),
+        "pause": (lambda x: Stops(count=1, stroke_time=1.0, pause=x), (-1e-9, 0.0, inf)),
+        "ramp": (lambda x: Prescribed(ramp_time=x), (-1e-9, 0.0, 2.0)),
+        "start": (lambda x: Prescribed(start_time=x), (-1e-9, 0.0, 2.0)),
+        "driving force": (lambda x: Driven(direction=(0, 0, 1), force=x, mass=1.0), (-1e9, np.nan)),
+        "driven mass": (lambda x: Driven(direction=(0, 0, 1), force=1.0, mass=x), (0.0, 1e-9)),
+        "driven damping": (lambda x: Driven(direction=(0, 0, 1), force=1.0, mass=1.0, damping=x), (-1e-9, 0.0)),
+        "driven start": (lambda x: Driven(direction=(0, 0, 1), force=1.0, mass=1.0, start_time=x), (-1e-9, 0.0)),
+        "direction": (lambda x: Driven(direction=(0, 0, x), force=1.0, mass=1.0), (0.0, 1e-9)),
+        "angle": (lambda x: Arc(0.2, x, (0, 0, 1)), (0.0, 1e-6, np.pi, 3.15)),
+        "facets": (lambda x: STRAIGHT.tube(0.05, x), (2, 3)),
+        "shape": (clumps.elongated, (0.999, 1.0, 20.0, 20.001)),
+        "drive": (lambda x: AxisDrive(group="", axis=STRAIGHT, force=x), (-1e9, inf)),
+        "duration": (lambda x: Scene(name="own", duration=x, bodies=(one,)), (-1e-9, 0.0)),
+        "interval": (lambda x: Scene(name="own", duration=1.0, bodies=(one,), sample_interval=x), (0.0, 1e-9)),
+        "seeds": (lambda x: Elements(seeds=x), (0, 1, 100, 101)),
+        "stiffer": (lambda x: Elements(stiffer=x), (0.99, 1, 1000, 1001)),
+        "coarse": (lambda x: Elements(coarse=x), (0.99, 1, 20, 20.1)),
+        "height": (lambda x: pipeline_pressure(2e4, 1e4, x, 2.0), (-1e-9, 0.0, 0.5)),
+        "distance": (lambda x: pipeline_pressure(2e4, 1e4, 2.0, x), (-1e-9, 0.0, 0.5)),
+        "line flow": (lambda x: check_settings(x, 1.0), (0.0, 1e-9)),
+        "layer factor": (lambda x: check_settings(1.0, x), (0.999, 1.0)),
+        "shape of stones": (read_shape, (0.99, 1, 1.5, 20, 20.1, True, "rounded", "round")),
+        "fraction": (lambda x: thickening(x, 2.5, 0.6), (-1e-9, 0.0, 0.59, 0.6)),
+        "stress": (lambda x: steady_of_stress(mortar, line, x), (-1e-9, 0.0)),
+        "flow": (lambda x: steady(mortar, line, x), (-1e-9, 0.0)),
+        "kaplan": (lambda x: kaplan(mortar, line, x), (-1e-9, 0.0)),
+        "rest": (lambda x: after_rest(mortar, x, 0.1), (-1e-9, 0.0, 0.5)),
+        "thixotropy": (lambda x: after_rest(mortar, 10.0, x), (-1e-9, 0.0, 0.5)),
+        "rise": (lambda x: PipeLine(rise=x), (-1.001, -1, 1, 1.001)),
+        "layer": (lambda x: PipeLine(radius=0.05, slip_thickness=x), (-1e-9, 0.0, 0.0499, 0.05)),
+        "segregated stress": (apart.of_stress, (-1e-9, 0.0)),
+        "segregated flow": (apart.steady, (-1e-9, 0.0)),
+        "segregation": (lambda x: Segregated(mortar, line, 0.4, x), (-0.67, -0.66, 1.33, 1.34)),
+        "aggregate": (lambda x: Segregated(mortar, line, x, 0.0), (0.0, 1e-9, 0.59, 0.6)),
+        "grains": (lambda x: Grains(fraction=x, mortar=mortar), (0.0, 1e-9, 0.6, 0.61)),
+        "roundness": (lambda x: Grains(fraction=0.1, mortar=mortar, roundness=x), (0.49, 0.5, 1.0, 1.01)),
+        "grain": (lambda x: Grains(fraction=0.1, mortar=mortar, sizes=((x, 0.01, 1.0),)), (0.0, 0.01, 0.011)),
+        "share": (lambda x: Grains(fraction=0.1, mortar=mortar, sizes=((0.01, 0.01, x),)), (-0.1, 0.0, 1.0, 1.1)),
+    }
+    cases = {
+        f"{name} {value}": lambda make=make, value=value: make(value)
+        for name, (make, values) in limits.items()
+        for value in values
+    }
+    compare("numbers", cases)
 
 
 def test_kept_refusals_of_meshes(tmp_path):
