@@ -35,6 +35,8 @@ MIXES = {
     "large stones": {"sizes": ["8 mm", "40 mm"], "shape": "rounded", "thickener": True, "air": "5 %"},
     "sieve": {"sizes": None, "sieve": {4: 0, 8: 0.3, 16: 0.8, 22: 1}, "slump": "200 mm"},
     "stiff": {"slump": "40 mm", "shape": None, "air": "2 %"},
+    "unsorted": {"parts": {"cement": 340, "water": 180, "aggregate": 1830}, "aggregate": "38 %"},
+    "unsorted stones": {"parts": {"cement": 600, "water": 300, "aggregate": 1300}, "aggregate": "50 %", "air": 0.02},
     "measured": {"concrete": {"yield_stress": 300, "viscosity": 40, "uncertainty": "15 %"},
                  "layer": {"yield_stress": 30, "viscosity": 900, "uncertainty": "10 %"}},
 }  # fmt: skip
