@@ -474,6 +474,30 @@ def test_the_report_of_a_run_is_kept(capsys, tmp_path):
     kept.compare("report-of-a-run", capsys.readouterr().out.replace(str(tmp_path), "FOLDER"))
 
 
+def test_what_a_validation_and_a_reproduction_print(monkeypatch, tmp_path):
+    """A summary or every case, blocking and refusals; the table of a paper, and how to continue what is unfinished."""
+    found = SimpleNamespace(
+        summaries=lambda: ["slump"], table=lambda: "every case",
+        blocking=[1], blocking_lines=lambda: ["3 of 4 blocked"],
+        refused={"smith-1": "no density"},
+    )  # fmt: skip
+    module = CLI["validate"]
+    monkeypatch.setattr(module, "validate", lambda *given, **settings: found)
+    monkeypatch.setattr(module, "summary_cells", lambda each: [each, *"12345678"][: len(module.SUMMARY_COLUMNS)])
+    short, whole = (command("validate", "--quiet", *words).stdout.splitlines() for words in ((), ("--every",)))
+    assert whole == ["every case"] and short[2].startswith("| slump | 1 | 2 |")
+    assert short[-3:] == ["", "3 of 4 blocked", "refused: smith-1: no density"]
+    found.blocking, found.refused = [], {}
+    assert command("validate", "--quiet").stdout.splitlines() == short[:-3]
+    (tmp_path / "reproduction.md").write_text("a table\n", encoding="utf-8")
+    for finished, code in ((True, 0), (False, 130)):
+        made = SimpleNamespace(folder=tmp_path, finished=finished)
+        monkeypatch.setattr(CLI["reproduce"], "reproduce", lambda *given, made=made, **settings: made)
+        done = command("reproduce", "xu", "--quick", "--quiet", "--device", "cpu")
+        lines = ["", "a table", "", f"folder: {tmp_path}", f"continue with: warpcrete reproduce --resume {tmp_path}"]
+        assert done.returncode == code and done.stdout.splitlines() == lines[: 4 if finished else 5]
+
+
 @pytest.mark.parametrize("kind", ["whole", "open", "failed", "lost", "suspect"])
 def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatch):
     study = Study(Path("here"), "pipe", [SimpleNamespace(name=name, varied={"x": name}) for name in "ab"])

@@ -12,10 +12,12 @@ import importlib
 import inspect
 import pkgutil
 
+import click
 import kept
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.cli.main import cli
 from warpcrete.core.errors import WarpcreteError
 from warpcrete.core.inputs.parameters import Above, Within, declared_fields
 from warpcrete.methods import METHODS, method_of
@@ -131,3 +133,31 @@ def test_kept_quantities_and_tests():
         methods = {method: attempt(scenes.by_method, name, method) for method in ("dem", "mps", "suspension")}
         lines.append(f"{name}: {method_of(module.scene()).name}, {short(methods)}")
     kept.compare("quantities", "\n".join(lines))
+
+
+MARKS = ("required", "multiple", "is_flag", "show_default")
+"""Attributes of a command's option that are true or false."""
+
+
+def options(command, called):
+    """Yield a line for each option of a command and of its subcommands."""
+    context = click.Context(command)
+    for each in command.params:
+        kind = type(each.type).__name__
+        limits = [*getattr(each.type, "choices", ()), getattr(each.type, "min", None), getattr(each.type, "max", None)]
+        marks = [name for name in MARKS if getattr(each, name, None) is True]
+        # An enumeration of click's stands for a value that is not given; older versions have None or False.
+        values = [*limits, each.default, getattr(each, "flag_value", None)]
+        given = [value for value in values if not isinstance(value, enum.Enum | bool)]
+        shown = [short(value) for value in given if value is not None and plain(value)]
+        yield f"{called} {' '.join((*each.opts, *each.secondary_opts))}: {kind} {' '.join((*marks, *shown))}".strip()
+    if isinstance(command, click.Group):
+        for name in command.list_commands(context):
+            if called != "run" or name in ("pipe", "slump"):
+                found = command.get_command(context, name)
+                assert found is not None
+                yield from options(found, f"{called} {name}".strip())
+
+
+def test_kept_options_of_commands():
+    kept.compare("options", "\n".join(options(cli, "")))

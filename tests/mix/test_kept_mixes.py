@@ -83,7 +83,9 @@ def test_kept_meaning_of_names():
 def test_kept_figures_and_rules_of_mixes():
     found = {}
     for name, changes in MIXES.items():
-        mix = mix_of({key: value for key, value in (BASE | changes).items() if value is not None})
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlausibilityWarning)
+            mix = mix_of({key: value for key, value in (BASE | changes).items() if value is not None})
         rules = [blocking_rules(mix.given, bore) for bore in (0.05, 0.1, 0.125)]
         found[name] = {
             "mix": [repr(mix), mix.table(), mix.band_origin],
