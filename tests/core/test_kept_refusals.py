@@ -437,7 +437,7 @@ WRONG = re.compile(r"(?<=: )(?:[^\s\[{:,}][^,}\]\n:]*)(?=[,}\n])|\[[^\]]*\]")
 
 
 def test_kept_refusals_of_each_entry_of_a_file(tmp_path):
-    """Put a nonsensical, a tiny and a negative value at each place of a file; the message names file and line."""
+    """Put nonsense, tiny, negative and large values at each place of a file; the message names file and line."""
     path = tmp_path / "own.yaml"
     kinds = {
         "line": (LINE, lambda: read_line(path)),
@@ -448,7 +448,7 @@ def test_kept_refusals_of_each_entry_of_a_file(tmp_path):
     for kind, (text, read) in kinds.items():
         places = [None, *WRONG.finditer(text)]
         for place in places:
-            for value in ("[[x]]", "1e-9", "-3", "99") if place else ("",):
+            for value in ("[[x]]", "1e-9", "-3", "99", "0.9") if place else ("",):
 
                 def reading(text=text, place=place, value=value, read=read):
                     changed = text[: place.start()] + value + text[place.end() :] if place else text

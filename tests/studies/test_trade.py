@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
+import kept
 import numpy as np
 import pytest
 from conftest import devices
@@ -149,6 +150,27 @@ def test_every_level_of_every_knob_makes_another_scene(name):
             assert own in texts, f"{knob.name}: no level is the scene as given"
         known = {each.name for each in method_of(module.scene(**base)).quantities}
         assert set(module.trading.quantities) <= known
+
+
+def test_kept_knobs_and_variants():
+    """What a trade varies in each scene: settings, their levels and costs; and the scenes that try its promises."""
+    found = {}
+    for name, module in modules().items():
+        others = FURTHER | {"jring-dem": {"bars": 24}}  # narrow gaps limit the size of stones
+        for place, base in enumerate(({}, others.get(name, {"seed": 3}))):
+            given = module.scene.parameters(**base)
+            found[f"{name}{place}"] = {
+                "knobs": [
+                    [
+                        f"{knob.name}, physical {knob.physical}, chosen {knob.chosen}, resolution {knob.resolution}",
+                        *(f"{level.label}: {dict(level.changes)} at {level.cost:.6g}" for level in knob.levels),
+                    ]
+                    for knob in module.trading.knobs(given)
+                ],
+                "variants": module.trading.variants(given),
+                "marks": [module.trading.quantities, module.trading.tolerance, module.trading.closed_form(given)],
+            }
+    kept.compare("knobs", found)
 
 
 VARIANTS = {"twice the flow": {"flow": 3e-3}, "concrete no2": {"concrete": "no2"}}
