@@ -18,7 +18,7 @@ from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.crossings import first_crossing

@@ -10,7 +10,7 @@ import numpy as np
 from warpcrete.core.inputs.knobs import Trading
 from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.scene_functions import scene_function
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.dem.pumping.components import fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE

@@ -17,7 +17,7 @@ from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.knobs import Trading
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of

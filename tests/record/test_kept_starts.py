@@ -13,7 +13,7 @@ import pytest
 from pumping import TINY
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.scene.clumps import reference
 from warpcrete.dem.scene.scene import Bodies, Scene
 from warpcrete.geometry.walls import PlaneWall, Prescribed

@@ -18,7 +18,8 @@ from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar, no_progress, rate_text
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.units import number
 from ..methods import method_of

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.device.device import find_device, parallel
 from ..core.errors import CapacityError, InstabilityError, WarpcreteError, refuse
-from ..core.run.run_loop import Coroutine
+from ..core.run.coroutines import Coroutine
 from .engine.batch import batch_key
 from .engine.memory import check_memory
 from .engine.model import build_model

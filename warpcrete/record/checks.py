@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from ..core.run.checks import Check
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 
 

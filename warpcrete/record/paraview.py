@@ -16,7 +16,8 @@ import numpy as np
 from ..core.device.recorder_thread import RecorderThread
 from ..core.errors import WarpcreteError
 from ..core.run.files import atomic_file, cannot_write
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..geometry.rotation import rotate
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.run.files import atomic_file
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..methods import method_of
 

@@ -22,7 +22,8 @@ from ..core.drawing.paint import COLOUR_STEPS, Paint, packed
 from ..core.drawing.style import THEORY
 from ..core.errors import RunFolderError, refuse
 from ..core.run.files import cannot_write, space_error
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.run.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls

@@ -13,7 +13,8 @@ from ..core.inputs.origin import Arguments, changed_fields, readable
 from ..core.run.files import atomic_file, cannot_write, read_json, write_json
 from ..core.run.folders import FolderLock, make_folder
 from ..core.run.provenance import provenance
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.run.tables import Table
 from .loading import is_finished

@@ -18,7 +18,8 @@ import numpy as np
 from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, DrawnWall, RigidBodies
 from ..core.run.files import atomic_file, cannot_write
-from ..core.run.run_loop import Recorder, Run
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
 from ..core.run.simulation_protocol import RecordedSimulation
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.run.run_loop import Recorder
+from ..core.run.recorder import Recorder
 from ..core.run.simulation_protocol import RecordedSimulation
 from ..dem.laws import Contact
 from ..dem.scene.clumps import reference

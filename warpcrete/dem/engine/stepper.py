@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ...core.errors import CapacityError, InstabilityError, refuse
-from ...core.run.run_loop import Coroutine, Until
+from ...core.run.coroutines import Coroutine, Until
 from ...geometry.walls import MeshWall
 from ...kernels.common.control import ARRIVED, ESTIMATED, FAILED, HALTED, OVERFLOW, STALE, STEPS
 from ...kernels.dem.clock import CLOSE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...core.run.checks import with_cures
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...core.units import number
 
 OUTFLOW = 1e-3
