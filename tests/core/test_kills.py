@@ -34,7 +34,7 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, undisturbed_f
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpcrete.record.rerun.join", cut)
+        patch.setattr("warpcrete.record.rerun_stream.join", cut)
         with pytest.raises(Killed):
             first = flow(folder, RerunRecorder(folder / "run.rrd"))
             first.run()

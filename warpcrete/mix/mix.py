@@ -13,9 +13,10 @@ from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..theory.pipe import Concrete, scaled
+from .entries import MixEntries
 from .figures import Figure, around, reconciled, short
-from .given import DENSITY_TOLERANCE, MixEntries, read
 from .layer import ASSUMPTION, OF_PASTE, layers
+from .reading import DENSITY_TOLERANCE, read
 from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",

@@ -21,9 +21,11 @@ from ..theory.inverse import (
 )
 from ..theory.pipe import Concrete
 from ..theory.suspension import SUSPENSIONS, power_thickening, thickening
+from .entries import MixEntries
 from .figures import Figure, around, line_uncertainty, of_line
-from .given import PACKING, Measured, MixEntries
 from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
+from .measurements import Measured
+from .reading import PACKING
 
 RHEOMETER = 0.2
 """Relative uncertainty of measured constants of concrete or mortar, if the mix states none."""
