@@ -12,17 +12,16 @@ K_WALL = MODULUS * math.pi * RADIUS
 SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)
 
 
+def sphere_scene(walls, positions, step, velocities=None, **settings):
+    """Scene of spheres at walls with a fixed time step; without gravity and friction, unless `settings` differ."""
+    bodies = Bodies(positions=positions, sizes=2 * RADIUS, density=DENSITY, velocities=velocities)
+    usual = dict(name="spheres", duration=1, gravity=(0, 0, 0), contact=SMOOTH)
+    return Scene(**usual | settings, walls=walls, time_step=TimeStep(fixed=step), bodies=(bodies,))
+
+
 def force_on_sphere(start, walls, position, contact=SMOOTH):
     """Force that resting walls exert on a resting sphere, shape (3,)."""
-    scene = Scene(
-        name="probe",
-        duration=0,
-        walls=walls,
-        gravity=(0, 0, 0),
-        contact=contact,
-        time_step=TimeStep(fixed=1e-6),
-        bodies=(Bodies(positions=[position], sizes=2 * RADIUS, density=DENSITY),),
-    )
+    scene = sphere_scene(walls, [position], 1e-6, contact=contact)
     stepper = start(scene)
     stepper.take(1)
     return -stepper.state.walls.force.numpy().reshape(-1, 3).sum(0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import by_id
-from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane
+from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane, sphere_scene
 
 from warpcrete.dem.measure.probes import contact_sums
 from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
@@ -108,11 +108,11 @@ def test_a_convex_body_touches_each_sphere_once(start, by):
         places.append(hull.vertices[corner] + by * RADIUS * along / np.linalg.norm(along))
     # The sphere overlaps so far that the corner lies inside it, too, in a direction that is not merged with the edge's.
     places, normals, depth = np.array(places), np.array(normals), 0.2 * RADIUS
-    scene = Scene(
-        name="hulls", duration=0, gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-6),
-        walls=(MeshWall(name="hulls", vertices=hull.vertices, faces=rng.permutation(hull.faces)),),
-        bodies=(Bodies(positions=places + (RADIUS - depth) * normals, sizes=2 * RADIUS, density=DENSITY),),
-    )  # fmt: skip
+    scene = sphere_scene(
+        (MeshWall(name="hulls", vertices=hull.vertices, faces=rng.permutation(hull.faces)),),
+        places + (RADIUS - depth) * normals,
+        1e-6,
+    )
     stepper = start(scene)
     stepper.take(1)
     force = by_id(stepper.state, "velocity") * MASS / (0.5 * stepper.dt)
@@ -178,15 +178,7 @@ def test_long_thin_triangles_push_along_their_normal(start, precision):
     for angle, z in zip(rng.uniform(0, 2 * math.pi, 20), rng.uniform(0.1, 1.9, 20)):
         outward = np.array([math.cos(angle), math.sin(angle), 0.0])
         place = (0.05 - RADIUS + 1e-3) * outward + [0, 0, z]
-        scene = Scene(
-            name="probe",
-            duration=0,
-            walls=(wall,),
-            gravity=(0, 0, 0),
-            contact=SMOOTH,
-            time_step=TimeStep(fixed=1e-6),
-            bodies=(Bodies(positions=[place], sizes=2 * RADIUS, density=DENSITY),),
-        )
+        scene = sphere_scene((wall,), [place], 1e-6)
         stepper = start(scene, precision)
         stepper.take(1)
         force = -stepper.state.walls.force.numpy()[0]
@@ -197,21 +189,11 @@ def test_long_thin_triangles_push_along_their_normal(start, precision):
 
 def test_centre_pushed_through_a_mesh_is_pushed_back(start):
     vertices, faces = grid_plane()
-    scene = Scene(
-        name="press",
-        duration=1,
-        walls=(MeshWall(name="floor", vertices=vertices, faces=faces),),
-        gravity=(0, 0, 0),
-        contact=SMOOTH,
-        time_step=TimeStep(fixed=1e-5),
-        bodies=(
-            Bodies(
-                positions=[[0.001, 0.002, RADIUS]],
-                sizes=2 * RADIUS,
-                density=DENSITY,
-                velocities=np.array([[0, 0, -math.sqrt(K_WALL / MASS) * 1.3 * RADIUS]]),
-            ),
-        ),
+    scene = sphere_scene(
+        (MeshWall(name="floor", vertices=vertices, faces=faces),),
+        [[0.001, 0.002, RADIUS]],
+        1e-5,
+        [[0, 0, -math.sqrt(K_WALL / MASS) * 1.3 * RADIUS]],
     )
     stepper = start(scene)
     lowest = 0.0

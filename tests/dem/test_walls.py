@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import by_id
-from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, SMOOTH
+from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, sphere_scene
 
 from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.geometry.axis import Axis, Line
@@ -47,10 +47,7 @@ def test_a_pipe_that_moves_throws_a_sphere_at_twice_its_speed(start):
     pipe = PipeWall(name="pipe", axis=Axis((0, 0, 0), (0, 0, 1), (Line(0.3),)), radius=0.05,
                     motion=Prescribed(velocity=(-speed, 0, 0)))  # fmt: skip
     place = [0.05 - RADIUS - gap, 0.0, 0.15]
-    scene = Scene(
-        name="throw", duration=1, walls=(pipe,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-5),
-        bodies=(Bodies(positions=[place], sizes=2 * RADIUS, density=DENSITY),),
-    )  # fmt: skip
+    scene = sphere_scene((pipe,), [place], 1e-5)
     stepper = start(scene)
     stepper.advance(gap / speed + 1.2 * math.pi * math.sqrt(MASS / K_WALL))
     assert by_id(stepper.state, "velocity")[0] == pytest.approx([-2 * speed, 0, 0], rel=1e-4, abs=1e-9)
@@ -65,14 +62,7 @@ def test_driven_plate_comes_to_rest_on_what_carries_it(start):
         motion=Driven(direction=(0, 0, -1), force=load, mass=0.05, damping=2.0),
     )
     floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
-    scene = Scene(
-        name="press",
-        duration=1,
-        walls=(floor, plate),
-        gravity=(0, 0, 0),
-        time_step=TimeStep(fixed=2e-5),
-        bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),),
-    )
+    scene = sphere_scene((floor, plate), [[0, 0, RADIUS]], 2e-5, contact=Contact())
     stepper = start(scene)
     stepper.advance(0.6)
     sunk = 2 * RADIUS - stepper.state.walls.position.numpy()[1, 2]
@@ -102,19 +92,7 @@ def test_a_driven_plate_in_steps_of_many_sizes_moves_as_under_a_constant_force(s
 def test_wall_impulse_and_moment_are_those_of_the_forces(start, steps):
     # A sphere falls on a plane off its origin: impulse = change of momentum, moment = arm x force.
     floor = PlaneWall(name="floor", point=(0.1, 0.2, 0), normal=(0, 0, 1))
-    scene = Scene(
-        name="drop",
-        duration=1,
-        walls=(floor,),
-        gravity=(0, 0, 0),
-        contact=SMOOTH,
-        time_step=TimeStep(fixed=1e-5),
-        bodies=(
-            Bodies(
-                positions=[[0.3, 0.2, RADIUS]], sizes=2 * RADIUS, density=DENSITY, velocities=np.array([[0, 0, -0.5]])
-            ),
-        ),
-    )
+    scene = sphere_scene((floor,), [[0.3, 0.2, RADIUS]], 1e-5, [[0, 0, -0.5]])
     stepper = start(scene)
     for count in steps:
         if len(steps) > 1:  # some steps of each size while they touch
@@ -135,15 +113,7 @@ def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
     wall = PlaneWall(
         name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.4), ramp_time=0.01)
     )
-    scene = Scene(
-        name="push",
-        duration=1,
-        walls=(wall,),
-        gravity=(0, 0, 0),
-        contact=SMOOTH,
-        time_step=TimeStep(fixed=5e-6),
-        bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),),
-    )
+    scene = sphere_scene((wall,), [[0, 0, RADIUS]], 5e-6)
     stepper = start(scene)
     for _ in range(5):
         stepper.advance(stepper.time + 0.004)

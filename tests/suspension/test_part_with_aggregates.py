@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -29,11 +30,7 @@ def part(device, **given):
 
 
 def begun(device, steps=0, **given):
-    simulation = part(device, **given)
-    simulation.begin()
-    if steps:
-        simulation.flow.take(steps)
-    return simulation
+    return begin(part(device, **given), steps)
 
 
 def census(simulation):
