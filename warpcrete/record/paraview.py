@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..core.device.recorder_thread import RecorderThread
-from ..core.errors import WarpcreteError
+from ..core.extras import needs_extra
 from ..core.run.files import atomic_file, cannot_write
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
@@ -40,12 +40,7 @@ class ParaViewRecorder(Recorder):
     expendable = True
 
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
-        try:
-            import h5py  # noqa: F401
-        except ImportError:
-            raise WarpcreteError(
-                "paraview: needs the package h5py, which is not installed; run pip install 'warpcrete[paraview]'"
-            ) from None
+        needs_extra("paraview", "h5py")
         self.folder, self.colouring = folder, colouring
         self._frames = 0
         self._files: dict[str, Poly] = {}
