@@ -15,7 +15,7 @@ from ..core.drawing.paint import COLOUR_STEPS, Paint, packed
 from ..core.drawing.style import THEORY
 from ..core.run.recorder import Recorder
 from ..core.run.run import Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.simulation_base import SimulationBase
 from ..core.run.viewer import LOOPBACK
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
 from .legend import legend, paint_legend
@@ -67,7 +67,7 @@ class RerunRecorder(Recorder):
         self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
 
-    def start(self, simulation: RecordedSimulation) -> None:
+    def start(self, simulation: SimulationBase) -> None:
         """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
             # Delete the part files of an earlier run that stopped before its first checkpoint.
@@ -78,7 +78,7 @@ class RerunRecorder(Recorder):
         self._describe(display)
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
-    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
         """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
@@ -104,18 +104,18 @@ class RerunRecorder(Recorder):
         else:
             self._places = dict(state["places"])
 
-    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
         """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
         following = self._stream.part + (self.path is not None)
         return {"recording_id": self._stream.recording_id, "parts": following, "places": self._places}
 
-    def write(self, simulation: RecordedSimulation) -> None:
+    def write(self, simulation: SimulationBase) -> None:
         """Close the current part of the recording and open the next part."""
         if self.path is not None:
             self._stream.open_next_part()
 
-    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+    def sample(self, simulation: SimulationBase, row: dict[str, float]) -> None:
         """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time = row["time"]
@@ -134,7 +134,7 @@ class RerunRecorder(Recorder):
 
         self._later.submit(log)
 
-    def frame(self, simulation: RecordedSimulation) -> None:
+    def frame(self, simulation: SimulationBase) -> None:
         """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
@@ -249,7 +249,7 @@ class RerunRecorder(Recorder):
             self._tensors[len(values)] = like = TensorDataBatch(values).as_arrow_array()
         return with_values(like, values)
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Flush the recording and close it."""
         if self._stream.is_connected:
             try:
@@ -259,7 +259,7 @@ class RerunRecorder(Recorder):
                 raise
             self._stream.close()
 
-    def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
+    def tidy(self, simulation: SimulationBase, run: Run) -> None:
         """Join the part files of the recording into one file."""
         self._stream.join_parts()
 
@@ -302,7 +302,7 @@ class RerunRecorder(Recorder):
         pose = self._rr.Transform3D(translation=position, quaternion=self._rr.Quaternion(xyzw=orientation))
         self._log(path, pose, static=static)
 
-    def _blueprint(self, simulation: RecordedSimulation, display: Display) -> Any:
+    def _blueprint(self, simulation: SimulationBase, display: Display) -> Any:
         network = self.network and display.has_network
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)

@@ -58,9 +58,6 @@ class Simulation(SimulationBase):
     :class:`InstabilityError`, and :class:`DiskFullError` if the disk is full.
     """
 
-    shares_cores = False
-    """True if other runs use the CPU cores on which this run has no thread."""
-
     def __init__(  # pyright: ignore[reportInconsistentConstructor]  # The scene's type selects the subclass.
         self,
         scene: Any,
@@ -91,15 +88,9 @@ class Simulation(SimulationBase):
         if out is not None:
             self._use_folder(output_of(out))
         self._recording = Recording(self, self.recorders)
-        self.stop_requested = False
-        self.finishing = False
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
         self.wall_times = WallTimes()
         self._has_run = False
-        self.at_end = False
-        """True if the last step has been taken, so that only recordings may still be incomplete."""
-        self.resumes = False
-        """True if the run goes on from a checkpoint, in an existing folder."""
         self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
         self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.

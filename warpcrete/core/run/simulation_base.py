@@ -6,11 +6,13 @@ from abc import abstractmethod
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+import warp as wp
 
 from ..device.simulation_protocol import Stepped
 from ..drawing.display import Display
 from ..errors import refuse
 from .coroutines import Coroutine, Until
+from .frames import Frames
 from .run import Run
 
 S = TypeVar("S", bound="SimulationBase")
@@ -25,11 +27,29 @@ class SimulationBase:
 
     scene_type: ClassVar[type]
     """Type of the scenes that a subclass simulates."""
-    scene: Any
     kinds: ClassVar[list[type[SimulationBase]]] = []
     """Subclasses with a `scene_type`: one for each simulation method."""
+    scene: Any
+    """Scene of the run; its type depends on the simulation method."""
+    device: wp.Device
+    """Warp device of the run."""
+    threads: int
+    """Number of CPU threads of the run."""
+    precision: str
     stepper: Stepped
     """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
+    frames: Frames
+    """Schedule that decides at which simulated times recorders record a frame."""
+    shares_cores = False
+    """True if other runs use the CPU cores on which this run has no thread."""
+    stop_requested = False
+    """True if the run must end at its next sample, which adds a row to the time series."""
+    finishing = False
+    """True if all steps of the run are over, and its results are being written or have been written."""
+    resumes = False
+    """True if the run goes on from a checkpoint, in an existing folder."""
+    at_end = False
+    """True if the last step has been taken, so that only recordings may still be incomplete."""
 
     def __init_subclass__(cls, **settings: object) -> None:
         super().__init_subclass__(**settings)
