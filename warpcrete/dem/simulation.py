@@ -195,7 +195,7 @@ class ElementSimulation(Simulation):
             return
         self.stepper.bond(scene.bonds, 1)
         if scene.hydration is not None:
-            self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
+            self.stepper.hydrate(scene.hydration.fraction, scene.seed)
 
     def reaching(self, time: float) -> Coroutine:
         """Advance the simulation to `time` [s]; this coroutine yields the times to which the run loop must step.

@@ -74,7 +74,7 @@ def yield_stresses(given: MixEntries) -> Iterator[Figure]:
     """
     yield from _stated(given.concrete, "yield_stress", "Pa", "concrete")
     if given.viscometer_points is not None:
-        yield _against_heaps(_offset("yield stress", given.viscometer_points, "Pa", "viscometer"))
+        yield _against_heaps(_yield_stress_of(given.viscometer_points))
     if (own := _mortar(given, "yield_stress", "Pa")) is not None:
         yield _from_mortar(own, given, 1, "Chateau, Ovarlez & Trung 2008")
     if given.spread is not None:
@@ -99,7 +99,7 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
     """
     yield from _stated(given.concrete, "viscosity", "Pa s", "concrete")
     if given.viscometer_points is not None:
-        yield _slope("viscosity", given.viscometer_points, "Pa s", "viscometer")
+        yield _viscosity_of(given.viscometer_points)
     if (own := _mortar(given, "viscosity", "Pa s")) is not None:
         yield _from_mortar(own, given, 0, "Krieger & Dougherty 1959")
     if given.t500 is not None and given.spread is not None:
@@ -197,13 +197,13 @@ def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Fig
                   f"mortar with a share {given.share:.3g} of aggregate", source)  # fmt: skip
 
 
-def _slope(name: str, points: tuple[list[float], list[float]], unit: str, way: str) -> Figure:
+def _viscosity_of(points: tuple[list[float], list[float]]) -> Figure:
     fit, count = straight_line(*points), len(points[0])
     off = line_uncertainty(fit.slope_error, count, fit.slope, RHEOMETER)
-    return of_line(name, fit.slope, off, unit, way, count)
+    return of_line("viscosity", fit.slope, off, "Pa s", "viscometer", count)
 
 
-def _offset(name: str, points: tuple[list[float], list[float]], unit: str, way: str) -> Figure:
+def _yield_stress_of(points: tuple[list[float], list[float]]) -> Figure:
     fit, count = straight_line(*points), len(points[0])
     off = line_uncertainty(fit.offset_error, count, fit.offset, RHEOMETER)
-    return of_line(name, fit.offset, off, unit, way, count)
+    return of_line("yield stress", fit.offset, off, "Pa", "viscometer", count)
