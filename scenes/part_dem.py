@@ -16,12 +16,7 @@ from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE
 from warpcrete.dem.pumping.parts import Course, PartElements, course_of, part_knobs, plug_layers
 from warpcrete.dem.scene.containers import PipeContainer
-from warpcrete.dem.scene.scene import (
-    PipeUnit,
-    PressureProbe,
-    Scene,
-    Stations,
-)
+from warpcrete.dem.scene.scene import PipeUnit, PressureProbe, Scene, Stations
 from warpcrete.dem.scene.sizes import Sizes
 from warpcrete.geometry.mesh_parts import wall_of
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed

@@ -61,10 +61,7 @@ def test_a_pump_is_compared_with_its_data_sheet():
             {"flow": "90 m3/h"},
             r"^pump = \{'flow': '90 m3/h'\}: has no 'pressure'; add the largest pressure from the data sheet",
         ),
-        (
-            {"presure": "85 bar"},
-            r"^pump's key = 'presure': must be one of pressure, flow, power; did you",
-        ),
+        ({"presure": "85 bar"}, r"^pump's key = 'presure': must be one of pressure, flow, power; did you"),
         ("85 kW", r"^pump pressure = '85 kW': must be a number with one of Pa, bar"),
         (0, r"^pump pressure = 0\.0: must be a finite number above 0 Pa"),
         (

@@ -191,10 +191,7 @@ def test_a_part_is_blocked_if_aggregates_stand_still_and_the_pressure_rises():
 @pytest.mark.parametrize(
     "given, words",
     [
-        (
-            {"aggregate_largest": 0.05},
-            "aggregate_largest = 0.05: is too large: the simulated part of the",
-        ),
+        ({"aggregate_largest": 0.05}, "aggregate_largest = 0.05: is too large: the simulated part of the"),
         ({"spacing": 0.01}, "spacing = 0.01: is too coarse: the smallest aggregate"),
         ({"aggregate_largest": 0.01}, "aggregate_largest = 0.01: must be at least 'aggregate_smallest'"),
     ],

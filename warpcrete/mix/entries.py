@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from .ingredients import (
-    is_plasticizer,
-    sand_and_stone_masses,
-)
+from .ingredients import is_plasticizer, sand_and_stone_masses
 from .measurements import Layer, Measured
 
 

@@ -11,15 +11,7 @@ from ..core.errors import SceneError, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.text_files import errors_located_at
 from .entries import GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntries
-from .ingredients import (
-    MIN_AMOUNT,
-    check_volume,
-    is_thickener,
-    mass_per_volume,
-    paste_volumes,
-    powder_mass,
-    water_mass,
-)
+from .ingredients import MIN_AMOUNT, check_volume, is_thickener, mass_per_volume, paste_volumes, powder_mass, water_mass
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
 from .stones import read_shape, read_sieve, read_sizes
 

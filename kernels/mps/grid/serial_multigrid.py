@@ -116,11 +116,7 @@ def serial_functions(scalar) -> SimpleNamespace:
             system.direction[i] = now
 
     return SimpleNamespace(
-        precondition=precondition,
-        start=start,
-        multiply=multiply,
-        inner=inner,
-        turn_direction=turn_direction,
+        precondition=precondition, start=start, multiply=multiply, inner=inner, turn_direction=turn_direction
     )
 
 
