@@ -309,7 +309,7 @@ class ElementSimulation(Simulation):
         """Return the run up to the present time, with series, results, tables and bodies."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
-        running, pace = self.wall_times.phases.get("running", 0.0), self.wall_times.pace(steps)
+        running = self.wall_times.phases.get("running", 0.0)
         tables: dict[str, Table] = {}
         result: dict[str, Any] = {
             "scene": self.scene.name,
@@ -349,8 +349,8 @@ class ElementSimulation(Simulation):
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self.wall_times.phases.get("packing", 0.0), "s"),
             "settling_time": quantity(self.wall_times.phases.get("settling", 0.0), "s"),
-            "steps_per_second": quantity(pace, "1/s"),
-            "sphere_steps_per_second": quantity(pace * state.sphere_count, "1/s"),
+            "steps_per_second": quantity(self.pace, "1/s"),
+            "sphere_steps_per_second": quantity(self.pace * state.sphere_count, "1/s"),
             "memory": quantity(self._memory(), "B"),
         }
         result["state_hash"] = state_hash(state)

@@ -372,7 +372,7 @@ class Simulation(SimulationBase):
                 self._checkpoint_if_due()
             figures = {name: row[name] for name in ("pressure",) if name in row}
             if self.wall_times.has_pace:  # Before the second new row, the rate would include compilation.
-                figures["steps_per_s"] = self.wall_times.pace(stepper.steps)
+                figures["steps_per_s"] = self.pace
             if self.may_end_early:
                 figures["at_most"] = 1.0
             self.tell("running", number / samples, **figures)
@@ -402,6 +402,11 @@ class Simulation(SimulationBase):
     def _checkpoint_if_due(self) -> None:
         if self.wall_times.since_checkpoint >= self.checkpoint_every:
             self._checkpoint()
+
+    @property
+    def pace(self) -> float:
+        """Mean number of time steps per second of wall time, without preparation (see :meth:`WallTimes.pace`)."""
+        return self.wall_times.pace(self.stepper.steps)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:
         """Pass the current phase, its completed fraction and current figures to the callback `progress`."""

@@ -143,12 +143,11 @@ class FlowRun(Simulation):
     def speed(self) -> dict[str, Any]:
         """Return wall times, step rates and memory of the run for its result."""
         flow, running = self.flow, self.wall_times.phases.get("running", 0.0)
-        pace = self.wall_times.pace(flow.steps)
         return {
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self.wall_times.phases.get("packing", 0.0), "s"),
-            "steps_per_second": quantity(pace, "1/s"),
-            "particle_steps_per_second": quantity(pace * flow.count, "1/s"),
+            "steps_per_second": quantity(self.pace, "1/s"),
+            "particle_steps_per_second": quantity(self.pace * flow.count, "1/s"),
             "memory": quantity(footprint(flow=flow)["flow"], "B"),
         }
 
