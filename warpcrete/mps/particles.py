@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.device.arrays import host_copy
 from ..core.device.device import MEMORY_FRACTION, default_threads, memory_free, parallel
 from ..core.device.launching import Launcher, Step, launch
 from ..core.errors import CapacityError
@@ -267,7 +268,7 @@ class MovingParticles(Stepping):
         They include the positions at which the neighbour lists were last built. A restored flow rebuilds the lists from
         these positions, so their order and the bits of all sums are the same.
         """
-        lists = {"built": self.fields.position_at_build.numpy(), "late": self.fields.event_flags.numpy()}
+        lists = {"built": host_copy(self.fields.position_at_build), "late": host_copy(self.fields.event_flags)}
         return self.state.state_dict() | lists
 
     def state_dict(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.device.arrays import host_copy
 from ..core.device.device import scalar_of
 from ..kernels.common.control import FLAGS
 from ..kernels.mps.structs import array_structs, flow_struct
@@ -105,10 +106,10 @@ class FluidState:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on, without the neighbour lists."""
-        found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
-        found["flags"] = self.flags.numpy()
+        found = {name: host_copy(getattr(self.particles, name)) for name in PARTICLE_ARRAYS}
+        found["flags"] = host_copy(self.flags)
         if self.grain_arrays is not None:
-            found |= {f"grain_{name}": getattr(self.grain_arrays, name).numpy() for name in GRAIN_ARRAYS}
+            found |= {f"grain_{name}": host_copy(getattr(self.grain_arrays, name)) for name in GRAIN_ARRAYS}
         return found
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:

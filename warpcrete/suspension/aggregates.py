@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.device.arrays import host_copy
 from ..core.errors import at_most, refuse
 from ..dem.scene.clumps import ClumpTemplate, sphere
 from ..kernels.suspension.bodies import BodyKind, body_structs
@@ -210,9 +211,9 @@ class BodyState:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return centres, velocities, spins, orientations and, with friction, contacts of the aggregates, by name."""
-        found = {name: getattr(self.bodies, name).numpy() for name in STATE_ARRAYS}
+        found = {name: host_copy(getattr(self.bodies, name)) for name in STATE_ARRAYS}
         if self.kind.friction:
-            found["last_count"] = self.pairs.last_count.numpy()
+            found["last_count"] = host_copy(self.pairs.last_count)
             entries = _entries(found["last_count"])
             found |= {name: getattr(self.pairs, name).numpy()[entries] for name in CONTACT_ARRAYS}
         return found

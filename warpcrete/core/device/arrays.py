@@ -206,6 +206,14 @@ class KernelModule(Protocol):
         ...
 
 
+def host_copy(array: DeviceArray) -> HostArray:
+    """Return the present values of an array, in host memory that no later change of the array affects.
+
+    `array.numpy()` alone shares the memory of an array on a CPU.
+    """
+    return array.numpy().copy() if array.device.is_cpu else array.numpy()
+
+
 def declared(struct: Struct) -> Struct:
     """Return `struct` unchanged, so that a type checker regards it as a :class:`Struct`.
 

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from ..device.arrays import DeviceArray, ones
+from ..device.arrays import DeviceArray, host_copy, ones
 from ..device.exchange import PinnedBuffers
 from ..device.simulation_protocol import SimulationOnDevice
 
@@ -25,10 +25,7 @@ simulation down, because it must wait while a check holds Python's interpreter l
 
 def on_host(found: object) -> object:
     """Return a copy of a Warp array as a NumPy array; return any other object unchanged."""
-    if not isinstance(found, DeviceArray):
-        return found
-    # On a CPU, `numpy()` returns a view of the array. The run continues to change this array, so copy it.
-    return found.numpy() if _is_on_gpu(found) else found.numpy().copy()
+    return host_copy(found) if isinstance(found, DeviceArray) else found
 
 
 def _is_on_gpu(array: DeviceArray) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.device.arrays import DeviceArray, zeros
+from ...core.device.arrays import DeviceArray, host_copy, zeros
 from ..scene.bodies import BodyTable, placed_bodies
 from .bonding import bond_kinds, bond_rows
 from .model import Model
@@ -20,12 +20,12 @@ EMPTY = {("spheres", "force"), ("spheres", "moment")}
 
 def state_dict(state: State) -> dict[str, Any]:
     """Return all data of a state that the next step depends on: arrays by struct and name, control flags, numbers."""
-    stored: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
+    stored: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": host_copy(state.flags)}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
-            data = array.numpy()
             listed = struct == "pairs" and name in pair_bytes(state.model)
-            stored.setdefault(struct, {})[name] = data[: max(state.pair_total, 1)] if listed else data
+            used = array[: max(state.pair_total, 1)] if listed else array
+            stored.setdefault(struct, {})[name] = host_copy(used)
     return stored
 
 

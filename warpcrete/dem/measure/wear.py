@@ -250,7 +250,7 @@ class WearMap:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return the wear quantities of all patches by wall name, for a checkpoint."""
-        return {wall.name: wall.done for wall in self.walls}
+        return {wall.name: wall.done.copy() for wall in self.walls}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
         """Restore the wear quantities of all patches from a `state_dict`."""

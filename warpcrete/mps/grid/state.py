@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import host_copy
 from ...core.device.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
@@ -172,9 +173,9 @@ class GridState:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on, by name, for a checkpoint."""
-        found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
-        found |= {f"mesh_{name}": getattr(self.mesh, name).numpy() for name in self.mesh_arrays}
-        return found | {"flags": self.flags.numpy()}
+        found = {name: host_copy(getattr(self.particles, name)) for name in PARTICLE_ARRAYS}
+        found |= {f"mesh_{name}": host_copy(getattr(self.mesh, name)) for name in self.mesh_arrays}
+        return found | {"flags": host_copy(self.flags)}
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
         """Restore the state from a `state_dict`."""
