@@ -1,6 +1,8 @@
 """Results of runs and trades that are made up, so that studies of them take no time."""
 
+import contextlib
 import importlib
+import io
 
 import numpy as np
 
@@ -8,6 +10,17 @@ from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE
 from warpcrete.studies.tradeoffs.state import Trade
 
 FAILED = {"balance": {"passed": False, "found": "9 %"}, "finished": {"passed": True, "found": "1 s"}}
+
+
+def printed(report, found):
+    """Return what a report prints, without the name of the folder, and the exit code if it ends the program."""
+    code = None
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        try:
+            report(found)
+        except SystemExit as ended:
+            code = ended.code
+    return [*text.getvalue().replace(str(found.folder), "FOLDER").splitlines(), code]
 
 
 def measured(k, **more):

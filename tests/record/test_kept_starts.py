@@ -11,6 +11,7 @@ import kept
 import numpy as np
 import pytest
 from pumping import TINY
+from test_stretch import PIPE as STRETCH
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.run.recorder import Recorder
@@ -59,12 +60,14 @@ STARTS = {
     "tube": lambda: scenes.tube(spacing=0.02, duration=0.012, sample_interval=4e-3, ends="piston"),
     "slump": lambda: scenes.slump(**FREE, duration=0.06, sample_interval=0.02, lift_time=0.2),
     "part": lambda: scenes.part(concrete="no1", unit="bend-to-vertical", straight=0.2, spacing=0.0125, duration=0.03),
+    "stretch": lambda: scenes.stretch(**STRETCH, gradient=20.0, sample_interval=10.0, duration=20.0),
 }
 COLOURINGS = {
     "clumps": ("force", "speed", "size"),
     "pipe": ("force", "speed", "size"),
     "slump": ("shear", "speed"),
     "part": ("shear", "pressure"),
+    "stretch": ("shear", "pressure"),
 }
 NETWORK = ("clumps", "pipe")
 """Scenes of which force chains are recorded."""

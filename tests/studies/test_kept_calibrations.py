@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import kept
 import numpy as np
 import pytest
-from made_studies import FAILED
+from made_studies import FAILED, printed
 
+from warpcrete.cli.calibrate import report as print_calibration
 from warpcrete.core.units import quantity
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibration import Calibration, Trial
@@ -93,6 +94,8 @@ def test_a_calibration_is_kept(tmp_path):
             "pairs": confounded_pairs(found.posterior, 0.0),
             "figure": kept.drawn(draw_calibration(found, modules())),
             "repr": repr(found).split(", folder")[0],
+            "html": found._repr_html_().replace(str(tmp_path), "FOLDER"),
+            "printed": printed(print_calibration, found),
         },
     )
     bare = Calibration(tmp_path, task, {}, found.trials, settled=True)

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 import kept
 import numpy as np
 import pytest
-from made_studies import made_trade, measured
+from made_studies import made_trade, measured, printed
 
+from warpcrete.cli.calibrate import INTERRUPTED
+from warpcrete.cli.trade import report as print_trade
 from warpcrete.core.errors import InstabilityError, SceneError
 from warpcrete.core.units import quantity
 from warpcrete.studies.cluster import WorkerLost
@@ -54,8 +56,13 @@ def test_a_trade_is_kept(tmp_path, kind):
             "expected": [trade.expected(point) for point in trade.points],
             "repr": repr(trade).partition(", folder")[0],
             "figure": kept.drawn(draw_trade(trade)),
+            "printed": printed(print_trade, trade),
         },
     )
+    trade.interrupted = True
+    *lines, code = printed(print_trade, trade)
+    assert "settings not run; continue with: warpcrete trade --resume FOLDER --budget 20min" in lines[-1]
+    assert code == INTERRUPTED
 
 
 @pytest.mark.parametrize("workers", [0, 2])
