@@ -37,10 +37,10 @@ def row(flow, first: float, steps: int, repeats: int, memory: float) -> None:
     times = [seconds(flow, steps) / steps for _ in range(repeats)]
     solves = " ".join(f"{name} {found['iterations']:.0f}" for name, found in flow.outcomes().items())
     bodies = getattr(flow, "aggregates", None)
-    print(
-        f"| {flow.state.slots:,} | {0 if bodies is None else bodies.count:,} | {first:.2f} | {1e3 * np.median(times):.2f} "
-        f"| {1e3 * min(times):.2f} | {solves} | {memory / 1e6:.0f} |", flush=True,
-    )  # fmt: skip
+    median, fastest = 1e3 * np.median(times), 1e3 * min(times)
+    count = 0 if bodies is None else bodies.count
+    print(f"| {flow.state.slots:,} | {count:,} | {first:.2f} | {median:.2f} | {fastest:.2f} | {solves} | "
+          f"{memory / 1e6:.0f} |", flush=True)  # fmt: skip
 
 
 def used(device, before: int) -> float:
@@ -79,7 +79,7 @@ def spheres(args) -> None:
     """Print the table of spheres in a sheared mortar."""
     for wide in args.wide:
         before = memory_free(wp.get_device(args.device))
-        flow = suspension(args.fraction, 0, args.device, args.precision, wide=wide, long=wide, strain=0.01)
+        flow = suspension(args.fraction, 0, args.device, args.precision, wide=wide, long=wide, rate=args.rate)
         first = seconds(flow, 1)
         row(flow, first, args.steps, args.repeats, used(flow.device, before))
         if args.kernels:
@@ -95,12 +95,14 @@ def main() -> None:
     parser.add_argument("--until", type=float, default=0.3, help="time at which measuring begins [s]")
     parser.add_argument("--wide", type=int, nargs="+", default=[4], help="spheres along an axis of the box")
     parser.add_argument("--fraction", type=float, default=0.4, help="volume fraction of the spheres")
+    parser.add_argument("--rate", type=float, default=10.0, help="shear rate of the spheres' mortar [1/s]")
     parser.add_argument("--steps", type=int, default=10)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--kernels", action="store_true", help="also the time of each kernel, on a GPU")
     args = parser.parse_args()
-    print(f"{args.case}, {args.device} ({wp.get_device(args.device).name}), {args.precision}, "
-          f"{args.repeats} repeats of {args.steps} steps\n\n| {COLUMNS} |\n|{'---|' * len(COLUMNS.split(' | '))}")  # fmt: skip
+    name = wp.get_device(args.device).name
+    print(f"{args.case}, {args.device} ({name}), {args.precision}, {args.repeats} repeats of {args.steps} steps\n")
+    print(f"| {COLUMNS} |\n|{'---|' * len(COLUMNS.split(' | '))}")
     (lbox if args.case == "lbox" else spheres)(args)
 
 

@@ -20,7 +20,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
 from warpcrete.core.errors import DiskFullError, RunFolderError, SceneError
 from warpcrete.core.inputs.fingerprints import fingerprint
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show
 from warpcrete.record.run_folder import TableRecorder

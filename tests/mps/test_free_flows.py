@@ -11,7 +11,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.device.footprint import footprint
 from warpcrete.core.errors import ConvergenceError, InstabilityError, SceneError
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import number
 from warpcrete.kernels.mps.structs import DENSITY
 from warpcrete.mps.free.display import SHOWN_DEPTH
