@@ -46,7 +46,7 @@ class Entry:
     name: str
     title: str
     says: str
-    """Caption: one sentence about what the picture shows."""
+    """Caption: what the picture shows."""
     code: str
     """Command, or lines of Python that leave a Matplotlib figure in the name `figure`."""
     draw: Callable[[Path], Any]
@@ -154,84 +154,95 @@ CONCRETE = "--concrete own --density 2300 --viscosity 30 --yield-stress"
 PIPE = "--diameter 0.1 --length 0.35 --elbow-radius 0.25"
 PIPE_A = "--diameter 0.1 --length 0.35"
 ENTRIES = (
-    Entry("units", "Pumping units", "Aggregates in the four units of Zhan et al. (2019), coloured by the largest "
-          "contact force on each: a vertical and a horizontal pipe, and two bends.",
+    Entry("units", "Pumping units", "The four units of Zhan et al. (2019): a vertical pipe, a horizontal pipe and "
+          "two bends. The colour of an aggregate shows the largest contact force on it.",
           f"warpcrete study pipe --unit A B C D {PIPE} --travel 0.02 --settle 0.3 --usd --out OUT", units),
-    Entry("chains", "Force chains in a bend", "Forces between the aggregates. The dark disc is the piston, and the "
-          "forces are largest near it. The short lines at the top lie in the plug of balls.",
+    Entry("chains", "Force chains in a bend", "Contact forces between the aggregates, drawn as lines. The dark disc "
+          "is the piston, and the forces are largest near it. The short lines at the top lie in the plug of balls at "
+          "the front of the concrete.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", chains),
-    Entry("viewer", "The same bend in the viewer", "The recording in the Rerun viewer: bodies, a cut, force chains and "
-          "curves over time on one timeline.",
+    Entry("viewer", "The same bend in the viewer", "The recording in the Rerun viewer. It shows bodies, a cut, force "
+          "chains and curves over time, which share one timeline.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
-    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm: those below "
-          "the throat (dark) lag behind the piston and jam, and the run stops.",
+    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm. The dark "
+          "stones below the throat lag behind the piston and jam. The run then stops.",
           "warpcrete run part-dem --unit vertical --diameter 0.08 --outlet-diameter 0.036 --taper 0.08 \\\n"
           "    --straight 0.12 --size-min 0.014 --size-max 0.018 --plug none --stop-when-blocked \\\n"
           "    --colour speed --out OUT",
           usd(direction=(0.3, -1.0, 0.25), cut=True)),
-    Entry("worn", "A worn bend", "Depth that sliding and impacts have worn off the wall of a bend.",
+    Entry("worn", "A worn bend", "Wear of the wall of a bend. The colour shows the depth that sliding stones have "
+          "worn off.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.3 --wear --out OUT",
           usd(direction=(-0.55, -1.0, 0.1), only_walls=True)),
-    Entry("slump", "Slump test", "A cone of concrete whose mould is lifted, coloured by the shear rate.",
+    Entry("slump", "Slump test", "A cone of concrete while its mould is lifted. The colour shows the shear rate.",
           f"warpcrete run slump {CONCRETE} 500 --spacing 0.01 --duration 1 --out OUT",
           usd(time=0.5, direction=(0.25, -1.0, 0.35), opacity=0.18)),
-    Entry("heap", "Shape after the slump test", "The concrete at rest beside the closed form of a heap, and spread and "
-          "height over time.", f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
-    Entry("jring", "J-ring test", "Grains that spread through a ring of bars, coloured by their speed.",
+    Entry("heap", "Shape after the slump test", "Left: the concrete at rest, and the closed form of a heap. Right: "
+          "its spread and its highest point over time.",
+          f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
+    Entry("jring", "J-ring test", "Grains that spread through a ring of bars. The colour shows their speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
           "--out OUT", usd(time=0.4, direction=(0.2, -1.0, 0.55), opacity=0.2)),
-    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box, as the gate opens.",
+    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box while the gate opens.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
           "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
           usd(direction=(0.45, -1.0, 0.35), opacity=0.2)),
-    Entry("funnel", "V-funnel test", "Concrete that flows out of a funnel, most sheared at the outlet.",
+    Entry("funnel", "V-funnel test", "Concrete that flows out of a funnel. It is sheared most at the outlet.",
           "warpcrete run funnel --concrete own --density 2300 --viscosity 20 --yield-stress 20 --spacing 0.015 \\\n"
           "    --duration 1 --out OUT", usd(direction=(0.3, -1.0, 0.15))),
-    Entry("line", "Pressure along a line", "Pressure in the line of the Shanghai Tower by theory, with its likely "
-          "range, its weight, and the pressure recorded at the pump.",
+    Entry("line", "Pressure along a line", "Pressure in the line of the Shanghai Tower, by theory. The picture also "
+          "shows the likely range of the pressure, the share that the weight causes, and the pressure that was "
+          "recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
-    Entry("trade", "Error against time", "A trade-off front: each point is a setting of the program; the line joins "
-          "those that no other setting beats. A hollow marker means that its run failed one of the checks of the "
-          "scene.",
+    Entry("trade", "Error against time", "The errors and times of different settings of the program. Each point is a "
+          "setting. The line joins the settings that no other setting beats in both. A hollow marker means that the "
+          "run failed a check of the scene.",
           "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
-    Entry("posterior", "What measurements determine", "Slip layers that agree with the wall stress at two flows. Above "
-          "and right: how likely each viscosity and yield stress of the layer is; lower left: both together, of which "
-          "only a narrow band is likely.",
+    Entry("posterior", "What measurements determine", "Slip layers that agree with the wall stresses measured at two "
+          "flows. The two histograms show how likely each viscosity (top) and each yield stress (right) of the layer "
+          "is. The map shows how likely both are together: only a narrow band is likely.",
           "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
-    Entry("migration", "Migration of stones", "Share of aggregate in the front and the rear half of a column, and near "
-          "the axis and the wall, in percentage points since the start. A step is one grain that crosses a border.",
+    Entry("migration", "Migration of stones", "How the share of aggregate changes in a column, in percentage points "
+          "since the start. The curves are for the front half, the rear half, the region near the axis and the "
+          "region near the wall. Each jump of a curve is one grain that crosses a border.",
           MIGRATION, lambda folder: None),
-    Entry("mortar", "Stones in mortar", "Grains and mortar in a channel: the grains are rigid; the mortar beside "
-          "the wall is sheared.", "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
+    Entry("mortar", "Stones in mortar", "Grains and mortar in a channel. The grains are rigid, and the mortar beside "
+          "the wall is sheared.",
+          "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
-    Entry("validation", "Predicted against measured", "Predictions over measurements, with the likely range of each; "
-          "filled points are never used for a fit.", "warpcrete validate --quick --out OUT", image("validation.png")),
+    Entry("validation", "Predicted against measured", "Ratios of predicted to measured values, each with its likely "
+          "range. Filled points are measurements that are never used for a fit.",
+          "warpcrete validate --quick --out OUT", image("validation.png")),
     Entry("strokes", "Two strokes with a stop", "Pressure on a piston that stops and starts again.",
           "warpcrete run pipe --unit horizontal --concrete no2 --diameter 0.1 --length 0.25 --ramp 0.02 \\\n"
           "    --strokes 2 --stroke 0.1 --pause 0.3 --out OUT", image("pressure.png")),
-    Entry("clumps", "Clumps in a bend", "Aggregates as clumps of spheres, from the USD scene of the run, which Blender "
-          "opens as well.",
+    Entry("clumps", "Clumps in a bend", "Aggregates as clumps of spheres. The picture is drawn from the USD scene of "
+          "the run, which Blender can open as well.",
           "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
           "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
-    Entry("lumps", "Hydrated lumps", "Lumps of aggregates that hydrated bonds join, after they were pushed: the eight "
-          "largest in colours, all other aggregates small and pale.",
+    Entry("lumps", "Hydrated lumps", "Lumps of aggregates that hydrated bonds join, after they were pushed. The "
+          "eight largest lumps have colours of their own. All other aggregates are small and pale.",
           f"warpcrete run pipe --unit A {PIPE_A} --travel 0.05 --hydration 0.1 --network --paraview --out OUT", lumps),
-    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer, cut open: a plug that becomes faster.",
+    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer that is cut open. The concrete moves as "
+          "a plug, which becomes faster.",
           REDUCER, lambda folder: None),
-    Entry("paraview", "A file for ParaView", "Concrete in a bend, coloured by the pressure without weight, from "
-          "`surface.vtkhdf` and `walls.vtkhdf` of the run, drawn by VTK.",
+    Entry("paraview", "A file for ParaView", "Concrete in a bend. The colour shows the pressure without the part "
+          "that the weight causes. The picture was drawn by VTK from two files of the run, `surface.vtkhdf` and "
+          "`walls.vtkhdf`.",
           "warpcrete run part --unit bend-to-vertical --spacing 0.0125 --paraview --out OUT", surface_file),
-    Entry("profile", "Plug and slip", "Velocity over the radius of a tube: the concrete moves as a plug and slips on "
-          "the wall, as theory says.", "warpcrete run tube --concrete no2 --ends periodic --out OUT",
+    Entry("profile", "Plug and slip", "Velocity over the radius of a tube. The concrete moves as a plug and slips on "
+          "the wall, as theory predicts.",
+          "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
-    Entry("study", "A parameter study", "Slump and spread over the yield stress (left) and over the viscosity "
-          "(right): each colour is a value of the other, and each marker a quantity.",
+    Entry("study", "A parameter study", "Slump and spread, over the yield stress (left) and over the viscosity "
+          "(right). Each colour is a value of the other parameter. The two markers are slump and spread.",
           "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
           "    --spacing 0.0125 --out OUT", image("study.png")),
-    Entry("restart", "Pressure after a rest", "Pressure of 100 m of pipe that starts again, by theory, for three rates "
-          "at which the concrete stiffens at rest.", RESTART, lambda folder: None),
+    Entry("restart", "Pressure after a rest", "Pressure that starts 100 m of pipe again after a rest, by theory. The "
+          "three curves are for three rates at which the concrete stiffens at rest.",
+          RESTART, lambda folder: None),
 )  # fmt: skip
 
 
@@ -290,8 +301,8 @@ def page() -> str:
     """Return the page of the gallery."""
     lines = ["# Gallery", "", "What does warpcrete show, and which command shows it?", ""]
     lines += [
-        "Every picture was made by `python notebooks/gallery/make.py` from the command or the lines below it. The runs "
-        "are short and coarse, so that the whole gallery takes some ten minutes on two idle CPU cores.",
+        "`python notebooks/gallery/make.py` made every picture from the command or the lines of Python below it. The "
+        "runs are short and coarse. The whole gallery therefore takes only some ten minutes on two idle CPU cores.",
         "",
     ]
     for entry in ENTRIES:
