@@ -202,6 +202,28 @@ def test_a_sphere_feels_entries_of_which_no_bits_tell(count, energies):
     assert lost == pytest.approx(other_lost, rel=1e-9) and (lost > 0) == energies
 
 
+def test_a_rebuild_marks_each_touching_pair_at_both_spheres():
+    """Three spheres in a row. The outer ones have one entry each and the middle one has two, so a pair's entries lie at
+    different places in the two rows."""
+    with divide_work_like_gpu():
+        row = Bodies(positions=[[0.0, 0, 0], [0.0199, 0, 0], [0.0398, 0, 0]], sizes=0.02, spins=[[0.0, 0, 3]] * 3)
+        scene = Scene(name="row", duration=1.0, gravity=(0, 0, 0), contact=Contact(friction=0.4), bodies=(row,))
+        model = build_model(scene, find_device("cpu"), "float64")
+        stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-5))
+        stepper.take(20)
+        stepper.rebuild()
+    links, start, found = stepper.batch.links, stepper.state.pairs.start.numpy(), [0, 0, 0]
+    touching = np.flatnonzero((links.link.numpy()[:, 0] >= 0) & (links.state.numpy() == int(TOUCHING)))
+    places = {}
+    for i, j, k, twin in links.link.numpy()[touching].tolist():
+        places[i, j] = (k - start[i], twin - start[j])
+        found[i] |= 1 << int(k - start[i])
+        found[j] |= 1 << int(twin - start[j])
+    assert len(places) == 2 and any(at_first != at_second for at_first, at_second in places.values())
+    assert stepper.state.spheres.touching.numpy().tolist() == found
+    assert not links.later_touching.numpy().any()
+
+
 @pytest.mark.parametrize("scalar", [wp.float32, wp.float64], ids=["float32", "float64"])
 def test_near_links_are_those_within_a_quarter_of_the_skin_and_those_that_remember(device, scalar):
     """A pair that touched or is bonded stays near however far it is: it must be told that the touch is over."""

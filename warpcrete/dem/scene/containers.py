@@ -152,6 +152,8 @@ class Fill:
     container: PipeContainer | MeshContainer
     sizes: Sizes = field(default_factory=Gaussian)
     templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
+    """Shapes of the bodies. The default is :func:`warpcrete.dem.scene.clumps.reference`: four clumps of two to four
+    spheres. For single spheres write `templates=(warpcrete.dem.scene.clumps.sphere(),)`."""
     fractions: tuple[float, ...] | None = None
     """Fraction of the solid volume that bodies of each shape (template) make up; None means equal fractions. The sum is
     scaled to 1."""
@@ -191,8 +193,9 @@ class Fill:
             refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
         if self.pressure is not None:
             positive("packing pressure", self.pressure, "Pa")
-        if not self.templates:
-            refuse("templates", self.templates, "must contain at least one template")
+        if isinstance(self.templates, ClumpTemplate) or not self.templates:
+            refuse("templates", self.templates, "must be a tuple of at least one template",
+                   "for single spheres: (warpcrete.dem.scene.clumps.sphere(),)")  # fmt: skip
         given = np.ones(len(self.templates)) if self.fractions is None else np.asarray(self.fractions, float)
         wrong = given.shape != (len(self.templates),) or not np.all(np.isfinite(given)) or np.any(given < 0)
         if wrong or not given.sum() > 0:
