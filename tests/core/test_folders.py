@@ -504,9 +504,8 @@ def test_sigterm_in_a_python_script_interrupts_the_run_and_says_so(tmp_path, cap
         "lines continue the run from its checkpoint at t = 0.000 s"
     )
     again = Simulation(scenes.channel(**FLOW), **settings).run()
-    assert (
-        again.finished and again.result["state_hash"] == json.loads((whole / "result.json").read_text())["state_hash"]
-    )
+    uncut = json.loads((whole / "result.json").read_text())
+    assert again.finished and again.result["state_hash"] == uncut["state_hash"]
 
 
 def test_a_handler_of_the_program_for_sigterm_stays_in_force(capsys):

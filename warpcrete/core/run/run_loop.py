@@ -390,8 +390,10 @@ class Simulation:
         """Prepare and run the simulation, until its end, `stop_requested`, Ctrl-C or SIGTERM; return the results.
 
         Ctrl-C and SIGTERM end the run at once, and a line on standard error says so. The returned run then has
-        `interrupted` = True and `finished` = False. An interruption before t = 0 raises :class:`KeyboardInterrupt`. In a
-        program with a handler of its own for SIGTERM, that handler stays in force. Raises :class:`WarpcreteError` if this simulation has run before.
+        `interrupted` = True and `finished` = False. An interruption before t = 0 raises :class:`KeyboardInterrupt`. If
+        the program has a handler of its own for SIGTERM, that handler stays in force.
+
+        Raises :class:`WarpcreteError` if this simulation has run before.
         """
         if self._has_run:
             raise WarpcreteError("this simulation has already run; create a new Simulation for another run")

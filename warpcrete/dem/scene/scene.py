@@ -260,6 +260,11 @@ class Scene(Parametrised):
     """Arguments of the scene function that created this scene, by name; empty if no scene function created it."""
 
     @property
+    def laws(self) -> tuple[ContactLaw, ...]:
+        """All contact laws of the scene: `contact` first, then those of `contacts`."""
+        return (self.contact, *self.contacts.values())
+
+    @property
     def caption(self) -> str:
         """Scene, diameter, concrete (or contact law) and flow in words, for titles of figures and recordings.
 
