@@ -504,7 +504,7 @@ def test_sigterm_in_a_python_script_interrupts_the_run_and_says_so(tmp_path, cap
         "lines continue the run from its checkpoint at t = 0.000 s"
     )
     again = Simulation(scenes.channel(**FLOW), **settings).run()
-    uncut = json.loads((whole / "result.json").read_text())
+    uncut = json.loads((whole / "result.json").read_text(encoding="utf-8"))
     assert again.finished and again.result["state_hash"] == uncut["state_hash"]
 
 

@@ -14,7 +14,7 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -167,8 +167,8 @@ def trust_option(record: object) -> str:
     """
     if isinstance(record, str):
         return "--trust " if _names_class(record) else ""
-    inner = record.values() if is_mapping(record) else record if is_list_or_tuple(record) else ()
-    return next(filter(None, map(trust_option, inner)), "")
+    inner: Iterable[object] = record.values() if is_mapping(record) else record if is_list_or_tuple(record) else ()
+    return "--trust " if any(trust_option(each) for each in inner) else ""
 
 
 def _imported(field: Field, value: str, module: str, name: str) -> type:
