@@ -318,7 +318,8 @@ def test_a_pipe_that_slides_along_its_axis_only_drags(start, speed):
     stepper.advance(0.02)
     position, velocity = by_id(stepper.state, "position")[0], by_id(stepper.state, "velocity")[0]
     assert 0 < position[0] - (0.05 - RADIUS) < 0.1 * RADIUS
-    assert (velocity[2] > 0.01) if speed else (velocity[2] == 0)  # 0.03
+    limit = scene.contact.friction * 9.81 * stepper.time
+    assert (0.8 * limit < velocity[2] < limit) if speed else (velocity[2] == 0)  # 0.91 of the limit: N needs some time
 
 
 @pytest.mark.parametrize(

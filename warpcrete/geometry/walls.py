@@ -248,9 +248,9 @@ class PipeWall(_Wall):
             )
         if self._slides_within_itself():
             warnings.warn(
-                f"{self.name}.motion: moves the pipe along its own straight axis, on which a PipeWall has no ends: the "
-                "motion drags on what touches the wall, but opens and closes nothing; for a tube that is lifted use "
-                "MeshWall with axis.tube(radius)",
+                f"{self.name}.motion: moves the pipe along its own straight axis, but a PipeWall continues beyond both "
+                "ends without limit, so that the motion only changes friction and other shear forces at the wall; for "
+                "a tube that is lifted use MeshWall with axis.tube(radius)",
                 PlausibilityWarning,
                 stacklevel=3,  # the caller of the constructor that dataclass has written
             )
