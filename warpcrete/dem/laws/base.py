@@ -58,7 +58,8 @@ class ContactLaw(Declared, ABC):
           estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows. For a
           normal force k d^n with n > 1 at the overlap d, return the tangent stiffness n k D^(n - 1) at the deepest
           overlap D of an impact with the present closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 / (2 k), with
-          the reduced mass m.
+          the reduced mass m. Numbers must not be negative: leave out the negative slope of a pull that fades across a
+          gap, because the stiffnesses of a body's contacts are added up and it would hide others.
         - `energy(p, touch, history)` returns the energy that the force stores [J].
 
         A law that `rolls` has two more functions:
