@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from run_folders import flow
 from shortcuts import SHORTCUTS
 from source_hash import RECORD, source_hash
 
@@ -119,6 +120,14 @@ def verification(module):
         assert rows and not wrong, "\n".join(wrong)
 
     return test_case
+
+
+@pytest.fixture(scope="session")
+def undisturbed_folder(tmp_path_factory):
+    """The run folder of a short flow that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("folders") / "whole"
+    flow(folder).run()
+    return folder
 
 
 @pytest.fixture(scope="session")

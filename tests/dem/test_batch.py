@@ -15,7 +15,8 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.device.launching import Launcher
 from warpcrete.core.errors import CapacityError, InstabilityError
-from warpcrete.core.run.run_loop import Recorder, Run
+from warpcrete.core.run.recorder import Recorder
+from warpcrete.core.run.run import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine import regrouping, stepper, subcycling
 from warpcrete.dem.engine.launch_planner import LaunchPlanner

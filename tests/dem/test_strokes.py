@@ -9,7 +9,7 @@ from conftest import bonds_of
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state_data import state_hash

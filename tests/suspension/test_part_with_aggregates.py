@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -29,11 +30,7 @@ def part(device, **given):
 
 
 def begun(device, steps=0, **given):
-    simulation = part(device, **given)
-    simulation.begin()
-    if steps:
-        simulation.flow.take(steps)
-    return simulation
+    return begin(part(device, **given), steps)
 
 
 def census(simulation):
@@ -194,10 +191,7 @@ def test_a_part_is_blocked_if_aggregates_stand_still_and_the_pressure_rises():
 @pytest.mark.parametrize(
     "given, words",
     [
-        (
-            {"aggregate_largest": 0.05},
-            "aggregate_largest = 0.05: is too large: the simulated part of the",
-        ),
+        ({"aggregate_largest": 0.05}, "aggregate_largest = 0.05: is too large: the simulated part of the"),
         ({"spacing": 0.01}, "spacing = 0.01: is too coarse: the smallest aggregate"),
         ({"aggregate_largest": 0.01}, "aggregate_largest = 0.01: must be at least 'aggregate_smallest'"),
     ],

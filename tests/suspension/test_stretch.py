@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -26,11 +27,7 @@ def stretch(device, **given):
 
 
 def begun(device, steps=0, **given):
-    simulation = stretch(device, **given)
-    simulation.begin()
-    if steps:
-        simulation.flow.take(steps)
-    return simulation
+    return begin(stretch(device, **given), steps)
 
 
 def test_aggregates_fill_the_pipe_but_not_its_wall_and_meet_over_the_ends(device):
