@@ -192,7 +192,7 @@ def test_an_energy_balance_that_fails_names_a_law_from_outside_of_the_package():
         ):
             warn_of_coarse_step(done)
     within = drop(contacts={("aggregate", "wall"): LubricationLayer(contact=Own())})
-    assert own_laws(within.laws) == "Own" and own_laws([BinghamMortar(), RollingResistance()]) == ""
+    assert own_laws(within.laws()) == "Own" and own_laws([BinghamMortar(), RollingResistance()]) == ""
 
 
 def test_an_unstable_run_names_a_law_from_outside_of_the_package():

@@ -18,7 +18,7 @@ def unstable(time: float, body: int, what: str, cures: str = "", scene: Scene | 
     a `scene`, it also names contact laws from outside of the package, whose forces may be wrong.
     """
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
-    if scene is not None and (own := own_laws(scene.laws)):
+    if scene is not None and (own := own_laws(scene.laws())):
         cures += f", or another sign in force() of {own}, if it pulls where it should push"
     return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
 

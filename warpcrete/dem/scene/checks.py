@@ -34,7 +34,7 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
     found = f"error {100 * error:.3g} % of the energy"
     if not passed:
         found += f"; usual cure: {_finer(run.scene, abs(error))}"
-        if own := own_laws(run.scene.laws):
+        if own := own_laws(run.scene.laws()):
             found += f", or energy() and the losses of {own} do not fit its force()"
     return {"energy balance": (passed, found)}
 
@@ -82,7 +82,7 @@ def warn_of_coarse_step(run: Run) -> None:
     """Warn if the energy balance shows that the time step is too coarse for a run, or its contact law wrong."""
     for passed, found in energy_check(run).values():
         if not passed:
-            own = ", or its contact law is wrong" if own_laws(run.scene.laws) else ""
+            own = ", or its contact law is wrong" if own_laws(run.scene.laws()) else ""
             warnings.warn(
                 f"the time step is coarse for the impacts in this run{own}: energy balance, {found}", stacklevel=2
             )

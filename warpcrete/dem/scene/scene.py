@@ -259,9 +259,8 @@ class Scene(Parametrised):
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the scene function that created this scene, by name; empty if no scene function created it."""
 
-    @property
     def laws(self) -> tuple[ContactLaw, ...]:
-        """All contact laws of the scene: `contact` first, then those of `contacts`."""
+        """Return all contact laws of the scene: `contact` first, then those of `contacts`."""
         return (self.contact, *self.contacts.values())
 
     @property
