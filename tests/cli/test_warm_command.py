@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import warp as wp
 from pumping import command
 
 
@@ -12,12 +13,40 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
     def compiled(*rest, **settings):
         raise AssertionError("compiled in spite of a wrong name")
 
-    monkeypatch.setattr("warpcrete.studies.tradeoffs.explain.explain", compiled)
+    monkeypatch.setattr("warpcrete.cli.warm.explain", compiled)
     for words, message in (
         (("tube", "tub"), "'tub'"), (("tube", "--device", "cuda:99"), "cuda:99"),
     ):  # fmt: skip
         done = command("warm", *words)
         assert done.returncode == 2 and message in done.stderr and done.stderr.startswith("error: "), done.stderr
+
+
+def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):
+    compiled, cache = [], tmp_path / "kernels"
+    kernel = cache / "wp_a" / "a.o"
+
+    def explain(scene, **settings):
+        compiled.append(scene.name)
+        kernel.parent.mkdir(parents=True, exist_ok=True)
+        kernel.write_bytes(b"code")
+
+    monkeypatch.setattr("warpcrete.cli.warm.explain", explain)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(cache))
+    said = command("warm", "tube", "channel", "--device", "cpu").stdout
+    # A line when each scene begins, and one when it is done.
+    assert compiled == ["tube", "channel"] and said.count("begins") == 2 and "ready: an earlier" not in said
+    said = command("warm", "tube", "channel", "--device", "cpu").stdout
+    assert len(compiled) == 2 and said.count("ready: an earlier") == 2 and said.endswith("without compiling\n")
+    # Another scene, other code, another processor or a lost kernel need a new look.
+    command("warm", "slump", "--device", "cpu")
+    assert compiled[2:] == ["slump"]
+    for name, value in (("_code_hash", lambda: "other"), ("provenance", lambda *settings: {"processor": "an abacus"})):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"warpcrete.cli.warm.{name}", value)
+            command("warm", "tube", "--device", "cpu")
+    kernel.unlink()
+    command("warm", "channel", "--device", "cpu")
+    assert compiled[3:] == ["tube", "tube", "channel"]
 
 
 @pytest.mark.thorough
@@ -35,3 +64,4 @@ def test_a_run_after_warming_compiles_nothing(tmp_path):
     assert len(before) > 10 and "channel" in said and "are ready" in said
     after, _ = modules_after("run", "channel", "--duration", "0.02", "--quiet")
     assert after == before
+    assert "ready: an earlier call" in modules_after("warm", "channel")[1]

@@ -257,7 +257,12 @@ class _Growth:
             yield from self._grow(stepper, lambda done: tell(0.6 * done))
             yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
         except InstabilityError as error:
-            raise InstabilityError(f"packing to a solid fraction of {self.fraction:.3g} failed: {error}") from error
+            raise InstabilityError(
+                f"packing to a solid fraction of {self.fraction:.3g} failed: {error.what}",
+                time=error.time,
+                body=error.body,
+                cure=error.cure,
+            ) from error
         return self._result(stepper)
 
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from ..device.simulation_protocol import SimulationOnDevice
 from ..drawing.display import Display
+from .ending import Ending
 from .frames import Frames
 from .run import Run
 
@@ -23,6 +24,8 @@ class RecordedSimulation(SimulationOnDevice, Protocol):
     precision: str
     resumes: bool
     """True if the run goes on from a checkpoint, in an existing folder."""
+    ending: Ending | None
+    """Reason why the run ended; None as long as the run has not ended."""
     at_end: bool
     """True if the last step has been taken, so that only recordings may still be incomplete."""
 

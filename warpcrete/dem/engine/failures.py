@@ -15,7 +15,7 @@ def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityE
     Its message contains the permanent number of the `body`, what happened to the body (`what`), and usual `cures`.
     """
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
-    return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
+    return InstabilityError(what, time=time, body=body, cure=cures)
 
 
 def failed_body(model: Model, state: State, place: int) -> InstabilityError:
