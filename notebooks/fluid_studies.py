@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from warpcrete import scenes
 from warpcrete.core.device.device import default_threads, find_device
 from warpcrete.core.drawing.style import MEASURED, RUN, SECOND, SERIES, THEORY, legend_beside, rgb
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.theory import pipe as theory

@@ -20,7 +20,7 @@ import warp as wp
 from matplotlib.figure import Figure
 
 from warpcrete import scenes
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.kernels.common.control import HALTED
 from warpcrete.kernels.mps.structs import array_structs, flow_struct, mps_functions
 from warpcrete.mps.particles import SKIN, MovingParticles

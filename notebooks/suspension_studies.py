@@ -222,7 +222,7 @@ def fraction_over_distance(flow: Any, bins: int) -> tuple[list[float], list[floa
 def run_case(case: Case, device: str | None, folder: Path) -> str:
     """Run a case and write its file; return in words how it ended."""
     from warpcrete import Simulation, scenes
-    from warpcrete.core.run.run_loop import Recorder
+    from warpcrete.core.run.recorder import Recorder
     from warpcrete.suspension.stretch.probes import velocity_profile
 
     file = folder / case.study / f"{case.name}.json"

@@ -17,8 +17,8 @@ from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
 from warpcrete.core.inputs.scene_functions import scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.checks import NO_SAMPLE, with_cures
+from warpcrete.core.run.run import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.crossings import first_crossing
@@ -291,7 +291,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 def _check(run: Run) -> dict[str, tuple[bool, str]]:
     result = run.result
     if "pressure" not in result:
-        return {"finished": (False, "the run recorded no sample after its start")}
+        return NO_SAMPLE
     found = {"steady": (result["steady"], f"after {result['simulated_time']['value']:g} s")}
     for name in ("upstream", "downstream") if run.scene.is_round else ():
         ours, theory = (result[f"{name}_gradient{end}"]["value"] for end in ("", "_theory"))

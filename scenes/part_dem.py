@@ -10,18 +10,13 @@ import numpy as np
 from warpcrete.core.inputs.knobs import Trading
 from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.scene_functions import scene_function
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.dem.pumping.components import fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping.parameter_groups import index_settings
 from warpcrete.dem.pumping.parameters import WIDEST_STONE
 from warpcrete.dem.pumping.parts import Course, PartElements, course_of, part_knobs, plug_layers
 from warpcrete.dem.scene.containers import PipeContainer
-from warpcrete.dem.scene.scene import (
-    PipeUnit,
-    PressureProbe,
-    Scene,
-    Stations,
-)
+from warpcrete.dem.scene.scene import PipeUnit, PressureProbe, Scene, Stations
 from warpcrete.dem.scene.sizes import Sizes
 from warpcrete.geometry.mesh_parts import wall_of
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed

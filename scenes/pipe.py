@@ -17,7 +17,7 @@ from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.knobs import Trading
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
@@ -26,14 +26,7 @@ from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumpi
 from warpcrete.dem.scene.checks import energy_check, overlap_words
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
-from warpcrete.dem.scene.scene import (
-    PipeUnit,
-    PressureProbe,
-    Published,
-    Rest,
-    Scene,
-    Stations,
-)
+from warpcrete.dem.scene.scene import PipeUnit, PressureProbe, Published, Rest, Scene, Stations
 from warpcrete.dem.scene.sizes import Sizes
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
@@ -211,11 +204,7 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
         velocity = tuple(given.velocity * np.array(axis.tangent))
         motion = Prescribed(velocity=velocity, ramp_time=given.ramp_time, stops=given.stops)
     return PlaneWall(
-        name="piston",
-        point=tuple(points[0]),
-        normal=tuple(tangents[0]),
-        motion=motion,
-        drawn_radius=given.radius,
+        name="piston", point=tuple(points[0]), normal=tuple(tangents[0]), motion=motion, drawn_radius=given.radius
     )
 
 

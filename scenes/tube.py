@@ -20,8 +20,7 @@ class TubeParameters(ColumnWithAggregates):
     """Parameters of a concrete column in a round pipe."""
 
     spacing: Annotated[
-        float,
-        "Spacing of particles, or width of cells with aggregates [m], rounded so that it divides the radius",
+        float, "Spacing of particles, or width of cells with aggregates [m], rounded so that it divides the radius"
     ] = 10e-3
 
 

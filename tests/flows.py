@@ -23,6 +23,14 @@ def flow_of(device, precision="float64", dimensions=2, **parameters):
     return MovingParticles(state, threads=1)
 
 
+def begin(simulation, steps=0):
+    """Prepare a simulation, take some steps of its flow, and return the simulation."""
+    simulation.begin()
+    if steps:
+        simulation.flow.take(steps)
+    return simulation
+
+
 def step(flow):
     """One step; what it worked with stays in the arrays of `flow`."""
     flow.take(1)

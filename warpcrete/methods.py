@@ -6,7 +6,8 @@ from typing import Any
 
 from .core.errors import refuse
 from .core.run.method import Method
-from .core.run.run_loop import Run, Simulation
+from .core.run.run import Run
+from .core.run.run_loop import Simulation
 from .dem.method import METHOD as DISCRETE_ELEMENTS
 from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES

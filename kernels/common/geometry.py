@@ -10,14 +10,6 @@ from .types import types
 LINE: int = wp.constant(0)
 ARC: int = wp.constant(1)
 
-# Codes that `closest_on_triangle` returns for the location of the closest point on the triangle:
-# - 0: inside the face,
-# - 1, 2, 3: on the edge from corner 0, 1, 2 to the next corner,
-# - 4, 5, 6: at corner 0, 1, 2.
-FACE: int = wp.constant(0)
-FIRST_EDGE: int = wp.constant(1)
-FIRST_CORNER: int = wp.constant(4)
-
 
 @functools.cache
 def axis_functions(scalar):
@@ -99,8 +91,8 @@ def triangle_functions(scalar):
     def closest_on_triangle(p: t.vec3, a: t.vec3, b: t.vec3, c: t.vec3):
         """Return the point of triangle abc closest to p, and a code for the face, edge or corner on which it lies.
 
-        The codes are those of FACE, FIRST_EDGE and FIRST_CORNER: 0 for the face, 1 to 3 for the edges, 4 to 6 for the
-        corners.
+        The code is 0 inside the face, 1, 2 or 3 on the edge from corner 0, 1 or 2 to the next corner, and 4, 5 or 6 at
+        corner 0, 1 or 2.
         """
         zero = scalar(0.0)
         n = wp.normalize(wp.cross(b - a, c - a))

@@ -82,18 +82,28 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     )  # fmt: skip
 
 
+@wp.func
+def sum_of(partial: wp.array(dtype=wp.float64), first: wp.int32, count: wp.int32) -> wp.float64:
+    """Return the sum of `count` entries of `partial` from the entry `first` on, in this order."""
+    sum = wp.float64(0.0)
+    for k in range(count):
+        sum += partial[first + k]
+    return sum
+
+
 @functools.cache
 def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build the functions that a CPU thread applies to a range of rows, or of rigid grains, in a solve.
 
     `begin` computes the first search direction of each row. `update` changes solution and residual by a step along the
-    search direction. `share` computes the preconditioned residual of rigid grains. Each function returns the part of
+    search direction. `share` computes the preconditioned residual of rigid grains. Each of them returns the part of
     two inner products that comes from its rows: of the residual with the preconditioned residual, and of the residual
-    with itself.
+    with itself. `multiply` multiplies the matrix by the search direction, and returns the part of their inner product.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
+    product = row_product(scalar, value)
 
     @wp.func
     def begin(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve):
@@ -135,7 +145,20 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
                 rr += square
         return rz, rr
 
-    return SimpleNamespace(begin=begin, update=update, share=share)
+    @wp.func
+    def multiply(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve):
+        pq = wp.float64(0.0)
+        for i in range(first, end):
+            own = system.direction[i]
+            sum = matrix.diagonal[i] * own - product(
+                matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity, matrix.near_count[i]
+            )
+            sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
+            system.product[i] = sum
+            pq += f.inner(own, sum)
+        return pq
+
+    return SimpleNamespace(begin=begin, update=update, share=share, multiply=multiply)
 
 
 @functools.cache
@@ -150,7 +173,6 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix
-    product = row_product(scalar, value)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
@@ -200,31 +222,18 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
             system.partial[part] = own_rz + grain_rz
             system.partial[parts + part] = own_rr + grain_rr
         meet(gate, workers)
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for k in range(parts):
-            rz += system.partial[k]
-            rr += system.partial[parts + k]
+        rz = sum_of(system.partial, 0, parts)
+        rr = sum_of(system.partial, parts, parts)
         start = wp.sqrt(rr)
         goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         count = wp.int32(0)
         while rr > goal and count < maximum:
             for part in range(lower, upper):
-                own_pq = wp.float64(0.0)
-                for i in range(total * part / parts, total * (part + 1) / parts):
-                    own = system.direction[i]
-                    sum = matrix.diagonal[i] * own - product(
-                        matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity,
-                        matrix.near_count[i],
-                    )  # fmt: skip
-                    sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
-                    system.product[i] = sum
-                    own_pq += f.inner(own, sum)
-                system.partial[2 * parts + part] = own_pq
+                system.partial[2 * parts + part] = rows.multiply(
+                    total * part / parts, total * (part + 1) / parts, matrix, system
+                )
             meet(gate, workers)
-            pq = wp.float64(0.0)
-            for k in range(parts):
-                pq += system.partial[2 * parts + k]
+            pq = sum_of(system.partial, 2 * parts, parts)
             if pq <= wp.float64(0.0):
                 break
             alpha = scalar(rz / pq)
@@ -241,11 +250,8 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
                     system.partial[part] += grain_rz
                     system.partial[parts + part] += grain_rr
                 meet(gate, workers)
-            rz_after = wp.float64(0.0)
-            rr = wp.float64(0.0)
-            for k in range(parts):
-                rz_after += system.partial[k]
-                rr += system.partial[parts + k]
+            rz_after = sum_of(system.partial, 0, parts)
+            rr = sum_of(system.partial, parts, parts)
             beta = scalar(rz_after / rz)
             rz = rz_after
             for i in range(total * lower / parts, total * upper / parts):

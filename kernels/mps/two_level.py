@@ -13,10 +13,10 @@ from ..common.barrier import meet
 from ..common.control import FAILED, HALTED
 from ..common.reductions import BLOCK, block_sums
 from ..common.resident import gather
-from ..common.rows import entry_product, row_product
+from ..common.rows import entry_product
 from ..common.types import cpu_flags
 from .coarse import DEGREE, MIDDLE, REACH, coarse_functions, lanes
-from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, serial_rows, solver_functions
+from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, serial_rows, solver_functions, sum_of
 from .resident_solver import RESIDENT, WIDE, row_functions, sum_functions
 from .structs import array_structs, flow_struct
 
@@ -68,7 +68,6 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
     Solve, value = f.Solve, f.value
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
-    product = row_product(scalar, value)
     correct = serial_correction(scalar, dimensions, vector)
 
     @wp.func
@@ -135,21 +134,11 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         count = wp.int32(0)
         while rr > goal and count < maximum:
             for part in range(lower, upper):
-                own_pq = wp.float64(0.0)
-                for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
-                    own = system.direction[i]
-                    sum = matrix.diagonal[i] * own - product(
-                        matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity,
-                        matrix.near_count[i],
-                    )  # fmt: skip
-                    sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
-                    system.product[i] = sum
-                    own_pq += f.inner(own, sum)
-                system.partial[2 * parts + part] = own_pq
+                system.partial[2 * parts + part] = rows.multiply(
+                    flow.count * part / parts, flow.count * (part + 1) / parts, matrix, system
+                )
             meet(gate, workers)
-            pq = wp.float64(0.0)
-            for k in range(parts):
-                pq += system.partial[2 * parts + k]
+            pq = sum_of(system.partial, 2 * parts, parts)
             if pq <= wp.float64(0.0):
                 break
             for part in range(lower, upper):

@@ -35,7 +35,7 @@ Tasks add the fractions of aggregates as integers, because a sum of integers doe
 """
 
 LOOPS = {"max_unroll": 2}
-"""Module option for kernels with nested loops: Warp keeps loops of more than two turns instead of writing out each turn.
+"""Module option for kernels with nested loops: Warp keeps loops of more than two turns as loops.
 
 Written out, the kernels that search for walls and that cover samples have up to 784 copies of their innermost function,
 and NVIDIA's compiler takes minutes for each of them. With loops it takes less than two seconds.

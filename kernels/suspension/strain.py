@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import HALTED
-from ..mps.grid.cells import GridKind, grid_parameters_struct, grid_structs
+from ..mps.grid.cells import GridKind, first, grid_parameters_struct, grid_structs, second
 from ..mps.grid.forces import relaxed_viscosity_function
 from ..mps.grid.other_laws import flow_functions
 from ..mps.grid.places import grid_functions
@@ -42,14 +42,6 @@ def strain_kernels(scalar, of: GridKind) -> SimpleNamespace:
     f, body = grid_functions(scalar, of), body_functions(scalar, of)
     law = flow_functions(scalar, of)
     relaxed_viscosity = relaxed_viscosity_function(scalar, of)
-
-    @wp.func
-    def first(pair: wp.int32) -> wp.int32:
-        return wp.where(pair == 2, 1, 0)
-
-    @wp.func
-    def second(pair: wp.int32) -> wp.int32:
-        return wp.where(pair == 0, 1, 2)
 
     @wp.func
     def share(g: Grid, cover: Cover, number: wp.int32, sample: wp.int32) -> scalar:

@@ -15,7 +15,8 @@ import numpy as np
 import warp as wp
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run.run_loop import Run, Until
+from warpcrete.core.run.coroutines import Until
+from warpcrete.core.run.run import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine.scheduling import drive_batches
 
@@ -113,7 +114,7 @@ def whole_study(device: str, cases: list[dict]) -> None:
     begun = time.perf_counter()
     outcomes = run_batch(simulations)
     took = time.perf_counter() - begun
-    spent = [s._wall_times for s in simulations]
+    spent = [s.wall_times.phases for s in simulations]
     for case, outcome in zip(cases, outcomes):
         if isinstance(outcome, Run):
             r = outcome.result

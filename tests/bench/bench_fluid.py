@@ -154,8 +154,7 @@ def solve_one(args, spacing: float) -> None:
     iterations = int(flow.outcomes()["pressure"]["iterations"])
     last = "" if scipy_time is None else f"{1e3 * scipy_time:.2f}"
     print(
-        f"| {spacing:g} | {n} | {1e3 * columns[0]:.2f} | {1e3 * columns[1]:.2f} | {last} | {iterations} |",
-        flush=True,
+        f"| {spacing:g} | {n} | {1e3 * columns[0]:.2f} | {1e3 * columns[1]:.2f} | {last} | {iterations} |", flush=True
     )
 
 

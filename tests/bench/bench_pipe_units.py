@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.dem.scene.scene import Published
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")

@@ -3,22 +3,14 @@
 import importlib
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
-import kept
 import pytest
-from made_runs import RUNS
+from command_modules import CLI, LINE
 from pumping import command
 
 import warpcrete
 from warpcrete import scenes
-from warpcrete.cli.run import report
-from warpcrete.core.run.ending import Ending, interruption
-from warpcrete.core.units import quantity
-from warpcrete.studies.study_result import Study
 
-MODULES = ("study", "trade", "calibrate", "run", "line_simulated", "line_blocked", "validate", "reproduce", "explain")
-CLI = {name: importlib.import_module(f"warpcrete.cli.{name}") for name in MODULES}
 REACHED = 7
 """Exit code of a command whose work is replaced."""
 
@@ -301,9 +293,6 @@ def test_settings_of_a_run(reached):
     )
 
 
-LINE = "diameter: 125 mm\nflow: 30 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n  - bend: up\n  - straight: 2 m\n"
-
-
 def test_settings_of_a_line(reached):
     Path("site.yaml").write_text(LINE, encoding="utf-8")
     words = ["line", "site.yaml", "--quiet", "--device", "cpu", "--threads", "1", "--out", "here"]
@@ -396,49 +385,3 @@ def test_settings_of_answers(reached):
     assert got.pop("arguments")[0].spacing == 0.01
     assert got.pop("announce") is importlib.import_module("warpcrete.cli.explain")._announce
     assert got == {"cache": False, "device": "cpu", "threads": 1, "trade": Path("x")}
-
-
-def test_the_report_of_a_run_is_kept(capsys, tmp_path):
-    (tmp_path / "checkpoint.npz").touch()
-    for finished, folder in ((True, None), (False, tmp_path)):
-        run = RUNS["pipe"]().run()
-        run.finished, run.folder = finished, folder
-        run.result |= {
-            "speed": {
-                "packing_time": quantity(2.0, "s"),
-                "settling_time": quantity(3.0, "s"),
-                "wall_time": quantity(40.0, "s"),
-                "steps_per_second": quantity(1234.0, "1/s"),
-            },
-            "provenance": {"device": "cpu"},
-            "checks": {"a": {"passed": True, "found": "1"}, "b": {"passed": False, "found": "2"}},
-            "ended": (Ending("travel", "it arrived", 10.0) if finished else interruption(10.0)).entry(),
-        }
-        report(run, [("pipeline", "3 MPa")])
-    kept.compare("report-of-a-run", capsys.readouterr().out.replace(str(tmp_path), "FOLDER"))
-
-
-@pytest.mark.parametrize("kind", ["whole", "open", "failed", "lost", "suspect"])
-def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatch):
-    study = Study(Path("here"), "pipe", [SimpleNamespace(name=name, varied={"x": name}) for name in "ab"])
-    study.results = {"a": {"checks": {}}, "b": {"checks": {}}}
-    if kind == "open":
-        study.results.pop("b")
-    if kind in ("failed", "lost"):
-        study.results.pop("b")
-        study.failures["b"] = "it burst"
-        study.not_at_fault = {"b"} if kind == "lost" else set()
-    if kind == "suspect":
-        study.results["b"] = {"checks": {"balance": {"passed": False}}}
-    monkeypatch.setattr(CLI["study"], "_new_study", lambda *given: study)
-    code = 0
-    try:
-        CLI["study"].run(["pipe", "--quiet"], {})
-    except SystemExit as ended:
-        code = ended.code
-    said = capsys.readouterr().out
-    assert code == {"whole": 0, "open": 130, "failed": 1, "lost": 1, "suspect": 3}[kind]
-    assert ("continue with: warpcrete study --resume here" in said) == (kind == "open")
-    assert ("repeat b with: warpcrete study --resume here" in said) == (kind == "lost")
-    assert ("failed: b: it burst" in said) == (kind in ("failed", "lost"))
-    assert ("checks of 1 of 2 cases: b (balance)" in said) == (kind == "suspect")

@@ -8,6 +8,8 @@ import pytest
 import warp as wp
 from pumping import command
 
+from warpcrete import scenes
+
 
 def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkeypatch):
     def compiled(*rest, **settings):
@@ -47,6 +49,20 @@ def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):
     kernel.unlink()
     command("warm", "channel", "--device", "cpu")
     assert compiled[3:] == ["tube", "tube", "channel"]
+
+
+def test_each_named_scene_is_forecast_on_the_device_without_a_cache(tmp_path, monkeypatch):
+    """A cached forecast would compile nothing, and another device or scene would compile other kernels."""
+    calls = []
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr("warpcrete.cli.warm.explain", lambda *given, **settings: calls.append((given, settings)))
+    done = command("warm", "tube", "pipe", "--device", "cpu")
+    assert done.returncode == 0, done.stderr
+    assert [given[0].name for given, _ in calls] == [scenes.tube().name, scenes.pipe().name]
+    assert [settings for _, settings in calls] == 2 * [{"device": "cpu", "cache": False}]
+    _, first, _, second, last = done.stdout.splitlines()
+    assert first.split()[:2] == ["tube", "mps"] and second.split()[:2] == ["pipe", "dem"]
+    assert 0 <= float(first.split()[2]) < 60 and last.startswith("kernels for cpu are ready")
 
 
 @pytest.mark.thorough

@@ -13,7 +13,7 @@ from pumping import SMALL, command, small_options
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError
 from warpcrete.core.inputs.fingerprints import fingerprint
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import Contact
 from warpcrete.dem.scene import clumps

@@ -13,7 +13,7 @@ from pumping import INTERRUPTIBLE, TINY, command, small_options, small_run, wait
 import warpcrete
 from warpcrete import ConvergenceError, InstabilityError, Simulation, scenes
 from warpcrete.core.run.ending import REASONS, Ending
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 
 CPU = dict(device="cpu", threads=1)
 FLOW = dict(spacing=10e-3)

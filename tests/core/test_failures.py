@@ -3,6 +3,7 @@
 import dataclasses
 import errno
 import hashlib
+import importlib.util
 import json
 import os
 import subprocess
@@ -22,7 +23,7 @@ from warpcrete.core.device.device import default_threads, find_device
 from warpcrete.core.errors import DiskFullError, RunFolderError, SceneError
 from warpcrete.core.inputs.fingerprints import fingerprint
 from warpcrete.core.run.provenance import processor_features, provenance
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show
 from warpcrete.record.run_folder import TableRecorder
@@ -225,7 +226,7 @@ def test_theory_answers_where_some_form_flows_and_has_no_flow_at_rest():
     assert [(float(row[1]), float(row[4])) for row in still] == [(0.0, 0.0)] * 4
 
 
-def test_names_and_short_words_for_people():
+def test_names_and_short_words_for_people(monkeypatch):
     assert {"Simulation", "Run", "Scene", "FluidScene", "scenes", "SceneError"} <= set(dir(warpcrete))
     assert set(warpcrete.__all__) <= set(dir(warpcrete))
     simulation = Simulation(scenes.pipe(**TINY), device="cpu")
@@ -237,6 +238,11 @@ def test_names_and_short_words_for_people():
     assert "finished" in repr(run) and "peak_pressure" in run._repr_html_() and "<table>" in flowed._repr_html_()
     for done in (run, flowed):
         assert type(show(done)).__name__ == "Figure"
+    find = importlib.util.find_spec
+    for spec, recording in (({"rerun_notebook": None}, "run.rrd"), ({"rerun_notebook": object()}, None)):
+        with monkeypatch.context() as patched:
+            patched.setattr(importlib.util, "find_spec", lambda name, *rest, s=spec: s.get(name, find(name, *rest)))
+            assert type(show(flowed, recording)).__name__ == "Figure"
 
 
 def test_results_say_which_processor_and_flags_their_bits_belong_to():
@@ -301,6 +307,7 @@ def test_walls_move_again_after_a_settling_that_was_cut():
 # Processes.
 
 
+@pytest.mark.thorough
 def test_workers_end_with_a_study_that_is_killed(tmp_path):
     study = subprocess.Popen(
         [sys.executable, "-c", "from warpcrete.cli import main; main()", "study", "pipe", "--velocity", "0.2", "0.3",

@@ -167,3 +167,43 @@ def test_figures_of_elements_are_kept():
         "above": plot_aggregates({"a": shown, "b": shown}, 1, 2),
     }
     kept.compare("figure-elements", {key: kept.drawn(each) for key, each in figures.items()})
+
+
+class Anything(dict):
+    """Results or series in which each name has a value of its own."""
+
+    def __contains__(self, name):
+        return True
+
+    def get(self, name, default=None):
+        return self[name]
+
+
+class Results(Anything):
+    def __missing__(self, name):
+        return 1 + zlib.crc32(name.encode()) % 9000
+
+
+class Series(Anything):
+    def __missing__(self, name):
+        return np.linspace(0.2, 0.01 * (1 + zlib.crc32(name.encode()) % 90), 9)
+
+
+SUSPENDED = dict(spacing=0.005, aggregate_fraction=0.1, aggregate_smallest=0.02, aggregate_largest=0.02)
+
+
+def test_the_words_of_every_quantity_are_kept():
+    """Each quantity with words of its own in a report, for a run whose results are all different."""
+    shown = {}
+    for name, given in (
+        ("pipe", {}), ("part-dem", {}), ("jring-dem", {}), ("tube", {}), ("slump", {}), ("part", {}), ("stretch", {}),
+        ("channel", SUSPENDED), ("jring", SUSPENDED | {"lift_time": 0.0}),
+        ("part", SUSPENDED | {"diameter": 0.1, "unit": "bend-level"}),
+    ):  # fmt: skip
+        scene = scenes.modules()[name].scene(**given)
+        run = SimpleNamespace(scene=scene, result=Results(), series=Series(), tables=Anything())
+        for each in method_of(scene).quantities:
+            text = each.words(run) if each.words is not None else ""
+            if text and text not in shown.get(each.name, []):
+                shown.setdefault(each.name, []).append(text)
+    kept.compare("words", shown)

@@ -8,7 +8,7 @@ import pytest
 from pumping import command_process
 
 from warpcrete import scenes
-from warpcrete.core.run import progress, run_loop
+from warpcrete.core.run import progress, wall_times
 from warpcrete.core.run.progress import ProgressBar
 from warpcrete.mps.simulation import FluidSimulation
 
@@ -73,7 +73,7 @@ def test_a_run_that_may_end_early_says_so(clock, capsys):
 def test_the_pace_of_a_run_leaves_out_preparation_and_compilation(monkeypatch):
     """Two steps between measurements take a second, but a minute more the first time, when kernels are compiled."""
     now, told = [0.0], []
-    monkeypatch.setattr(run_loop, "wall_clock", SimpleNamespace(perf_counter=lambda: now[0]))
+    monkeypatch.setattr(wall_times, "time", SimpleNamespace(perf_counter=lambda: now[0]))
 
     class Slow(FluidSimulation):
         def reaching(self, time):

@@ -195,10 +195,7 @@ def test_tables_are_read_with_their_units_and_line_ends(tmp_path):
 def test_errors_in_a_line_name_file_and_line(tmp_path):
     head = "diameter: 125 mm\nflow: 20 m3/h\nparts:\n  - straight: 10 m\n"
     for text, says in (
-        (
-            head + "  - bend: {to: uup, radius: 0.5}\n",
-            "line 5: part 2, bend: to = 'uup': .*did you mean 'up'",
-        ),
+        (head + "  - bend: {to: uup, radius: 0.5}\n", "line 5: part 2, bend: to = 'uup': .*did you mean 'up'"),
         (head + "  - straight:\n      length: 1,234 m\n", "line 5: part 2, straight: length = '1,234 m'.*decimal"),
         (head.replace("20 m3/h", "1:30"), r"file.yaml, line 2: flow = '1:30': must be a number"),
         (head.replace("125 mm", "0_125"), r"file.yaml, line 1: diameter = '0_125'"),

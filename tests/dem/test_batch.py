@@ -15,7 +15,8 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.device.launching import Launcher
 from warpcrete.core.errors import CapacityError, InstabilityError
-from warpcrete.core.run.run_loop import Recorder, Run
+from warpcrete.core.run.recorder import Recorder
+from warpcrete.core.run.run import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine import regrouping, stepper, subcycling
 from warpcrete.dem.engine.launch_planner import LaunchPlanner
@@ -68,6 +69,7 @@ def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision, monke
     check_the_same(alone(device, some, precision=precision), batched)
 
 
+@pytest.mark.thorough
 def test_pumping_cases_pack_settle_and_run_in_a_batch_as_alone(device):
     some = [scenes.pipe(velocity=v, seed=s, **SMALL) for v, s in ((0.3, 0), (0.6, 0), (0.6, 1))]
     batched = run_batch(simulate(device, some))

@@ -10,7 +10,7 @@ from orifices import orifice
 from pumping import SMALL, small_run
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.measure import blockage
 from warpcrete.dem.measure.quantities import report
 from warpcrete.dem.method import METHOD

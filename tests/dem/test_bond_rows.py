@@ -15,7 +15,7 @@ from test_contacts import two_spheres
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import CapacityError
-from warpcrete.core.run.run_loop import run_coroutine
+from warpcrete.core.run.coroutines import run_coroutine
 from warpcrete.dem.engine import batch_arrays as joint
 from warpcrete.dem.engine import bonding
 from warpcrete.dem.engine.bonding import bond_rows

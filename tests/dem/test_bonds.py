@@ -216,7 +216,7 @@ def test_hydration_takes_the_fraction_asked_for(start):
     stepper = start(scene)
     made = stepper.bond(bonds, 1)
     assert made == 3 * 11 * 12 * 12
-    hydrated = stepper.hydrate(1, 2, 0.2, 7)
+    hydrated = stepper.hydrate(0.2, 7)
     assert abs(hydrated - 0.2 * made) < 4 * math.sqrt(made * 0.2 * 0.8)
     # Bonds of a sphere are chosen independently of one another: of three, all are taken once in 125.
     i, j, entry = listed_pairs(stepper.state)

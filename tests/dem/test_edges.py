@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from conftest import bonds_of, by_id
-from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
+from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 
 from warpcrete import SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.dem.packing import NEAR_TARGET, pack

@@ -57,20 +57,18 @@ def one_sphere(**changes) -> Scene:
 
 
 def test_nan_stops_a_run_in_the_step_it_appears(device):
-    simulation = Simulation(one_sphere(), device=device)
-    simulation.prepare()
-    velocity = simulation.state.spheres.velocity.numpy().copy()
-    velocity[1, 2] = np.nan
-    simulation.state.spheres.velocity.assign(velocity)
+    def with_nan(name, component):
+        simulation = Simulation(one_sphere(), device=device)
+        simulation.prepare()
+        values = getattr(simulation.state.spheres, name).numpy().copy()
+        values[1, component] = np.nan
+        getattr(simulation.state.spheres, name).assign(values)
+        return simulation
+
     with pytest.raises(InstabilityError, match=r"t = .*body 1: its speed rises from nan .*usual cures"):
-        simulation.stepper.take(1)
-    simulation = Simulation(one_sphere(), device=device)
-    simulation.prepare()
-    spin = simulation.state.spheres.spin.numpy().copy()
-    spin[1, 0] = np.nan
-    simulation.state.spheres.spin.assign(spin)
+        with_nan("velocity", 2).stepper.take(1)
     with pytest.raises(InstabilityError, match=r"t = .*body 1: kinetic_energy is not a finite number"):
-        simulation.run()
+        with_nan("spin", 0).run()
 
 
 def test_speed_limit_names_body_and_speed(device):

@@ -16,7 +16,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device, parallel
 from warpcrete.core.device.launching import Stage, bound, load
 from warpcrete.core.errors import InstabilityError
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine.batch import Batch
 from warpcrete.dem.engine.model import build_model

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import by_id
-from test_walls import DENSITY, MASS, RADIUS, SMOOTH
+from wall_spheres import DENSITY, MASS, RADIUS, SMOOTH
 
 from warpcrete.dem.laws import HertzMindlin, LubricationLayer
 from warpcrete.dem.scene.clumps import elongated

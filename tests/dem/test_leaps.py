@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import by_id
-from test_walls import DENSITY, RADIUS
+from wall_spheres import DENSITY, RADIUS
 
 from warpcrete import InstabilityError, SceneError
 from warpcrete.dem.scene.clumps import elongated

@@ -98,12 +98,7 @@ def check_links(steppers) -> None:
         assert np.all(links.state.numpy()[own][used] == APART) or stepper.steps
 
 
-BOXES = {
-    "cube": (0.1, 0.1, 0.1),
-    "pipe": (0.05, 0.05, 2.0),
-    "sheet": (0.6, 0.0, 0.6),
-    "line": (0.0, 1.5, 0.0),
-}
+BOXES = {"cube": (0.1, 0.1, 0.1), "pipe": (0.05, 0.05, 2.0), "sheet": (0.6, 0.0, 0.6), "line": (0.0, 1.5, 0.0)}
 
 
 @pytest.mark.parametrize("box", BOXES.values(), ids=BOXES)

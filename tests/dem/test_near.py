@@ -142,11 +142,7 @@ def test_a_bond_pulls_at_gaps_of_more_than_a_quarter_of_the_skin():
                 contact=Contact(friction=0.0, normal_damping_ratio=0.0),
                 bonds=Bonds(effective_modulus=1e3, tensile_strength=1e12, cohesion=1e12, gap=1e-3),
                 bodies=(
-                    Bodies(
-                        positions=[[0.0, 0, 0], [0.0201, 0, 0]],
-                        sizes=0.02,
-                        velocities=[[-0.1, 0, 0], [0.1, 0, 0]],
-                    ),
+                    Bodies(positions=[[0.0, 0, 0], [0.0201, 0, 0]], sizes=0.02, velocities=[[-0.1, 0, 0], [0.1, 0, 0]]),
                 ),
             )
             model = build_model(scene, find_device("cpu"), "float64")

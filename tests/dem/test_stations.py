@@ -11,16 +11,9 @@ from test_part_elements import SMALL
 
 from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import Contact, LubricationLayer
-from warpcrete.dem.measure.stations import (
-    COLUMNS,
-    FRONT,
-    STRESS_RESOLUTION,
-    _front,
-    body_stresses,
-    losses,
-    measured,
-    stresses_along,
-)
+from warpcrete.dem.measure.station_forces import STRESS_RESOLUTION, body_stresses
+from warpcrete.dem.measure.station_losses import losses
+from warpcrete.dem.measure.stations import COLUMNS, FRONT, _front, measured, stresses_along
 from warpcrete.dem.scene.clumps import clump
 from warpcrete.dem.scene.scene import Bodies, Scene, Stations
 from warpcrete.geometry.axis import Axis, Line

@@ -9,7 +9,7 @@ from conftest import bonds_of
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state_data import state_hash
@@ -218,6 +218,7 @@ def test_a_run_cut_in_a_pause_or_after_a_rest_goes_on_with_the_same_bits(device,
         assert np.array_equal(whole.series[name], rest.series[name], equal_nan=True), name
 
 
+@pytest.mark.thorough
 def test_strokes_in_a_batch_hold_the_bits_of_runs_alone(device):
     several = [
         scenes.pipe(**STOPPING | more)

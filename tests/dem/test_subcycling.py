@@ -42,7 +42,7 @@ def bonded(scene, device, precision="float64", rounds=None, threads=1, **setting
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step, threads=threads, **settings)
     stepper.choose_dt()
     stepper.bond(scene.bonds, 1)
-    stepper.hydrate(1, 2, 1.0, 0)
+    stepper.hydrate(1.0, 0)
     stepper.choose_dt()
     return stepper
 

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from conftest import by_id, pair_history
+from contention import results_under_contention
 from test_contacts import flowing_scene, small_packing
 
 from warpcrete import Simulation, scenes
@@ -117,6 +118,7 @@ def test_momentum_is_kept_across_chunks(packing):
     assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.bodies.mass.numpy())
 
 
+@pytest.mark.thorough
 def test_a_pumping_run_on_threads_resumes_with_the_same_bits(tmp_path):
     scene = scenes.pipe(**SMALL)
     uncut = Simulation(scene, device="cpu", threads=2).run()
@@ -163,18 +165,11 @@ def test_one_thread_that_does_the_work_of_all_computes_the_same(kind, monkeypatc
         scene = scenes.pipe(**SMALL | dict(travel=0.005, ramp=0.002))
     else:
         scene = scenes.channel(spacing=5e-3, duration=0.02, aggregates=kind == "two phases")
-    hashes, used = set(), set()
-    for contended in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
-        asked = iter(range(10**9))
 
-        def use_one_thread(self, contended=contended, asked=asked):
-            used.add(crowded_now := contended(next(asked)))
-            return crowded_now
+    def state_hash():
+        return Simulation(scene, device="cpu", threads=2).run().result["state_hash"]
 
-        monkeypatch.setattr(CoreContention, "use_one_thread", use_one_thread)
-        run = Simulation(scene, device="cpu", threads=2).run()
-        hashes.add(run.result["state_hash"])
-    assert len(hashes) == 1 and used == {False, True}
+    assert len(results_under_contention(monkeypatch, state_hash)) == 1
 
 
 def test_threads_that_wait_for_cores_become_one_and_are_tried_again(monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 from conftest import devices
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 
 SMALL = dict(concrete="zhan-table1", diameter=0.10, length=0.20, travel=0.15, ramp=0.05, size_min=7e-3, size_max=16e-3)
 

@@ -13,7 +13,7 @@ from test_recordings import columns
 from warpcrete import Simulation, scenes
 from warpcrete.core.drawing.paint import Paint, palette_colours, rounded_up
 from warpcrete.core.run.files import read_json
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import quantity
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer

@@ -10,8 +10,9 @@ from warpcrete.geometry import mesh_parts
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.inner_surface import InnerSurface
 from warpcrete.geometry.lines import line_of
-from warpcrete.geometry.mesh_axis import follow, pieces_through
+from warpcrete.geometry.mesh_axis import pieces_through
 from warpcrete.geometry.mesh_parts import WAYS
+from warpcrete.geometry.mesh_sections import follow
 from warpcrete.mps.part.layout import Frame, bore_distance
 
 STRAIGHT = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),))

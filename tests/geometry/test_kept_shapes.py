@@ -11,7 +11,18 @@ from warpcrete.dem.measure.wear import patches_of
 from warpcrete.dem.scene import clumps, sizes
 from warpcrete.dem.scene.containers import low_discrepancy_points
 from warpcrete.dem.scene.strokes import held, peaks, stroke_table, strokes_of
-from warpcrete.geometry import cleaning, crossings, curves, mesh_axis, mesh_parts, meshes, prisms, sections, solids
+from warpcrete.geometry import (
+    cleaning,
+    crossings,
+    curves,
+    mesh_axis,
+    mesh_parts,
+    mesh_sections,
+    meshes,
+    prisms,
+    sections,
+    solids,
+)
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.inner_surface import InnerSurface, equal_radii
@@ -87,9 +98,10 @@ def test_meshes_are_kept(tmp_path):
     inner = trimesh.creation.box((0.05, 0.05, 0.05))
     inner.invert()
     hollow = trimesh.util.concatenate([BOX, inner, BOX.copy().apply_translation([1, 0, 0])])
-    found = mesh_axis.follow(
+    found = mesh_sections.follow(
         np.array(mesh.vertices), np.array(mesh.faces), np.array([0.0, 0, 0]), [np.array([1.0, 0, 0])], "wall", "x"
     )
+    apart = trimesh.util.concatenate([BOX, trimesh.creation.box((0.1, 0.1, 0.1)).apply_translation((0.5, 0, 0))])
     surfaces = Surfaces()
     surfaces.add(np.array(BOX.vertices), np.array(BOX.faces), 0)
     surfaces.add(np.array(inner.vertices), np.array(inner.faces), 3)
@@ -109,7 +121,7 @@ def test_meshes_are_kept(tmp_path):
             "clean": cleaning.clean(*map(np.array, twice)),
             "merged": cleaning.merged_corners(np.array(twice[0]), 1e-8),
             "border": meshes.border_edges(trimesh.Trimesh(BOX.vertices, BOX.faces[:-2])),
-            "solid": [len(solids.without_cavities(hollow).faces)],
+            "solid": [len(solids.without_cavities(mesh).faces) for mesh in (hollow, apart)],
             "signed": meshes.signed_distance(BOX, POINTS - POINTS.mean(0)),
             "faces": meshes.faces_at(BOX, POINTS - POINTS.mean(0), 2.0),
             "rays": meshes.rays(BOX, np.zeros((5, 3)), POINTS[:5] / np.linalg.norm(POINTS[:5], axis=1)[:, None], 1.0),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import by_id
-from test_walls import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane
+from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane
 
 from warpcrete import SceneError, scenes
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep

@@ -8,7 +8,7 @@ import warp as wp
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.kernels.mps import flow_laws
 from warpcrete.kernels.mps.grid.bingham import bingham_functions
 from warpcrete.kernels.mps.grid.cells import grid_parameters_struct

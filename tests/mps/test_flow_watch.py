@@ -8,7 +8,7 @@ import pytest
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, SceneError
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.quantities import report
 from warpcrete.mps.scene import FlowWatch

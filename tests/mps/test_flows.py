@@ -17,7 +17,7 @@ from warpcrete import scenes
 from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, PlausibilityWarning, RunFolderError, SceneError
 from warpcrete.core.run.files import read_json
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.particles import MovingParticles

@@ -1,6 +1,7 @@
 """Concrete with a free surface: rest, fall, slump and spread; layouts, checkpoints, refusals."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.device.footprint import footprint
 from warpcrete.core.errors import ConvergenceError, InstabilityError, SceneError
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import number
 from warpcrete.kernels.mps.structs import DENSITY
 from warpcrete.mps.free.display import SHOWN_DEPTH
@@ -55,6 +56,14 @@ def test_a_mould_of_cells_holds_the_cone_s_volume_and_has_no_ledges(spacing, off
     assert np.all(inner[at[:, 1], at[:, 0]] == NONE) and np.count_nonzero(inner == GATE) > 30
     width = [at[at[:, 1] == row, 0].max() for row in range(at[:, 1].max() + 1)]
     assert np.all(np.diff(width) <= 0)
+
+
+def test_a_run_may_end_only_after_the_gate_was_lifted():
+    """A gate of 0.15 m, lifted at 0.05 m/s, is open after 3 s; a vessel without a gate is open from the start."""
+    gate = ((0.2, 0.0), (0.22, 0.0), (0.22, 0.15), (0.2, 0.15))
+    lifted = [FreeSimulation.lift_end.fget(SimpleNamespace(scene=vessel(gate=corners, lift_speed=0.05)))
+              for corners in (gate, ())]  # fmt: skip
+    assert lifted == [pytest.approx(3.0), 0.0]
 
 
 def test_a_mould_opens_from_below(device):

@@ -11,7 +11,7 @@ from warpcrete import scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, SceneError
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.kernels.mps.grid.bingham import bingham_functions
 from warpcrete.kernels.mps.grid.cells import LIQUID, GridKind, grid_parameters_struct
 from warpcrete.kernels.mps.grid.forces import relaxed_viscosity_function

@@ -4,11 +4,11 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from contention import results_under_contention
 from test_free_flows import slump
 from test_grid_flows import periodic
 
 from warpcrete import scenes
-from warpcrete.core.device.cores import CoreContention
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.run.provenance import arrays_hash
 from warpcrete.mps.free.layout import free_layout
@@ -51,19 +51,13 @@ def test_any_number_of_threads_gives_the_same_bits(kind):
 
 def test_one_thread_that_does_the_work_of_all_computes_the_same(monkeypatch):
     """While other processes want the cores; to the bit, whenever it begins and ends."""
-    hashes, used = set(), set()
-    for contended in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
-        asked = iter(range(10**9))
 
-        def use_one_thread(self, contended=contended, asked=asked):
-            used.add(contended_now := contended(next(asked)))
-            return contended_now
-
-        monkeypatch.setattr(CoreContention, "use_one_thread", use_one_thread)
+    def state_hash():
         flow = flow_of("about an axis", 2)
         flow.take(40)
-        hashes.add(arrays_hash(flow.state_arrays()))
-    assert len(hashes) == 1 and used == {False, True}
+        return arrays_hash(flow.state_arrays())
+
+    assert len(results_under_contention(monkeypatch, state_hash)) == 1
 
 
 def test_threads_are_limited_by_cells_and_chunks(monkeypatch):

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
 from warpcrete.studies.lines.run import run_line

@@ -13,7 +13,7 @@ from test_grid_flows import dense, stages_through
 from warpcrete import scenes
 from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import SceneError
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed

@@ -11,15 +11,17 @@ import kept
 import numpy as np
 import pytest
 from pumping import TINY
+from test_stretch import PIPE as STRETCH
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.scene.clumps import reference
 from warpcrete.dem.scene.scene import Bodies, Scene
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 from warpcrete.record.checks import CheckRecorder
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.rerun_stream import RerunStream
 from warpcrete.record.run_folder import TableRecorder
 from warpcrete.record.usd import UsdRecorder
 
@@ -58,12 +60,14 @@ STARTS = {
     "tube": lambda: scenes.tube(spacing=0.02, duration=0.012, sample_interval=4e-3, ends="piston"),
     "slump": lambda: scenes.slump(**FREE, duration=0.06, sample_interval=0.02, lift_time=0.2),
     "part": lambda: scenes.part(concrete="no1", unit="bend-to-vertical", straight=0.2, spacing=0.0125, duration=0.03),
+    "stretch": lambda: scenes.stretch(**STRETCH, gradient=20.0, sample_interval=10.0, duration=20.0),
 }
 COLOURINGS = {
     "clumps": ("force", "speed", "size"),
     "pipe": ("force", "speed", "size"),
     "slump": ("shear", "speed"),
     "part": ("shear", "pressure"),
+    "stretch": ("shear", "pressure"),
 }
 NETWORK = ("clumps", "pipe")
 """Scenes of which force chains are recorded."""
@@ -233,7 +237,6 @@ def test_the_start_of_a_run_is_kept(name, tmp_path):
     ],
 )
 def test_a_recording_goes_into_its_file_and_to_the_viewer(live, path, sinks, tmp_path):
-    recorder = RerunRecorder(path and tmp_path / path, live=live)
-    recorder._parts = 0
-    recorder._rr = SimpleNamespace(FileSink=lambda where: "file", GrpcSink=lambda where: "viewer")
-    assert recorder._sinks() == sinks
+    stream = RerunStream(path and tmp_path / path, live)
+    stream.rr = SimpleNamespace(FileSink=lambda where: "file", GrpcSink=lambda where: "viewer")
+    assert stream._sinks() == sinks

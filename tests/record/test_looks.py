@@ -18,7 +18,7 @@ from warpcrete.core.drawing.display import DrawnWall
 from warpcrete.core.drawing.paint import palette_colours
 from warpcrete.core.drawing.style import legend_beside
 from warpcrete.core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES, Frames
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.measure.probes import largest_forces, pair_forces
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.record.blueprint import MIN_PLAY_TIME, blueprint, cut_walls, spheres_behind_cut

@@ -8,7 +8,7 @@ from test_recordings import columns
 from warpcrete import Simulation, scenes
 from warpcrete.core.drawing.paint import ENDS, colour_map, packed, palette_colours
 from warpcrete.core.drawing.style import NAMES, RUN, SECOND, explained
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.record.blueprint import plot_title
 from warpcrete.record.legend import meaning
 from warpcrete.record.paraview import ParaViewRecorder

@@ -195,14 +195,14 @@ def test_copies_that_never_come_are_told(device, monkeypatch):
 def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypatch):
     """One line, and nothing that waits for it when the program ends; one that is slow is waited for."""
     given_up = []
-    monkeypatch.setattr("warpcrete.record.rerun.PATIENCE", 0.15)
-    monkeypatch.setattr("warpcrete.record.rerun.POLL_INTERVAL", 0.05)
+    monkeypatch.setattr("warpcrete.record.rerun_stream.PATIENCE", 0.15)
+    monkeypatch.setattr("warpcrete.record.rerun_stream.POLL_INTERVAL", 0.05)
     monkeypatch.setattr("atexit.unregister", given_up.append)
     path = tmp_path / "run.rrd"
     path.write_bytes(b"begun")
     for stream, dies in ((Unanswering(path), True), (Unanswering(path, 4), False)):
         recorder = RerunRecorder(path)
-        recorder._recording, recorder._parts = stream, 0
+        recorder._stream._recording = stream
         if dies:
             with pytest.raises(RunFolderError, match=r"run\.rrd': cannot be written \(Flush timed out\); .* are kept$"):
                 recorder.finish(None, None)

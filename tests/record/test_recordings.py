@@ -8,7 +8,7 @@ import pytest
 
 from warpcrete import Simulation, WarpcreteError, scenes
 from warpcrete.core.device.recorder_thread import RecorderThread
-from warpcrete.core.run.run_loop import Recorder
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.scene import Bodies, Scene
 from warpcrete.geometry.rotation import rotate

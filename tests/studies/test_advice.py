@@ -4,10 +4,12 @@ import json
 import re
 from pathlib import Path
 
+import kept
 import pytest
 from pumping import command
 
-from warpcrete.core.errors import SceneError
+from warpcrete.cli.advice import chosen
+from warpcrete.core.errors import SceneError, WarpcreteError
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.tradeoffs.advice import SHIPPED, advise, nearest_shipped
@@ -42,6 +44,41 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_pat
     # Another one was chosen by somebody, and so it stays; the checks stay what they are, too.
     advice = advise(tmp_path, "channel", channel, {"time_step": 3e-4}, 0.05)
     assert advice.changes == {} and advice.left_out == ("time step 0.0012 s, because its parameter is given",)
+
+
+def test_kept_advice_of_a_trade(tmp_path):
+    """Of several promises, the cheapest that suffices; what is said of other scenes, and records that are no trades."""
+    promises = [
+        {"setting": "x", "levels": {"time step": "x 4"}, "promised": 0.04, "ratio": 0.3, "time": 2.5,
+         "carried": {"twice the flow": {"shift": 0.01}, "concrete no2": None}},
+        {"setting": "y", "levels": {"time step": "x 2"}, "promised": 0.02, "ratio": 0.5},
+        {"setting": "z", "levels": {}, "promised": 0.01, "ratio": 0.9, "time": None},
+        {"setting": None, "levels": {}, "promised": None, "ratio": None},
+    ]  # fmt: skip
+    record = {"scene": "channel", "parameters": {"flow": 1e-3}, "quantities": ["pressure"], "promises": promises,
+              "machine": "a processor", "provenance": {"warpcrete": "0.1"}}  # fmt: skip
+    channel, told = modules()["channel"], {}
+
+    def ask(accuracy, given={}, name="channel", **changes):  # noqa: B006
+        (tmp_path / "trade.json").write_text(json.dumps(record | changes), encoding="utf-8")
+        try:
+            found = advise(tmp_path, name, channel, given, accuracy)
+            text = chosen(name, channel, given, f"{100 * accuracy:g}%", tmp_path, "cpu")
+            assert text == found.changes
+        except WarpcreteError as error:
+            found = str(error).replace(str(tmp_path), "FOLDER")
+        told[f"{accuracy} {given} {name} {sorted(changes)}"] = found
+
+    for accuracy in (0.0, 0.009, 0.01, 0.02, 0.039, 0.04, 0.5, 1.0):
+        ask(accuracy)
+    for given in ({"flow": 1e-3}, {"flow": 2e-3, "seed": 5}, {"time_step": 1e-4}, {"aggregates": True}):
+        ask(0.05, given)
+    ask(0.05, name="pipe")
+    ask(0.05, promises=promises[3:])
+    ask(0.05, promises=[{"setting": "x"}])
+    ask(0.05, quantities=None)
+    ask(0.05, warpcrete="0.2", provenance={})
+    kept.compare("advice", told)
 
 
 WITHOUT_TRADE = {"jring", "jring-dem", "lbox-dem", "lcpc", "lcpc-dem", "part-dem"}

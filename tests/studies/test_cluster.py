@@ -178,10 +178,7 @@ def test_a_job_of_slurm_is_what_dask_is_told(tmp_path):
     assert f"{sys.executable} -m distributed.cli.dask_worker" in script and "--nthreads 1" in script
     told = {"cores": 8, "memory": "16 GB", "queue": "night", "walltime": "02:00:00",
             "job-extra-directives": ["--account=concrete"]}  # fmt: skip
-    with (
-        dask.config.set({"jobqueue.slurm": dask.config.get("jobqueue.slurm") | told}),
-        slurm_cluster(None) as cluster,
-    ):
+    with dask.config.set({"jobqueue.slurm": dask.config.get("jobqueue.slurm") | told}), slurm_cluster(None) as cluster:
         script = cluster.job_script()
     for line in ("-p night", "-t 02:00:00", "--account=concrete", "--cpus-per-task=8"):
         assert f"#SBATCH {line}" in script

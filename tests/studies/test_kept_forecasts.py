@@ -18,9 +18,7 @@ from warpcrete.studies.cases import Case
 from warpcrete.studies.tradeoffs import trials
 from warpcrete.studies.tradeoffs.explain import Explanation, Saving, _bytes, _knob_savings, _seconds, _time_step_savings
 
-SCENES = {
-    "pipe": lambda: scenes.pipe(**TINY),
-}
+SCENES = {"pipe": lambda: scenes.pipe(**TINY)}
 MEASURED = ("memory", "contacts", "governing")
 """Entries that are measured in a few steps, and therefore not compared."""
 

@@ -11,7 +11,7 @@ import pytest
 from warpcrete import scenes
 from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.run.method import Quantity, report_of, results_of
-from warpcrete.core.run.run_loop import Run
+from warpcrete.core.run.run import Run
 from warpcrete.dem.measure.quantities import QUANTITIES, Known, no_plateau, past_ramp
 from warpcrete.dem.measure.quantities import report as element_report
 from warpcrete.dem.measure.sampling import unit_of

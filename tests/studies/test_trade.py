@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
+import kept
 import numpy as np
 import pytest
 from conftest import devices
@@ -151,6 +152,27 @@ def test_every_level_of_every_knob_makes_another_scene(name):
         assert set(module.trading.quantities) <= known
 
 
+def test_kept_knobs_and_variants():
+    """What a trade varies in each scene: settings, their levels and costs; and the scenes that try its promises."""
+    found = {}
+    for name, module in modules().items():
+        others = FURTHER | {"jring-dem": {"bars": 24}}  # narrow gaps limit the size of stones
+        for place, base in enumerate(({}, others.get(name, {"seed": 3}))):
+            given = module.scene.parameters(**base)
+            found[f"{name}{place}"] = {
+                "knobs": [
+                    [
+                        f"{knob.name}, physical {knob.physical}, chosen {knob.chosen}, resolution {knob.resolution}",
+                        *(f"{level.label}: {dict(level.changes)} at {level.cost:.6g}" for level in knob.levels),
+                    ]
+                    for knob in module.trading.knobs(given)
+                ],
+                "variants": module.trading.variants(given),
+                "marks": [module.trading.quantities, module.trading.tolerance, module.trading.closed_form(given)],
+            }
+    kept.compare("knobs", found)
+
+
 VARIANTS = {"twice the flow": {"flow": 3e-3}, "concrete no2": {"concrete": "no2"}}
 
 
@@ -247,6 +269,7 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(element_tr
     assert tried and all({2, 3, 4} <= set(promise.point.results) for promise in tried)
 
 
+@pytest.mark.thorough
 def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(Trade, "expected", lambda self, point: 1e9)
@@ -323,6 +346,7 @@ def test_the_command(tmp_path):
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.thorough
 def test_a_scene_function_is_traded_from_python(tmp_path):
     import warpcrete
 
@@ -429,3 +453,34 @@ def test_what_is_shipped_of_a_trade(flow_trade):
     kept = compact(record)
     assert kept["promises"] == record["promises"] and len(kept["points"]) == len(record["points"])
     assert "provenance" not in kept and "knobs" not in kept and kept["machine"] == record["machine"]
+
+
+def test_the_reference_is_as_fine_as_the_budget_allows():
+    """Costs double with each level of `a` and triple with each of `b`; what saves most for its error gives way.
+
+    From the finest levels, (2, 2), the ratios of saving to error are 34 for `a` and 27 for `b`, then 7 and 27, 7 and
+    22, and 7 at last. The costs are 36, 18, 6, 2 and 1 times that of the scene as given, 10 s in two rounds of seeds.
+    """
+    phases = importlib.import_module("warpcrete.studies.tradeoffs.trade")
+    knobs = [SimpleNamespace(name=name, levels=(0, 1, 2)) for name in "ab"]
+    costs, errors = {"a": 2.0, "b": 3.0}, {"a": (0.1, 0.02, 0.0), "b": (0.05, 0.04, 0.0)}
+
+    def reference(allowed, spent=5.0, **changes):
+        found = []
+        trade = SimpleNamespace(**{
+            "knobs": knobs, "chosen_knobs": knobs, "level_as_given": lambda knob: 0, "seeds": (1, 2), "points": [],
+            "given": SimpleNamespace(cost=10.0), "spent": spent, "budget": (allowed + spent) / phases.FINEST_UNTIL,
+            "ratio": lambda knob, level: costs[knob.name] ** level, "rounds": lambda runs: runs, "record": {"kept": 1},
+            "shift": lambda knob, level: errors[knob.name][level], "run": lambda *rest: True,
+            "point": lambda origin, levels: found.append(dict(levels)) or SimpleNamespace(origin=origin),
+        } | changes)  # fmt: skip
+        phases._run_reference(trade, print)
+        return tuple(found[0].values()), trade.record.get("finest")
+
+    for cost, levels in ((36, (2, 2)), (18, (1, 2)), (6, (1, 1)), (2, (1, 0)), (1, (0, 0))):
+        assert reference(20 * cost * 1.001) == (levels, {"a": levels[0], "b": levels[1]})
+        assert reference(20 * cost * 0.999) != (levels, {"a": levels[0], "b": levels[1]}) or levels == (0, 0)
+    assert reference(0.0)[0] == (0, 0) and reference(60.0, level_as_given=lambda knob: 1)[0] == (1, 1)
+    assert reference(0.0, record={"finest": {"a": 1, "b": 2}})[0] == (1, 2)
+    assert reference(1e9, shift=lambda knob, level: math.inf if level == 2 else 0.01)[0] == (1, 1)
+    assert reference(1e9, run=lambda *rest: False)[1] is None

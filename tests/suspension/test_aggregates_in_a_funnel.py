@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -23,8 +24,7 @@ def step(flow, count=1):
 
 
 def test_the_part_outside_weighs_as_in_air(device):
-    simulation = funnel(device, duration=0.01)
-    simulation.begin()
+    simulation = begin(funnel(device, duration=0.01))
     flow, radius = simulation.flow, 0.02
     volume = 4 / 3 * np.pi * radius**3
     bodies = flow.aggregates.bodies
@@ -41,8 +41,7 @@ def test_the_part_outside_weighs_as_in_air(device):
 
 
 def test_aggregates_that_have_left_stay_away_and_move_no_more(device):
-    simulation = funnel(device, duration=0.01)
-    simulation.begin()
+    simulation = begin(funnel(device, duration=0.01))
     bodies = simulation.flow.aggregates
     centre = bodies.bodies.centre.numpy()
     centre[:2] = [[0.025, 0.025, -0.021], [0.025, 0.025, -0.0199]]
@@ -86,8 +85,7 @@ def test_aggregates_wider_than_the_outlet_of_a_quarter_are_refused():
 @pytest.mark.thorough
 def test_clumps_leave_sphere_by_sphere(device):
     """The weight of a clump grows with the volume that has left; a clump with one sphere inside has not left."""
-    simulation = funnel(device, duration=0.01, spacing=0.01, aggregate_shapes="shape-1.5")
-    simulation.begin()
+    simulation = begin(funnel(device, duration=0.01, spacing=0.01, aggregate_shapes="shape-1.5"))
     flow, volume = simulation.flow, 4 / 3 * np.pi * 0.02**3
     aggregates = flow.aggregates
     bodies, spheres = aggregates.bodies, aggregates.parts

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -21,8 +22,7 @@ def ring(device, **given):
 
 
 def test_aggregates_start_within_the_cone_inside_the_ring(device):
-    simulation = ring(device)
-    simulation.begin()
+    simulation = begin(ring(device))
     bodies = simulation.flow.aggregates
     x, r = bodies.bodies.centre.numpy(), bodies.radius
     aside = (0.15 - np.hypot(x[:, 0], x[:, 1]) - 0.25 * x[:, 2]) / np.hypot(1, 0.25)
@@ -33,8 +33,7 @@ def test_aggregates_start_within_the_cone_inside_the_ring(device):
 
 
 def test_aggregates_bars_and_their_images_are_drawn(device):
-    simulation = ring(device)
-    simulation.begin()
+    simulation = begin(ring(device))
     display = simulation.display()
     names = [wall.name for wall in display.walls()]
     assert names == ["plate", "bars", "bars_front", "bars_left", "bars_left_front"]
@@ -44,9 +43,7 @@ def test_aggregates_bars_and_their_images_are_drawn(device):
 
 
 def test_what_has_passed_the_ring_is_counted(device):
-    simulation = ring(device, duration=0.01)
-    simulation.begin()
-    simulation.flow.take(1)
+    simulation = begin(ring(device, duration=0.01), 1)
     bodies = simulation.flow.aggregates.bodies
     centre = bodies.centre.numpy()
     centre[:, :2] = 0.05
@@ -58,6 +55,7 @@ def test_what_has_passed_the_ring_is_counted(device):
     assert row["mortar_passed"] == pytest.approx(mortar_part(0.0, 1 / len(centre), simulation.fraction))
 
 
+@pytest.mark.thorough
 def test_a_ring_goes_on_from_its_checkpoint_with_the_same_bits(device):
     given = {"sample_interval": 0.01}
     whole = ring(device, duration=0.02, **given).run()

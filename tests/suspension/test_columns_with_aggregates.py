@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -27,10 +28,7 @@ def column(name, device, **given):
 
 
 def begun(name, device, steps, **given):
-    simulation = column(name, device, **given)
-    simulation.begin()
-    simulation.flow.take(steps)
-    return simulation
+    return begin(column(name, device, **given), steps)
 
 
 @pytest.mark.parametrize("name", ["tube", "channel"])

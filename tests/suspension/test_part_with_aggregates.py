@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -29,11 +30,7 @@ def part(device, **given):
 
 
 def begun(device, steps=0, **given):
-    simulation = part(device, **given)
-    simulation.begin()
-    if steps:
-        simulation.flow.take(steps)
-    return simulation
+    return begin(part(device, **given), steps)
 
 
 def census(simulation):
@@ -66,6 +63,7 @@ def test_aggregates_fill_the_part_and_the_space_behind_it(given):
     assert (place + speed * enters)[later] == pytest.approx(1.01 * radius[later], abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_aggregates_enter_like_a_plug_and_none_is_lost(device):
     simulation = begun(device, aggregate_fraction=0.2, **BEND, duration=0.3)
     flow, enters = simulation.flow, simulation.entering
@@ -194,10 +192,7 @@ def test_a_part_is_blocked_if_aggregates_stand_still_and_the_pressure_rises():
 @pytest.mark.parametrize(
     "given, words",
     [
-        (
-            {"aggregate_largest": 0.05},
-            "aggregate_largest = 0.05: is too large: the simulated part of the",
-        ),
+        ({"aggregate_largest": 0.05}, "aggregate_largest = 0.05: is too large: the simulated part of the"),
         ({"spacing": 0.01}, "spacing = 0.01: is too coarse: the smallest aggregate"),
         ({"aggregate_largest": 0.01}, "aggregate_largest = 0.01: must be at least 'aggregate_smallest'"),
     ],

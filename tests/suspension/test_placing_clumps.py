@@ -7,10 +7,11 @@ import warpcrete
 from warpcrete import scenes
 from warpcrete.dem.scene.clumps import templates
 from warpcrete.dem.scene.sizes import SieveCurve
+from warpcrete.geometry.rotation import random_orientations
 from warpcrete.methods import method_of
 from warpcrete.suspension.aggregates import Aggregates, Spheres, rotated
 from warpcrete.suspension.nearby import CLEARANCE, close_pairs
-from warpcrete.suspension.placing_clumps import placed_clumps, random_turns, turned
+from warpcrete.suspension.placing_clumps import placed_clumps, turned
 from warpcrete.suspension.stretch.layout import stretch_layout
 
 RADIUS, SIDE = 0.01, 0.08
@@ -45,7 +46,7 @@ def test_clumps_find_places_without_overlaps(name, fraction, periodic):
 
 def test_rotations_agree_with_quaternions():
     rng = np.random.default_rng(0)
-    turn, angle, x = random_turns(50, rng), rng.normal(size=(50, 3)), rng.normal(size=(50, 3))
+    turn, angle, x = random_orientations(50, rng), rng.normal(size=(50, 3)), rng.normal(size=(50, 3))
     # A rotation by a vector: Rodrigues' formula.
     size = np.linalg.norm(angle, axis=1, keepdims=True)
     e, y = angle / size, rotated(turn, x)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flows import begin
 
 import warpcrete
 from warpcrete import scenes
@@ -26,11 +27,7 @@ def stretch(device, **given):
 
 
 def begun(device, steps=0, **given):
-    simulation = stretch(device, **given)
-    simulation.begin()
-    if steps:
-        simulation.flow.take(steps)
-    return simulation
+    return begin(stretch(device, **given), steps)
 
 
 def test_aggregates_fill_the_pipe_but_not_its_wall_and_meet_over_the_ends(device):
@@ -121,6 +118,7 @@ def test_a_stretch_goes_on_from_its_checkpoint_with_the_same_bits(device):
     assert second.flow.steps > 0 and second.run().result["state_hash"] == whole.result["state_hash"]
 
 
+@pytest.mark.thorough
 def test_a_run_reports_its_results(device):
     run = stretch(
         device, **SLOW | {"duration": 60.0}, yield_stress=0.05, surfaces="slips", slip_viscosity=200.0, slip_yield=0.01

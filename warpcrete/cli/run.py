@@ -18,8 +18,9 @@ from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar, no_progress, rate_text
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
 from ..core.units import number
 from ..methods import method_of
 from ..record.checks import failed_checks
@@ -164,7 +165,7 @@ class PipelineRecorder(Recorder):
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Compute the pressure of the whole pipeline from the run's pressure plateau, if the run has reached one."""
         if run.finished and (self.height is not None or self.distance is not None):
             try:

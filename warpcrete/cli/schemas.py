@@ -22,7 +22,7 @@ from ..geometry.line_entries import KEYS as LINE_KEYS
 from ..geometry.line_entries import TEXTS as LINE_TEXTS
 from ..geometry.pumps import PUMP
 from ..methods import METHODS
-from ..mix import given as mixes
+from ..mix import entries as mixes
 from ..mix import measurements, stones
 from ..mix.mix import FACTORS
 from ..mix.points import PUMPED

@@ -17,7 +17,8 @@ from ..core.device.device import MEMORY_FRACTION, memory_free, parallel
 from ..core.device.launching import report_compiling
 from ..core.errors import WarpcreteError
 from ..core.inputs.fingerprints import fingerprint
-from ..core.run.run_loop import Coroutine, Run
+from ..core.run.coroutines import Coroutine
+from ..core.run.run import Run
 from .engine.batch import batch_key
 from .engine.memory import memory_needed
 from .engine.scheduling import drive_batches

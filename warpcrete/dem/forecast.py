@@ -19,8 +19,8 @@ import warp as wp
 
 from ..core.device.device import checked_threads, parallel
 from ..core.device.footprint import footprint
+from ..core.run.coroutines import run_coroutine
 from ..core.run.forecast import Forecast, Probe, median_time
-from ..core.run.run_loop import run_coroutine
 from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
 from ..kernels.dem.subcycling import SUBCYCLED_STEP_FRACTION

@@ -16,7 +16,8 @@ import numpy as np
 
 from ..core.device.device import find_device, parallel
 from ..core.errors import CapacityError, InstabilityError, WarpcreteError, refuse
-from ..core.run.run_loop import Coroutine
+from ..core.run.coroutines import Coroutine
+from ..geometry.rotation import random_orientations
 from .engine.batch import batch_key
 from .engine.memory import check_memory
 from .engine.model import build_model
@@ -65,12 +66,6 @@ class PackingReport:
     """Mean pressure from the contact forces between bodies [Pa]; contacts with the container's walls do not count."""
     size_factor: float
     """Factor by which all sizes were multiplied to reach a given pressure; 1 if a solid fraction was given instead."""
-
-
-def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
-    """Return uniformly distributed random unit quaternions x, y, z, w, shape (count, 4)."""
-    q = random.normal(size=(count, 4))
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def draw(

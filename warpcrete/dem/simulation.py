@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from ..core.run.coroutines import Coroutine, Until, run_coroutine
 from ..core.run.method import results_of
 from ..core.run.provenance import provenance
-from ..core.run.run_loop import Coroutine, Run, Simulation, Until, run_coroutine
+from ..core.run.run import Run
+from ..core.run.run_loop import Simulation
 from ..core.run.tables import Table
 from ..core.units import quantity
 from .engine.bonding import bond_kinds
@@ -118,7 +120,7 @@ class ElementSimulation(Simulation):
         if packed is not None:
             table, self.packing = packed
         self.tell("packing", 1.0)
-        self._wall_times["packing"] = took
+        self.wall_times.phases["packing"] = took
         table = table.joined(placed_bodies(self.scene))
         check_memory(self.model, table)
         self.state = State(self.model, table)
@@ -141,12 +143,12 @@ class ElementSimulation(Simulation):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
             self.stepper.choose_dt()  # raise the error for an unstable step before any file is written
 
-        started = wall_clock.perf_counter() - self._wall_times.get("settling", 0.0)
+        started = wall_clock.perf_counter() - self.wall_times.phases.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
             with self._walls_held():
                 yield from self._settling(scene.settle.duration)
             self.stepper.change(local_damping=scene.local_damping)
-        self._wall_times["settling"] = wall_clock.perf_counter() - started
+        self.wall_times.phases["settling"] = wall_clock.perf_counter() - started
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
@@ -168,13 +170,13 @@ class ElementSimulation(Simulation):
             self.stepper.change(held=0)
 
     def _settling(self, duration: float) -> Coroutine:
-        before, begun = self._wall_times.get("settling", 0.0), wall_clock.perf_counter()
+        before, begun = self.wall_times.phases.get("settling", 0.0), wall_clock.perf_counter()
         if self._settled is None:
             self._settled = 0
             self._checkpoint()
         for part in range(self._settled, SETTLING_PARTS):
             self._settled = part
-            self._wall_times["settling"] = before + wall_clock.perf_counter() - begun
+            self.wall_times.phases["settling"] = before + wall_clock.perf_counter() - begun
             if self.stop_requested:
                 self._checkpoint()
                 raise KeyboardInterrupt
@@ -193,7 +195,7 @@ class ElementSimulation(Simulation):
             return
         self.stepper.bond(scene.bonds, 1)
         if scene.hydration is not None:
-            self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
+            self.stepper.hydrate(scene.hydration.fraction, scene.seed)
 
     def reaching(self, time: float) -> Coroutine:
         """Advance the simulation to `time` [s]; this coroutine yields the times to which the run loop must step.
@@ -320,7 +322,7 @@ class ElementSimulation(Simulation):
         """Return the run up to the present time, with series, results, tables and bodies."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
-        running = self._wall_times.get("running", 0.0)
+        running = self.wall_times.phases.get("running", 0.0)
         tables: dict[str, Table] = {}
         result: dict[str, Any] = {
             "scene": self.scene.name,
@@ -359,8 +361,8 @@ class ElementSimulation(Simulation):
                 tables["stations"] = Table(known.log.table(known.window), STATION_UNITS)
         result["speed"] = {
             "wall_time": quantity(running, "s"),
-            "packing_time": quantity(self._wall_times.get("packing", 0.0), "s"),
-            "settling_time": quantity(self._wall_times.get("settling", 0.0), "s"),
+            "packing_time": quantity(self.wall_times.phases.get("packing", 0.0), "s"),
+            "settling_time": quantity(self.wall_times.phases.get("settling", 0.0), "s"),
             "steps_per_second": quantity(self.pace, "1/s"),
             "sphere_steps_per_second": quantity(self.pace * state.sphere_count, "1/s"),
             "memory": quantity(self._memory(), "B"),

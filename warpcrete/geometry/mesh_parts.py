@@ -16,8 +16,9 @@ from ..core.inputs.text_files import check_file
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .inner_surface import DIRECTIONS_AROUND, InnerSurface, equal_radii
-from .mesh_axis import follow, pieces_through
+from .mesh_axis import pieces_through
 from .mesh_bores import MeshBore
+from .mesh_sections import follow
 from .meshes import load
 
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05

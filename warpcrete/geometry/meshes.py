@@ -99,9 +99,9 @@ def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
     return unique[count == 1]
 
 
-def load_closed(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
+def load_closed(source, field: str) -> trimesh.Trimesh:
     """Read a mesh like :func:`load`, refuse it if it is not watertight, and turn its normals outward."""
-    mesh = load(source, field, scale)
+    mesh = load(source, field)
     name = source if isinstance(source, str | Path) else "mesh"
     if not mesh.is_watertight:
         refuse(

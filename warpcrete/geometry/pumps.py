@@ -35,17 +35,17 @@ class Pump:
     """Power of the pump's motor [W]."""
 
 
-def pump_of(given: Any, field: str = "pump") -> Pump:
+def pump_of(given: Any) -> Pump:
     """Read a pump from a pressure, or from a mapping with the keys :data:`PUMP`.
 
-    `field` names the entry in messages. Raises :class:`SceneError` for a wrong key or value, or without a pressure.
+    Raises :class:`SceneError` for a wrong key or value, or without a pressure.
     """
     entries = given if isinstance(given, Mapping) else {"pressure": given}
     found = {}
     for key, value in entries.items():
         with errors_located_at(entries, key):
-            one_of(f"{field}'s key", key, PUMP)
-            called, unit = f"{field} {key}", PUMP[key][0]
+            one_of("pump's key", key, PUMP)
+            called, unit = f"pump {key}", PUMP[key][0]
             found[key] = amount(called, value, unit)
             positive(called, found[key], unit)
             check_limit(called, found[key], unit, key)
@@ -54,7 +54,7 @@ def pump_of(given: Any, field: str = "pump") -> Pump:
                        "write the unit, for example '70 bar'")  # fmt: skip
     if "pressure" not in found:
         refuse(
-            field,
+            "pump",
             dict(entries),
             "has no 'pressure'",
             "add the largest pressure from the data sheet, for example 'pressure: 85 bar'",

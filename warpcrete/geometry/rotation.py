@@ -1,8 +1,14 @@
-"""Rotation of vectors by quaternions on the host."""
+"""Random orientations, and rotation of vectors by quaternions, on the host."""
 
 from __future__ import annotations
 
 import numpy as np
+
+
+def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
+    """Return uniformly distributed random unit quaternions x, y, z, w, shape (count, 4)."""
+    q = random.normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def rotate(quaternions: np.ndarray, vectors: np.ndarray, inverse: bool = False) -> np.ndarray:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..geometry.pipe_line import Part, PipeLine
+from .entries import MixEntries
 from .figures import short
-from .given import MixEntries
 from .ingredients import powder_mass, water_mass
 
 VERDICTS = ("fine", "unknown", "risky", "blocks")

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from ..theory.fits import StraightLine, straight_line
 from ..theory.laws import BINGHAM
 from ..theory.pipe import Concrete, Line, measured_layer
+from .entries import MixEntries
 from .figures import Figure, line_uncertainty, of_line
-from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
 """Smallest and largest ratio of a slip layer's constants from pipe pressures to those measured with a tribometer, in

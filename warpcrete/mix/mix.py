@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..core.drawing.html import html_table
 from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..theory.pipe import Concrete, scaled
+from .entries import MixEntries
 from .figures import Figure, around, reconciled, short
-from .given import DENSITY_TOLERANCE, MixEntries, read
 from .layer import ASSUMPTION, OF_PASTE, layers
+from .reading import DENSITY_TOLERANCE, read
 from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
@@ -69,9 +70,7 @@ class Mix:
 
     def _repr_html_(self) -> str:
         """Return the table of properties as HTML, for notebooks."""
-        rows = [("th", COLUMNS), *(("td", tuple(row.values())) for row in self.rows())]
-        cells = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) for tag, row in rows)
-        return f"<table>{''.join(f'<tr>{each}</tr>' for each in cells)}</table>"
+        return html_table((tuple(row.values()) for row in self.rows()), COLUMNS)
 
     def __getitem__(self, name: str) -> Figure:
         """Return the property called `name`, such as 'yield stress' or 'slip viscosity'."""

@@ -21,9 +21,11 @@ from ..theory.inverse import (
 )
 from ..theory.pipe import Concrete
 from ..theory.suspension import SUSPENSIONS, power_thickening, thickening
+from .entries import MixEntries
 from .figures import Figure, around, line_uncertainty, of_line
-from .given import PACKING, Measured, MixEntries
 from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
+from .measurements import Measured
+from .reading import PACKING
 
 RHEOMETER = 0.2
 """Relative uncertainty of measured constants of concrete or mortar, if the mix states none."""
@@ -72,7 +74,7 @@ def yield_stresses(given: MixEntries) -> Iterator[Figure]:
     """
     yield from _stated(given.concrete, "yield_stress", "Pa", "concrete")
     if given.viscometer_points is not None:
-        yield _against_heaps(_offset("yield stress", given.viscometer_points, "Pa", "viscometer"))
+        yield _against_heaps(_yield_stress_of(given.viscometer_points))
     if (own := _mortar(given, "yield_stress", "Pa")) is not None:
         yield _from_mortar(own, given, 1, "Chateau, Ovarlez & Trung 2008")
     if given.spread is not None:
@@ -97,7 +99,7 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
     """
     yield from _stated(given.concrete, "viscosity", "Pa s", "concrete")
     if given.viscometer_points is not None:
-        yield _slope("viscosity", given.viscometer_points, "Pa s", "viscometer")
+        yield _viscosity_of(given.viscometer_points)
     if (own := _mortar(given, "viscosity", "Pa s")) is not None:
         yield _from_mortar(own, given, 0, "Krieger & Dougherty 1959")
     if given.t500 is not None and given.spread is not None:
@@ -195,13 +197,13 @@ def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Fig
                   f"mortar with a share {given.share:.3g} of aggregate", source)  # fmt: skip
 
 
-def _slope(name: str, points: tuple[list[float], list[float]], unit: str, way: str) -> Figure:
+def _viscosity_of(points: tuple[list[float], list[float]]) -> Figure:
     fit, count = straight_line(*points), len(points[0])
     off = line_uncertainty(fit.slope_error, count, fit.slope, RHEOMETER)
-    return of_line(name, fit.slope, off, unit, way, count)
+    return of_line("viscosity", fit.slope, off, "Pa s", "viscometer", count)
 
 
-def _offset(name: str, points: tuple[list[float], list[float]], unit: str, way: str) -> Figure:
+def _yield_stress_of(points: tuple[list[float], list[float]]) -> Figure:
     fit, count = straight_line(*points), len(points[0])
     off = line_uncertainty(fit.offset_error, count, fit.offset, RHEOMETER)
-    return of_line(name, fit.offset, off, unit, way, count)
+    return of_line("yield stress", fit.offset, off, "Pa", "viscometer", count)

@@ -14,7 +14,7 @@ from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity, warn
 from ..core.inputs.parameters import Above, Alias, Needs, OneOf, Within
 from ..core.run.checks import with_cures
-from ..core.run.run_loop import Run
+from ..core.run.run import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, concrete_of_mortar, mortar_of

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from ..core.run.checks import Check
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
 
 
 class CheckRecorder(Recorder):
@@ -18,7 +19,7 @@ class CheckRecorder(Recorder):
     def __init__(self, check: Check) -> None:
         self.check = check
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Add the results of the scene's checks to the result of a run, if the run reached its end."""
         if run.finished:
             found = self.check(run)

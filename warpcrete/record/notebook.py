@@ -6,7 +6,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from ..core.run.run_loop import Run
+from ..core.run.run import Run
 from ..methods import method_of
 
 

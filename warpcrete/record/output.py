@@ -13,7 +13,7 @@ from ..core.inputs.origin import Arguments
 from ..core.run.checks import Check
 from ..core.run.files import check_new
 from ..core.run.output import register_folders
-from ..core.run.run_loop import Recorder
+from ..core.run.recorder import Recorder
 from ..core.run.viewer import LOOPBACK
 from ..methods import Simulation, method_of
 from ..scenes import modules

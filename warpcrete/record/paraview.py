@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from ..core.device.recorder_thread import RecorderThread
-from ..core.errors import WarpcreteError
+from ..core.extras import needs_extra
 from ..core.run.files import atomic_file, cannot_write
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
 from ..geometry.rotation import rotate
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")
@@ -39,17 +40,12 @@ class ParaViewRecorder(Recorder):
     expendable = True
 
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
-        try:
-            import h5py  # noqa: F401
-        except ImportError:
-            raise WarpcreteError(
-                "paraview: needs the package h5py, which is not installed; run pip install 'warpcrete[paraview]'"
-            ) from None
+        needs_extra("paraview", "h5py")
         self.folder, self.colouring = folder, colouring
         self._frames = 0
         self._files: dict[str, Poly] = {}
 
-    def start(self, simulation: RecordedSimulation) -> None:
+    def start(self, simulation: SimulationBase) -> None:
         """Prepare the files and the walls; create the display that supplies the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
@@ -67,7 +63,7 @@ class ParaViewRecorder(Recorder):
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
-    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
         """Shorten all files to the same number of frames: those written before the checkpoint.
 
         If a file has fewer frames, because it is damaged or missing, shorten the other files to that number and warn.
@@ -82,7 +78,7 @@ class ParaViewRecorder(Recorder):
         for file in self._files.values():
             file.shorten(self._frames)
 
-    def frame(self, simulation: RecordedSimulation) -> None:
+    def frame(self, simulation: SimulationBase) -> None:
         """Append the current state of bodies, walls and contacts to the files, as a new time step."""
         self._display.draw(self._later, self._draw)
 
@@ -126,16 +122,16 @@ class ParaViewRecorder(Recorder):
             count += len(wall.vertices)
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
-    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
         """Wait for the background jobs, then return the number of frames so far as the data for a resumed run."""
         self._later.wait()
         return {"frames": self._frames}
 
-    def write(self, simulation: RecordedSimulation) -> None:
+    def write(self, simulation: SimulationBase) -> None:
         """Write the frames that are kept in memory."""
         self._write()
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Write the frames that are still in memory when the run has ended."""
         if self._files:
             try:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.run.files import atomic_file
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
 from ..methods import method_of
 
 
@@ -21,7 +22,7 @@ class PictureRecorder(Recorder):
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         self.folder, self.colouring = folder, colouring
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Draw the pictures of the finished run as PNG files, except those for which the run has no data."""
         method = method_of(simulation.scene)
         figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.run.run_loop import Recorder
+from ..core.run.recorder import Recorder
 from ..core.run.viewer import LOOPBACK
 from .checks import Check, CheckRecorder
 from .paraview import ParaViewRecorder

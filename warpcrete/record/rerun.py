@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import atexit
-import importlib
-import os
-import sys
-import threading
-import time
 import uuid
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +13,14 @@ from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, Profile
 from ..core.drawing.paint import COLOUR_STEPS, Paint, packed
 from ..core.drawing.style import THEORY
-from ..core.errors import RunFolderError, refuse
-from ..core.run.files import cannot_write, space_error
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
-from ..core.run.viewer import LOOPBACK, has_screen, screen_viewer
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
+from ..core.run.viewer import LOOPBACK
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
-from .joining import join
 from .legend import legend, paint_legend
+from .rerun_stream import POLL_INTERVAL, RerunStream
 
-PATIENCE = 4.0
-"""Longest time [s] to wait for a viewer that receives no data, or for Rerun's writer if the recording's file does not
-grow."""
-CLOSE_TIMEOUT = 30.0
-"""Longest time [s] for opening the recording's file, or for closing it if a viewer has not received the whole
-recording."""
-POLL_INTERVAL = 0.5
-"""Time [s] between two checks whether the recording's file has grown."""
 TEXTURE_MARGIN = 512
 """Number of texels that repeat the first colour at the start of the texture. A renderer may sample colours slightly
 outside the triangles at the edges of a mesh, and therefore slightly outside the colour scale."""
@@ -51,21 +35,6 @@ def with_values(tensor: Any, values: np.ndarray) -> Any:
     members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
     buffer = type(union).from_buffers(union.type, 1, union.buffers()[:3], children=members)
     return type(tensor).from_arrays([tensor.field("shape"), tensor.field("names"), buffer], fields=list(tensor.type))
-
-
-def _rerun() -> Any:
-    """Return Rerun's library, without its log, which would fill the terminal; its calls report errors anyway.
-
-    The library reads the variable RUST_LOG when it is imported. A value that the user has set stays in force.
-    """
-    quiet = "RUST_LOG" not in os.environ
-    if quiet:
-        os.environ["RUST_LOG"] = "off"
-    try:
-        return importlib.import_module("rerun")
-    finally:
-        if quiet:
-            del os.environ["RUST_LOG"]
 
 
 class RerunRecorder(Recorder):
@@ -92,38 +61,24 @@ class RerunRecorder(Recorder):
         colouring: str | None = None,
         network: bool = False,
     ) -> None:
-        self.path, self.live, self.colouring, self.network = path, live, colouring, network
-        self._bind = bind
-        if live is True and not has_screen():
-            refuse("live", live, "needs a screen, but no screen was found (DISPLAY is not set)",
-                   "give the URL of a running viewer, or use 'warpcrete view FOLDER --web' after the run")  # fmt: skip
-        self._recording: Any = None
+        self.path, self.colouring, self.network = path, colouring, network
+        self._stream = RerunStream(path, live, bind)
+        self._rr = self._stream.rr
         self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
-        self._rr = rr = _rerun()
-        if isinstance(live, str):
-            try:
-                rr.GrpcSink(live)
-            except (RuntimeError, ValueError) as error:
-                refuse(
-                    "live",
-                    live,
-                    f"is not the URL of a viewer ({error})",
-                    "for example rerun+http://127.0.0.1:9876/proxy",
-                )
 
-    def start(self, simulation: RecordedSimulation) -> None:
+    def start(self, simulation: SimulationBase) -> None:
         """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
             # Delete the part files of an earlier run that stopped before its first checkpoint.
-            for path in self._parts_from(0):
+            for path in self._stream.parts_from(0):
                 path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
         self._describe(display)
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
-    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
         """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
@@ -132,36 +87,35 @@ class RerunRecorder(Recorder):
                 )
                 self.start(simulation)
                 return
-            for path in self._parts_from(state["parts"]):
+            for path in self._stream.parts_from(state["parts"]):
                 path.unlink()
             # Parts of the recording of a finished run may be missing, because they are joined into one file already.
             if not simulation.at_end:
                 for number in range(1, state["parts"]):
-                    if not self._part(number).is_file():
-                        warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
+                    if not (part := self._stream.part_path(number)).is_file():
+                        warnings.warn(f"'{part}': is missing; its frames are lost", stacklevel=2)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
-        layout = self._blueprint(simulation, display) if self.live else None
+        live = bool(self._stream.live)
+        layout = self._blueprint(simulation, display) if live else None
         self._open(display, state["recording_id"], state["parts"], layout)
         # A newly opened viewer has no data yet, so the positions of all bars of bar charts must be sent again.
-        if not self.live:
-            self._places = dict(state["places"])
-        if self.live:
+        if live:
             self._describe(display)
+        else:
+            self._places = dict(state["places"])
 
-    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
         """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
-        following = self._parts + (self.path is not None)
-        return {"recording_id": self._id, "parts": following, "places": self._places}
+        following = self._stream.part + (self.path is not None)
+        return {"recording_id": self._stream.recording_id, "parts": following, "places": self._places}
 
-    def write(self, simulation: RecordedSimulation) -> None:
+    def write(self, simulation: SimulationBase) -> None:
         """Close the current part of the recording and open the next part."""
         if self.path is not None:
-            self._flush()
-            self._parts += 1
-            self._open_sinks()
+            self._stream.open_next_part()
 
-    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+    def sample(self, simulation: SimulationBase, row: dict[str, float]) -> None:
         """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time = row["time"]
@@ -173,14 +127,14 @@ class RerunRecorder(Recorder):
         }
 
         def log() -> None:
-            self._set_time(time, steps)
+            self._stream.set_time(time, steps)
             for path, value in values.items():
                 if value is not None:
                     self._log(path, self._rr.Scalars(value))
 
         self._later.submit(log)
 
-    def frame(self, simulation: RecordedSimulation) -> None:
+    def frame(self, simulation: SimulationBase) -> None:
         """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
@@ -198,7 +152,7 @@ class RerunRecorder(Recorder):
     def _draw(self, time: float, steps: int) -> None:
         rr, display = self._rr, self._display
         assert display is not None
-        self._set_time(time, steps)
+        self._stream.set_time(time, steps)
         if not display.has_surface:
             spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.packed_colours())
             self._log(f"scene/{display.noun}", spheres)
@@ -295,25 +249,19 @@ class RerunRecorder(Recorder):
             self._tensors[len(values)] = like = TensorDataBatch(values).as_arrow_array()
         return with_values(like, values)
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Flush the recording and close it."""
-        if self._recording is not None:
-            watched = bool(self.live)
+        if self._stream.is_connected:
             try:
                 self._later.close()
-                self._flush()
             except BaseException:
-                self._disconnect(POLL_INTERVAL)
+                self._stream.disconnect(POLL_INTERVAL)
                 raise
-            # If the viewer has disconnected, closing takes longer: Rerun first waits for the viewer, then closes the
-            # file.
-            if not self._disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
-                raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
+            self._stream.close()
 
-    def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
+    def tidy(self, simulation: SimulationBase, run: Run) -> None:
         """Join the part files of the recording into one file."""
-        if self.path is not None and self._parts > 0:
-            join([self._part(number) for number in range(self._parts + 1)], self.path)
+        self._stream.join_parts()
 
     def _describe(self, display: Display) -> None:
         """Record all data that does not change during the run."""
@@ -339,14 +287,11 @@ class RerunRecorder(Recorder):
 
     def _log(self, path: str, what: Any, static: bool = False) -> None:
         self._later.yield_to_run()
-        try:
-            self._recording.log(path, what, static=static)
-        except RuntimeError as error:
-            raise self._recording_error(error) from error
+        self._stream.log(path, what, static)
 
     def _log_zeros(self, display: Display, time: float, steps: int) -> None:
         """Record one point in every plot, so that the axis of values begins at zero."""
-        self._set_time(time, steps)
+        self._stream.set_time(time, steps)
         for plot in display.plots():
             self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[THEORY], names="zero"), static=True)
             self._log(f"{plot.path}/zero", self._rr.Scalars(0.0))
@@ -357,29 +302,14 @@ class RerunRecorder(Recorder):
         pose = self._rr.Transform3D(translation=position, quaternion=self._rr.Quaternion(xyzw=orientation))
         self._log(path, pose, static=static)
 
-    def _set_time(self, time: float, steps: int | None) -> None:
-        """Set the simulated time and, if known, the step number to which further data of this thread belong."""
-        self._recording.set_time("time", duration=time)
-        if steps is None:
-            self._recording.disable_timeline("step")
-        else:
-            self._recording.set_time("step", sequence=steps)
-
-    def _blueprint(self, simulation: RecordedSimulation, display: Display) -> Any:
+    def _blueprint(self, simulation: SimulationBase, display: Display) -> Any:
         network = self.network and display.has_network
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
-    # The following methods open and close the outputs of the recording, which are a viewer and the parts of the file.
-
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
-        rr = self._rr
-        # The viewer keeps one layout for each application name, so each kind of scene needs an application name of its
-        # own.
-        self._recording = rr.RecordingStream(f"warpcrete {display.simulation.scene.name}", recording_id=recording_id)
-        if part == 0:
-            self._recording.send_recording_name(display.simulation.scene.caption)
-        self._id, self._parts, self._display = recording_id, part, display
+        scene = display.simulation.scene
+        self._display = display
         walls = display.walls()
         self._walls = [wall.name for wall in walls]
         self._moving = [(number, wall.name) for number, wall in enumerate(walls) if wall.moves]
@@ -392,97 +322,6 @@ class RerunRecorder(Recorder):
         # Positions of the bars of bar charts, and of surface vertices, that were recorded last. The key is their path
         # in the recording.
         self._places: dict[str, np.ndarray] = {}
-        if self.live is True:
-            opened = screen_viewer(bind=self._bind)
-            opened.start()
-            print(f"live: {opened.address}", file=sys.stderr)
-            self.live = opened.address
-        self._open_sinks(default_blueprint=blueprint)
-
-    def _open_sinks(self, **settings: Any) -> None:
-        """Open the file of the current part and the connection to a viewer; raise :class:`RunFolderError` on failure.
-
-        Rerun's writer may never return if the disk is full. A separate thread therefore calls the writer, and this
-        method waits for the thread for a limited time.
-        """
-        failures: list[RuntimeError] = []
-
-        def open_them() -> None:
-            try:
-                self._recording.set_sinks(*self._sinks(), **settings)
-            except RuntimeError as error:
-                failures.append(error)
-
-        if not self._finishes(open_them, CLOSE_TIMEOUT):
-            failures.append(RuntimeError("the writer does not answer"))
-        if failures:
-            raise self._recording_error(failures[0]) from failures[0]
-
-    def _finishes(self, call: Callable[[], None], patience: float) -> bool:
-        """Run a call of Rerun in a thread, and return whether it ends within `patience` [s].
-
-        The wait is shorter if the disk turns out to be full. If the call does not end, Rerun's exit handler is removed,
-        because it would block the exit of the program.
-        """
-        calling = threading.Thread(target=call, daemon=True)
-        calling.start()
-        end = time.monotonic() + patience
-        while calling.is_alive() and time.monotonic() < end:
-            calling.join(POLL_INTERVAL)
-            if calling.is_alive() and self.path is not None and space_error(self.path.parent):
-                calling.join(PATIENCE)
-                break
-        if calling.is_alive():
-            atexit.unregister(self._rr.rerun_shutdown)
-        return not calling.is_alive()
-
-    def _recording_error(self, error: Exception) -> RunFolderError:
-        return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
-
-    def _flush(self) -> None:
-        """Wait until the file and the viewer have received all data."""
-        size, since = -1, time.monotonic()
-        while True:
-            try:
-                self._recording.flush(timeout_sec=POLL_INTERVAL)
-                return
-            except (RuntimeError, ValueError) as error:
-                trouble = error
-                # If Rerun's writer has crashed, `flush` fails at once, so pause before the next attempt.
-                time.sleep(0.05)
-            # If the disk was full at some time, the thread that writes the recording may never answer, so stop waiting
-            # for it. If the writer is only slow, the file still grows, so go on waiting.
-            if self.path is not None:
-                before, size = size, self._part(self._parts).stat().st_size
-                if size != before:
-                    since = time.monotonic()
-            if time.monotonic() - since > PATIENCE or (self.path is not None and space_error(self.path.parent)):
-                break
-        if not self.live:
-            raise self._recording_error(trouble) from trouble
-        # A viewer that has disconnected must not stop the run, because the file has all data.
-        warnings.warn(f"the Rerun viewer did not receive the whole recording: {trouble}", stacklevel=2)
-        self.live = False
-
-    def _disconnect(self, patience: float) -> bool:
-        """Close the recording, and return whether the writer answered within `patience` [s]."""
-        return self._finishes(self._recording.disconnect, patience)
-
-    def _sinks(self) -> list[Any]:
-        rr = self._rr
-        sinks: list[Any] = []
-        if self.path is not None:
-            sinks.append(rr.FileSink(str(self._part(self._parts))))
-        if self.live:
-            sinks.append(rr.GrpcSink(str(self.live)))
-        return sinks
-
-    def _part(self, number: int) -> Path:
-        assert self.path is not None
-        return self.path if number == 0 else self.path.with_name(f"{self.path.stem}-{number:04d}{self.path.suffix}")
-
-    def _parts_from(self, first: int) -> list[Path]:
-        assert self.path is not None
-        numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
-        later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]
-        return ([self.path] if first == 0 else []) + later
+        # The viewer keeps one layout for each application name, so each kind of scene needs an application name of its
+        # own.
+        self._stream.connect(f"warpcrete {scene.name}", scene.caption, recording_id, part, blueprint)

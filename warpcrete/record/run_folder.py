@@ -14,13 +14,14 @@ from ..core.run.ending import Ending
 from ..core.run.files import atomic_file, cannot_write, read_json, write_json
 from ..core.run.folders import FolderLock, make_folder
 from ..core.run.provenance import provenance
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
 from ..core.run.tables import Table
 from .loading import is_finished
 
 
-def scene_record(simulation: RecordedSimulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
+def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
     A scene may differ from what its function builds, because it was modified afterwards or built by hand. The fields
@@ -64,7 +65,7 @@ class TableRecorder(Recorder):
     def _series(self) -> Path:
         return self.folder / "series.csv"
 
-    def claim(self, simulation: RecordedSimulation) -> None:
+    def claim(self, simulation: SimulationBase) -> None:
         """Create the run folder, or reuse that of an interrupted run, and lock it against other processes.
 
         A new folder receives scene.json.
@@ -90,7 +91,7 @@ class TableRecorder(Recorder):
             self._is_new = True
         write_json(path, record)
 
-    def abandon(self, simulation: RecordedSimulation) -> None:
+    def abandon(self, simulation: SimulationBase) -> None:
         """Remove the folder if this recorder created it and it holds nothing of use.
 
         The folder of a run that became unstable before its first row, or that has a checkpoint, remains. Its
@@ -112,7 +113,7 @@ class TableRecorder(Recorder):
                 self._write_early_end(simulation, ending)
         self.close(simulation)
 
-    def _write_early_end(self, simulation: RecordedSimulation, ending: Ending) -> None:
+    def _write_early_end(self, simulation: SimulationBase, ending: Ending) -> None:
         """Write the result.json of a run that ended before its first row, unless an earlier one holds results."""
         path = self.folder / "result.json"
         if path.is_file() and "steps" in read_json(path):
@@ -125,7 +126,7 @@ class TableRecorder(Recorder):
             "provenance": provenance(simulation.device, simulation.precision, scene.seed, simulation.threads),
         })  # fmt: skip
 
-    def start(self, simulation: RecordedSimulation) -> None:
+    def start(self, simulation: SimulationBase) -> None:
         """Open series.csv in the folder created by `claim`."""
         self.claim(simulation)
         self._file = self._opened("w")
@@ -136,7 +137,7 @@ class TableRecorder(Recorder):
         except OSError as error:
             raise cannot_write(self._series, error) from error
 
-    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
         """Rewrite series.csv with the rows up to the checkpoint, and open the file for further rows."""
         self.claim(simulation)
         with atomic_file(self._series) as partial:
@@ -148,7 +149,7 @@ class TableRecorder(Recorder):
         if self._writer is not None:
             self._writer = csv.writer(self._file)
 
-    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+    def sample(self, simulation: SimulationBase, row: dict[str, float]) -> None:
         """Append the sampled values to series.csv as a new row.
 
         The header of the file states the unit of each column.
@@ -160,20 +161,20 @@ class TableRecorder(Recorder):
         except OSError as error:
             raise cannot_write(self._series, error) from error
 
-    def _write(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+    def _write(self, simulation: SimulationBase, row: dict[str, float]) -> None:
         if self._writer is None:
             self._writer = csv.writer(self._file)
             self._writer.writerow([f"{name} [{simulation.unit(name)}]" for name in row])
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
 
-    def write(self, simulation: RecordedSimulation) -> None:
+    def write(self, simulation: SimulationBase) -> None:
         """Write result.json of an unfinished run; the rows of series.csv are already on disk."""
         result = simulation.result(False).result
         if simulation.ending is not None:
             result["ended"] = simulation.ending.entry()
         write_json(self.folder / "result.json", result)
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Write result.json and the tables, and close series.csv."""
         if self._file is None:
             return
@@ -188,7 +189,7 @@ class TableRecorder(Recorder):
         for name, table in run.tables.items():
             _write_table(self.folder / f"{name}.csv", table)
 
-    def close(self, simulation: RecordedSimulation) -> None:
+    def close(self, simulation: SimulationBase) -> None:
         """Release the lock on the folder."""
         if self._folder_hold is not None:
             self._folder_hold.release()

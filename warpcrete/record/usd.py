@@ -18,8 +18,9 @@ import numpy as np
 from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, DrawnWall, RigidBodies
 from ..core.run.files import atomic_file, cannot_write
-from ..core.run.run_loop import Recorder, Run
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.run import Run
+from ..core.run.simulation_base import SimulationBase
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
 FRAMES_PER_SECOND = 1000  # One USD time code stands for one millisecond of simulated time.
@@ -41,13 +42,13 @@ class UsdRecorder(Recorder):
         self._first: float | None = None
         self._last: float | None = None
 
-    def start(self, simulation: RecordedSimulation) -> None:
+    def start(self, simulation: SimulationBase) -> None:
         """Create a USD stage in memory, with everything that does not change in time."""
         from pxr import Usd
 
         self._build(simulation, Usd.Stage.CreateInMemory())
 
-    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
         """Open the file of the checkpoint and remove all time samples after the checkpoint."""
         from pxr import Sdf, Tf, Usd
 
@@ -70,7 +71,7 @@ class UsdRecorder(Recorder):
                         layer.EraseTimeSample(path, code)
         self._build(simulation, Usd.Stage.Open(layer))
 
-    def _build(self, simulation: RecordedSimulation, stage: Any) -> None:
+    def _build(self, simulation: SimulationBase, stage: Any) -> None:
         """Define all objects of the USD stage that do not change in time.
 
         Objects that exist on the stage already are left as they are.
@@ -141,7 +142,7 @@ class UsdRecorder(Recorder):
         camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * distance, 100 * distance))
         camera.CreateFocusDistanceAttr(distance)
 
-    def frame(self, simulation: RecordedSimulation) -> None:
+    def frame(self, simulation: SimulationBase) -> None:
         """Record one time sample of all bodies and moving walls."""
         self._display.draw(self._later, self._draw)
 
@@ -168,7 +169,7 @@ class UsdRecorder(Recorder):
         translate.Set(Gf.Vec3d(*map(float, position)), code)
         orient.Set(Gf.Quatd(float(w), float(x), float(y), float(z)), code)
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Write the USD file when the run has ended."""
         if self._stage is not None:
             try:
@@ -176,12 +177,12 @@ class UsdRecorder(Recorder):
             finally:  # Write the frames that are complete, even if a background job of this recorder failed.
                 self._write()
 
-    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
         """Return the time codes of the first and the last frame."""
         self._later.wait()
         return {"first": self._first, "last": self._last}
 
-    def write(self, simulation: RecordedSimulation) -> None:
+    def write(self, simulation: SimulationBase) -> None:
         """Write the file with all frames so far."""
         self._write()
 

@@ -16,7 +16,7 @@ from ..core.inputs.origin import check_files
 from ..core.inputs.text_files import saved_text
 from ..core.run.files import read_json
 from ..core.run.folders import FolderLock
-from ..core.run.run_loop import Run
+from ..core.run.run import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case

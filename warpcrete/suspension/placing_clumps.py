@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..geometry.rotation import random_orientations
 from .aggregates import Aggregates, Spheres, rotated
 from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close_pairs, draw_between
 
@@ -16,7 +17,7 @@ class _Packing:
     def __init__(self, aggregates: Aggregates, distance: Distance, period: float, rng: np.random.Generator) -> None:
         self.parts, self.distance, self.period, self.rng = Spheres(aggregates), distance, period, rng
         self.count, self.radii = aggregates.count, self.parts.radius
-        self.centre, self.turn = np.zeros((self.count, 3)), random_turns(self.count, rng)
+        self.centre, self.turn = np.zeros((self.count, 3)), random_orientations(self.count, rng)
         reach = np.linalg.norm(self.parts.offset, axis=1) + self.radii
         self.extent = np.maximum.reduceat(reach, self.parts.first[:-1])
 
@@ -33,7 +34,7 @@ class _Packing:
         left = np.ones(self.count, bool)
         for _ in range(ITERATIONS):
             number = int(left.sum())
-            self.centre[left], self.turn[left] = draw(self.rng, number), random_turns(number, self.rng)
+            self.centre[left], self.turn[left] = draw(self.rng, number), random_orientations(number, self.rng)
             moved = left[self.parts.body]
             blocked = np.zeros(len(self.radii), bool)
             blocked[moved] = self.distance(self.spheres()[moved]) <= (1 + CLEARANCE) * self.radii[moved]
@@ -125,12 +126,6 @@ def placed_clumps(
     centre = packing.centre
     centre = low + np.where([False, False, periodic], (centre - low) % (period or 1.0), centre - low)
     return replace(aggregates, centre=centre, turn=packing.turn)
-
-
-def random_turns(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return random orientations as unit quaternions (x, y, z, w), shape (count, 4); all are equally likely."""
-    turn = rng.normal(size=(count, 4))
-    return turn / np.linalg.norm(turn, axis=1, keepdims=True)
 
 
 def turned(turn: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..core.run.method import Quantity
-from ..core.run.run_loop import Run
+from ..core.run.run import Run
 from ..core.units import number
 from ..mps.free.quantities import RunData, report
 from .aggregates import BodyState

@@ -27,7 +27,12 @@ from ..kernels.suspension.vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, SUMS, add_k
 from ..kernels.suspension.velocity import force_kernels, search_kernels, update_kernels
 from .directions import CHUNK, Directions
 
-CPU_TASKS, GPU_TASKS = 32, 64 * BLOCK
+CPU_TASKS, GPU_TASKS = 32, (64 * BLOCK, 256 * BLOCK)
+"""Number of tasks that share the faces of the grid in a solve; on a GPU, the smallest and the largest number.
+
+A GPU gets a task for every four cells within these limits. With more tasks, adding up their partial sums takes the time
+that is saved elsewhere.
+"""
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 """Smallest residual that rounding errors allow, divided by the largest residual of the step, by precision."""
 NEGLIGIBLE = 0.1
@@ -68,7 +73,9 @@ class CoupledSolve:
         self.flow, self.tolerances = flow, tolerances
         self.device, self.scalar = flow.device, flow.scalar
         serial = not flow.parallel
-        self.tasks, self.checked = (CPU_TASKS, CHECKED["cpu"]) if serial else (GPU_TASKS, CHECKED["gpu"])
+        wanted = flow.state.slots // (4 * BLOCK) * BLOCK
+        self.tasks = CPU_TASKS if serial else int(np.clip(wanted, *GPU_TASKS))
+        self.checked = CHECKED["cpu" if serial else "gpu"]
         kind = flow.state.layout.kind
         bodies = flow.aggregates.kind
         self.search, self.forces = search_kernels(self.scalar, serial, kind, bodies), force_kernels(self.scalar, kind)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.run.run_loop import Recorder
-from ..core.run.simulation_protocol import RecordedSimulation
+from ..core.run.recorder import Recorder
+from ..core.run.simulation_base import SimulationBase
 from ..dem.laws import Contact
 from ..dem.scene.clumps import reference
 from ..dem.scene.containers import Fill, PipeContainer
@@ -197,7 +197,7 @@ class _WallGauge(Recorder):
         self.radius = radius
         self.loads: list[float] = []
 
-    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+    def sample(self, simulation: SimulationBase, row: dict[str, float]) -> None:
         assert isinstance(simulation, ElementSimulation)
         position = simulation.state.spheres.position.numpy().astype(float)
         overlap = np.hypot(position[:, 0], position[:, 1]) + position[:, 3] - self.radius

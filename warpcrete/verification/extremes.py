@@ -28,7 +28,6 @@ STEPS = 2000
 # run that gains more is not acceptable.
 ENERGY = 0.1
 RADIUS = 0.03
-AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
 
 @dataclass(frozen=True)

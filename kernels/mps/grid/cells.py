@@ -79,6 +79,18 @@ def item(task: wp.int32, worker: wp.int32, workers: wp.int32) -> wp.int32:
     return (task / STRIP * workers + worker) * STRIP + task % STRIP
 
 
+@wp.func
+def first(pair: wp.int32) -> wp.int32:
+    """Return the first axis of a pair of axes; the pairs are numbered xy, xz and yz."""
+    return wp.where(pair == 2, 1, 0)
+
+
+@wp.func
+def second(pair: wp.int32) -> wp.int32:
+    """Return the second axis of a pair of axes."""
+    return wp.where(pair == 0, 1, 2)
+
+
 class GridKind(NamedTuple):
     """Properties of a grid for which its kernels are specialised."""
 

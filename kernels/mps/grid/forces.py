@@ -12,7 +12,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import mps_types, row_place
-from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
+from .cells import DT, FORCE, LIQUID, GridKind, first, grid_parameters_struct, grid_structs, item, second
 from .levels import system_structs
 from .other_laws import flow_functions
 from .places import grid_functions
@@ -74,14 +74,6 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
     law = flow_functions(scalar, of)
     relaxed_viscosity = relaxed_viscosity_function(scalar, of)
     with_gain = with_gain_function(scalar, dims)
-
-    @wp.func
-    def first(pair: wp.int32) -> wp.int32:
-        return wp.where(pair == 2, 1, 0)
-
-    @wp.func
-    def second(pair: wp.int32) -> wp.int32:
-        return wp.where(pair == 0, 1, 2)
 
     @wp.func
     def change(g: Grid, mesh: Fields, c: whole, axis: wp.int32) -> scalar:

@@ -7,7 +7,7 @@ import warp as wp
 
 from ...common.types import types
 from ..structs import mps_types
-from .cells import FIXED, GHOST, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .cells import FIXED, GHOST, LIQUID, GridKind, first, grid_parameters_struct, grid_structs, second
 
 
 @functools.cache
@@ -175,8 +175,7 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
     @wp.func
     def wetness(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
         """Return the fraction of the volume around an edge that concrete fills."""
-        a = wp.where(pair == 2, 1, 0)
-        b = wp.where(pair == 0, 1, 2)
+        a, b = first(pair), second(pair)
         sum = scalar(0.0)
         for n in range(4):
             o = at(g, moved(moved(c, a, -(n % 2)), b, -(n / 2)))
@@ -189,8 +188,7 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
     @wp.func
     def shear(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32):
         """Return the shear rate at an edge [1/s] and the volume of concrete that belongs to it; both 0 in the air."""
-        a = wp.where(pair == 2, 1, 0)
-        b = wp.where(pair == 0, 1, 2)
+        a, b = first(pair), second(pair)
         here, left, below = at(g, c), at(g, moved(c, a, -1)), at(g, moved(c, b, -1))
         rate = scalar(0.0)
         volume = scalar(0.0)

@@ -14,7 +14,7 @@ from ...common.barrier import meet
 from ...common.control import FAILED, HALTED
 from ...common.rows import row_product
 from ...common.types import cpu_flags
-from ..conjugate_gradient import AFTER, BEFORE, ITERATIONS
+from ..conjugate_gradient import AFTER, BEFORE, ITERATIONS, sum_of
 from .levels import system_structs
 from .multigrid import cycle_functions
 
@@ -115,20 +115,8 @@ def serial_functions(scalar) -> SimpleNamespace:
                 now = now + beta * system.direction[i]
             system.direction[i] = now
 
-    @wp.func
-    def total(first: wp.int32, parts: wp.int32, system: Solve) -> wp.float64:
-        sum = wp.float64(0.0)
-        for k in range(parts):
-            sum += system.partial[first + k]
-        return sum
-
     return SimpleNamespace(
-        precondition=precondition,
-        start=start,
-        multiply=multiply,
-        inner=inner,
-        turn_direction=turn_direction,
-        total=total,
+        precondition=precondition, start=start, multiply=multiply, inner=inner, turn_direction=turn_direction
     )
 
 
@@ -174,7 +162,7 @@ def serial_multigrid(scalar):
                 rows * part / parts, rows * (part + 1) / parts, scalar(0.0), matrix, system, x
             )
         meet(gate, workers)
-        rr = f.total(0, parts, system)
+        rr = sum_of(system.partial, 0, parts)
         before = wp.sqrt(rr)
         goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         count = wp.int32(0)
@@ -185,7 +173,7 @@ def serial_multigrid(scalar):
                 system.partial[parts + part] = f.inner(rows * part / parts, rows * (part + 1) / parts, matrix, system)
             meet(gate, workers)
             last = rz
-            rz = f.total(parts, parts, system)
+            rz = sum_of(system.partial, parts, parts)
             beta = scalar(0.0)
             if count > 0:
                 beta = scalar(rz / last)
@@ -196,14 +184,14 @@ def serial_multigrid(scalar):
                     rows * part / parts, rows * (part + 1) / parts, matrix, system
                 )
             meet(gate, workers)
-            pq = f.total(2 * parts, parts, system)
+            pq = sum_of(system.partial, 2 * parts, parts)
             if pq <= wp.float64(0.0):
                 break
             alpha = scalar(rz / pq)
             for part in range(lower, upper):
                 system.partial[part] = f.start(rows * part / parts, rows * (part + 1) / parts, alpha, matrix, system, x)
             meet(gate, workers)
-            rr = f.total(0, parts, system)
+            rr = sum_of(system.partial, 0, parts)
             if lower == 0 and count < system.history.shape[0]:
                 system.history[count] = wp.sqrt(rr)
             count += 1

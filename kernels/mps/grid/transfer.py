@@ -10,19 +10,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import mps_types
-from .cells import (
-    AIR,
-    FIXED,
-    GHOST,
-    INSIDE,
-    LIQUID,
-    OPEN,
-    SMOOTH,
-    GridKind,
-    grid_parameters_struct,
-    grid_structs,
-    item,
-)
+from .cells import AIR, FIXED, GHOST, INSIDE, LIQUID, OPEN, SMOOTH, GridKind, grid_parameters_struct, grid_structs, item
 from .places import grid_functions
 
 LIGHT = wp.constant(0.1)

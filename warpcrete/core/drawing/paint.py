@@ -71,11 +71,6 @@ class Paint:
     """Upper end of the colour scale, in the unit of the displayed values. It is 0 if all values so far are 0. The lower
     end is always 0."""
 
-    @property
-    def unit(self) -> str:
-        """Unit of the displayed values, taken from the brackets in the label."""
-        return self.label.rpartition("[")[2].rstrip("]")
-
     def colours(self) -> np.ndarray:
         """Return the colour of each discrete value to which recordings round, as RGB bytes (COLOUR_STEPS, 3)."""
         values = SMALLEST_VALUE * 10 ** (np.arange(COLOUR_STEPS) / STEPS_PER_DECADE)

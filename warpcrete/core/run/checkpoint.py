@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import warp as wp
@@ -22,6 +22,19 @@ from .files import cannot_write, partial_of
 from .provenance import processor, versions
 
 FORMAT = 7
+
+
+class RunRecord(TypedDict):
+    """Data in a checkpoint that describe the progress of the run; the simulated state is stored separately."""
+
+    recorders: dict[str, object]
+    """Data that each recorder needs to go on recording, by the recorder's class name."""
+    next_frame: float
+    """Simulated time at which recorders record the next frame [s]."""
+    spent: dict[str, float]
+    """Wall time of each phase of the run [s], by the phase's name, such as "packing"."""
+    over: bool
+    """True if the last step of the run has been taken."""
 
 
 def write_partial(path: Path, scene: object, device: wp.Device, precision: str, contents: Mapping[str, object]) -> None:

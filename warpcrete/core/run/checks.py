@@ -10,6 +10,8 @@ from .run import Run
 Check = Callable[[Run], dict[str, tuple[bool, str]]]
 """Function that takes a finished run. It returns, by the name of each check, whether the run passed this check, and a
 text with the finding."""
+NO_SAMPLE = {"finished": (False, "the run recorded no sample after its start")}
+"""Checks of a run that ended before its first sample, of which nothing else can be checked."""
 
 
 def with_cures(cures: Mapping[str, str] | Callable[[Run], Mapping[str, str]]) -> Callable[[Check], Check]:

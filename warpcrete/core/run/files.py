@@ -199,9 +199,9 @@ def remove_partial(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def next_folder(name: str, root: Path = Path("runs")) -> Path:
+def next_folder(name: str) -> Path:
     """Return the first folder name `runs/NAME-NNN` that does not exist yet."""
     number = 1
-    while (root / f"{name}-{number:03d}").exists():
+    while (folder := Path("runs") / f"{name}-{number:03d}").exists():
         number += 1
-    return root / f"{name}-{number:03d}"
+    return folder

@@ -14,7 +14,8 @@ from ..drawing.display import Display
 from ..units import Quantified, number, quantity, shown
 from .forecast import Forecast, Probe
 from .quantities import CONDITIONS
-from .run_loop import Run, Simulation
+from .run import Run
+from .run_loop import Simulation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -19,6 +19,9 @@ LINES_PER_PHASE = 10
 phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two lines."""
 SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
 """Shortest and longest time between two lines that report progress in a log file [s]."""
+Progress = Callable[[str, float, dict[str, float]], None]
+"""Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`; `compiling` if this takes a
+while), the fraction done, and a few current values by name, such as the pressure."""
 
 
 @contextmanager

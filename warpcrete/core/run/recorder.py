@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from .run import Run
-from .simulation_protocol import RecordedSimulation
+from .simulation_base import SimulationBase
 
 
 class Recorder:
@@ -19,16 +19,16 @@ class Recorder:
     """True if a failure of this recorder only causes a warning, after which the run goes on without the recorder. A
     full disk ends the run in any case: the run can be resumed when there is space, and then no data is missing."""
 
-    def claim(self, simulation: RecordedSimulation) -> None:
+    def claim(self, simulation: SimulationBase) -> None:
         """Take exclusive resources, such as the run folder, before any work is done."""
 
-    def abandon(self, simulation: RecordedSimulation) -> None:
+    def abandon(self, simulation: SimulationBase) -> None:
         """Release the exclusive resources that `claim` took, because the run never began."""
 
-    def start(self, simulation: RecordedSimulation) -> None:
+    def start(self, simulation: SimulationBase) -> None:
         """Prepare to record a run that is about to begin."""
 
-    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: SimulationBase, state: dict[str, Any]) -> None:
         """Prepare to record a run that goes on from a checkpoint; called instead of `start`.
 
         `state` is what the method `checkpoint` returned for this checkpoint. Everything that was recorded after the
@@ -36,13 +36,13 @@ class Recorder:
         """
         self.start(simulation)
 
-    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+    def sample(self, simulation: SimulationBase, row: dict[str, float]) -> None:
         """Record one row of the time series, with the value of each column by the column's name."""
 
-    def frame(self, simulation: RecordedSimulation) -> None:
+    def frame(self, simulation: SimulationBase) -> None:
         """Record a frame, which is a picture of the state at this time."""
 
-    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: SimulationBase) -> dict[str, Any]:
         """Return the data from which the method `resume` can later go on recording at this time.
 
         The run stores this data in its checkpoint and then calls `write`. The checkpoint replaces the previous one only
@@ -50,18 +50,18 @@ class Recorder:
         """
         return {}
 
-    def write(self, simulation: RecordedSimulation) -> None:
+    def write(self, simulation: SimulationBase) -> None:
         """Write to disk everything that is recorded so far, at a checkpoint."""
 
-    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+    def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Write everything to disk, because the run has ended.
 
         Recorders finish in the reverse order of their start, except that recorders with the attribute `expendable`
         finish after all others.
         """
 
-    def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
+    def tidy(self, simulation: SimulationBase, run: Run) -> None:
         """Tidy up the files after a complete run: remove or join those that only a resumed run would need."""
 
-    def close(self, simulation: RecordedSimulation) -> None:
+    def close(self, simulation: SimulationBase) -> None:
         """Release all resources, however the run ended."""

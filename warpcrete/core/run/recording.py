@@ -11,7 +11,7 @@ from .ending import failure
 from .files import is_full
 from .recorder import Recorder
 from .run import Run
-from .simulation_protocol import RecordedSimulation
+from .simulation_base import SimulationBase
 
 
 class Recording:
@@ -20,7 +20,7 @@ class Recording:
     Expendable recorders, whose failure only causes a warning, are called last.
     """
 
-    def __init__(self, simulation: RecordedSimulation, recorders: Sequence[Recorder]) -> None:
+    def __init__(self, simulation: SimulationBase, recorders: Sequence[Recorder]) -> None:
         self.simulation = simulation
         self.recorders = sorted(recorders, key=lambda recorder: recorder.expendable)
         self.active: list[Recorder] = []

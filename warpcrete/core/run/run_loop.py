@@ -5,73 +5,39 @@ Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods`
 
 from __future__ import annotations
 
-import time as wall_clock
 import warnings
-from abc import abstractmethod
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypedDict, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ..device.device import checked_threads, find_device, scalar_of
 from ..device.launching import report_compiling
-from ..device.simulation_protocol import Stepped
-from ..drawing.display import Display
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from ..units import number as number_of
 from . import checkpoint
+from .checkpoint import RunRecord
+from .coroutines import Coroutine, run_coroutine
 from .ending import Ending, failure, interruption
 from .files import is_full
 from .frames import Frames
 from .output import CHECKPOINT, RunOutput, output_of
-from .progress import ProgressBar, announce_compiling
+from .progress import Progress, ProgressBar, announce_compiling
 from .recorder import Recorder
 from .recording import Recording, disk_full_error
 from .run import FinalState, Run
+from .simulation_base import SimulationBase
+from .wall_times import WallTimes
 
 DEFAULT_CHECKPOINT_INTERVAL = 60.0
 """Wall time between two checkpoints of a run, unless the user sets it [s]."""
 MAX_KEPT_MEMORY = 2e9
 """Largest device memory of a run [B] for which the run keeps its final state for `run.save`."""
-Progress = Callable[[str, float, dict[str, float]], None]
-"""Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`; `compiling` if this takes a
-while), the fraction done, and a few current values by name, such as the pressure."""
 
 
-@dataclass(frozen=True)
-class Until:
-    """Request to step a run until the end of the step that reaches `time` [s]."""
-
-    time: float
-
-
-Coroutine = Generator[Any, None, Any]
-"""Generator for a run, or for a part of a run. Each `yield` requests the time up to which the caller must step the run.
-The caller resumes the generator when the state has reached this time. In this way, the caller can take the steps of
-many runs together.
-"""
-
-
-class RunRecord(TypedDict):
-    """Data in a checkpoint that describe the progress of the run; the simulated state is stored separately."""
-
-    recorders: dict[str, object]
-    """Data that each recorder needs to go on recording, by the recorder's class name."""
-    next_frame: float
-    """Simulated time at which recorders record the next frame [s]."""
-    spent: dict[str, float]
-    """Wall time of each phase of the run [s], by the phase's name, such as "packing"."""
-    over: bool
-    """True if the last step of the run has been taken."""
-
-
-S = TypeVar("S", bound="Simulation")
-
-
-class Simulation:
+class Simulation(SimulationBase):
     """Simulation of a scene on a device, with recorders, from t = 0 to its end; the scene's type selects the method.
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
@@ -92,40 +58,6 @@ class Simulation:
     Raises :class:`SceneError`, :class:`DeviceError` and, for `out`, :class:`RunFolderError`. A run may raise
     :class:`InstabilityError`, and :class:`DiskFullError` if the disk is full.
     """
-
-    scene_type: ClassVar[type]
-    """Type of the scenes that a subclass simulates."""
-    kinds: ClassVar[list[type[Simulation]]] = []
-    """Subclasses of this class: one for each simulation method."""
-    stepper: Stepped
-    """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
-    shares_cores = False
-    """True if other runs use the CPU cores on which this run has no thread."""
-
-    def __init_subclass__(cls, **settings: object) -> None:
-        super().__init_subclass__(**settings)
-        if "scene_type" in cls.__dict__:
-            missing = [name for name in vars(Simulation) if getattr(getattr(cls, name), "__isabstractmethod__", False)]
-            if missing:
-                raise TypeError(f"{cls.__name__} lacks {', '.join(missing)}")
-            Simulation.kinds.append(cls)
-
-    def __new__(cls: type[S], scene: object, **settings: object) -> S:
-        kind: Any = cls
-        if cls is Simulation:
-            # Search the simulation classes that were defined last first. Their scene types may be subclasses of the
-            # scene types of earlier classes, which would also match the scene.
-            kind = next((kind for kind in reversed(Simulation.kinds) if isinstance(scene, kind.scene_type)), cls)
-        wanted = getattr(kind, "scene_type", None)
-        if wanted is None or not isinstance(scene, wanted):
-            known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
-            hint = (
-                "use warpcrete.Simulation, which accepts every scene"
-                if wanted
-                else "create one with a function of warpcrete.scenes"
-            )
-            refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
-        return super().__new__(kind)
 
     def __init__(  # pyright: ignore[reportInconsistentConstructor]  # The scene's type selects the subclass.
         self,
@@ -157,25 +89,10 @@ class Simulation:
         if out is not None:
             self._use_folder(output_of(out))
         self._recording = Recording(self, self.recorders)
-        self.stop_requested = False
-        self.finishing = False
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
-        self._wall_times: dict[str, float] = {}
+        self.wall_times = WallTimes()
         self._has_run = False
-        self.at_end = False
-        """True if the last step has been taken, so that only recordings may still be incomplete."""
-        self._saved_at = (
-            wall_clock.perf_counter()
-        )  # Wall-clock time at which the last checkpoint was written or read [s].
-        self.ending: Ending | None = None
-        """Reason why the run ended; None as long as the run has not ended."""
-        self.resumes = False
-        """True if the run goes on from a checkpoint, in an existing folder."""
         self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
-        # Wall time that a resumed run had taken before its checkpoint was written [s].
-        self._time_before_resume = 0.0
-        # Steps taken and wall-clock time [s] at the first and at the last measurement after the start of this process.
-        self._paced: tuple[tuple[int, float], tuple[int, float]] | None = None
         self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
         self._ended_run: Run | None = None
@@ -192,97 +109,6 @@ class Simulation:
         self.folder = output.path
         self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
         self.recorders = [*output.recorders(self), *self.recorders]
-
-    # The following members must be defined by the subclass of each simulation method.
-
-    @abstractmethod
-    def set_up(self) -> None:
-        """Create the data of the simulation method from the scene; refuse a scene that cannot be simulated."""
-
-    @property
-    @abstractmethod
-    def prepared(self) -> bool:
-        """True if the simulation has a state, which either `prepare` or a checkpoint has provided."""
-
-    @abstractmethod
-    def prepare(self) -> None:
-        """Compute everything up to the state at t = 0, such as packing and settling."""
-
-    @property
-    @abstractmethod
-    def rows(self) -> list[dict[str, float]]:
-        """Rows of the time series so far; each row is a dictionary from column names to values."""
-
-    @abstractmethod
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the run's time series."""
-
-    @abstractmethod
-    def measure(self) -> dict[str, float]:
-        """Measure the quantities of the present state; append them to `rows` as a new row, and return this row."""
-
-    @abstractmethod
-    def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a row of the time series shows that the state has no physical meaning."""
-
-    @abstractmethod
-    def display(self, colouring: str | None = None) -> Display:
-        """Return the view of the simulation that recorders draw, with bodies coloured by the quantity `colouring`."""
-
-    @abstractmethod
-    def result(self, finished: bool) -> Run:
-        """Return the time series and the result quantities of the run up to now."""
-
-    @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of the simulation for a checkpoint; :meth:`save` adds the data about the run."""
-
-    @abstractmethod
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the state from a `state_dict`; called instead of `prepare`."""
-
-    @abstractmethod
-    def release(self) -> None:
-        """Free the memory on the device; the results of the run remain available."""
-
-    @property
-    def duration(self) -> float:
-        """Maximum simulated time of the whole run [s]."""
-        return self.scene.duration
-
-    @property
-    def expected_duration(self) -> float:
-        """Simulated time that the run will probably take [s]."""
-        return self.duration
-
-    @property
-    def frame_step(self) -> float:
-        """Size of the time steps [s], if it does not depend on where the run stops; otherwise infinity.
-
-        With constant steps, the run can stop for a frame between two rows of the time series.
-        """
-        return np.inf
-
-    @property
-    def may_end_early(self) -> bool:
-        """True if the run may end before its longest duration, so that its remaining time is only an upper limit."""
-        return False
-
-    def ended_early(self) -> bool:
-        """Return whether the run has reached its end before its maximum duration."""
-        return False
-
-    def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a key of :data:`warpcrete.core.run.ending.REASONS`, and a sentence."""
-        return "duration", f"the run has reached its duration of {self.duration:.4g} s"
-
-    def reaching(self, time: float) -> Coroutine:
-        """Take the run to the simulated time `time` [s], as a generator of requests to its caller.
-
-        Each :class:`Until` request states the time up to which the caller must step the run next. Subclasses override
-        the method to act at times before `time`, for example to let the concrete rest.
-        """
-        yield Until(time)
 
     # The following methods write and read checkpoints.
 
@@ -312,7 +138,7 @@ class Simulation:
         run: RunRecord = {
             "recorders": recorders,
             "next_frame": self.frames.next,
-            "spent": self._wall_times | {"running": self._running()},
+            "spent": self.wall_times.phases | {"running": self.wall_times.running},
             "over": over,
         }
         return self.state_dict() | {"run": run}
@@ -320,7 +146,7 @@ class Simulation:
     def _commit_state(self, path: Path) -> None:
         checkpoint.commit(path)
         self._checkpoint_time = self.stepper.time if self._has_run else 0.0
-        self._saved_at = wall_clock.perf_counter()
+        self.wall_times.note_checkpoint()
 
     def resume(self, path: Path) -> None:
         """Restore the state from a checkpoint of the same scene, device and precision, instead of calling `prepare`.
@@ -342,10 +168,8 @@ class Simulation:
         run: RunRecord = contents["run"]
         self._resumed = run
         self.frames.next = run["next_frame"]
-        self._wall_times = dict(run["spent"])
-        self._time_before_resume = self._wall_times["running"]
-        self.at_end = run["over"]
-        self.resumes, self._saved_at = True, wall_clock.perf_counter()
+        self.wall_times.restore(run["spent"])
+        self.at_end, self.resumes = run["over"], True
         return contents
 
     # The following methods run the simulation, from its preparation to its end.
@@ -437,7 +261,7 @@ class Simulation:
         """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
         self._has_run = True
         self._recording = Recording(self, self.recorders)
-        self._started = wall_clock.perf_counter()
+        self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
         finished = False
@@ -466,9 +290,10 @@ class Simulation:
         finally:
             # Write all results, for whatever reason the run ended.
             failures = self._recording.failures
-            self._wall_times["running"] = self._running()
+            self.wall_times.phases["running"] = self.wall_times.running
             self.finishing = True
             run = self._end(finished, error)
+            error = None  # The traceback of the error refers to this frame, and the cycle would keep memory allocated.
         if full := [*full, *filter(is_full, failures)]:
             raise disk_full_error(full, self._checkpoint_time) from full[0]
         if failures:
@@ -560,8 +385,7 @@ class Simulation:
                 self._frame()
             yield from self.reaching(goal)
             row = self._sample()
-            now = (stepper.steps, wall_clock.perf_counter())
-            self._paced = (self._paced[0] if self._paced else now, now)
+            self.wall_times.note_row(stepper.steps)
             ended = self.ended_early()
             if self.frames.due(stepper.time) or number == samples or ended:
                 self._frame()
@@ -570,7 +394,7 @@ class Simulation:
             if number < samples:
                 self._checkpoint_if_due()
             figures = {name: row[name] for name in ("pressure",) if name in row}
-            if self._paced[0] != now:  # Before the second new row, the rate would include compilation.
+            if self.wall_times.has_pace:  # Before the second new row, the rate would include compilation.
                 figures["steps_per_s"] = self.pace
             if self.may_end_early:
                 figures["at_most"] = 1.0
@@ -596,46 +420,17 @@ class Simulation:
                 if is_full(error):
                     raise
                 warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)
-        self._saved_at = wall_clock.perf_counter()
+        self.wall_times.note_checkpoint()
 
     def _checkpoint_if_due(self) -> None:
-        if wall_clock.perf_counter() - self._saved_at >= self.checkpoint_every:
+        if self.wall_times.since_checkpoint >= self.checkpoint_every:
             self._checkpoint()
 
     @property
     def pace(self) -> float:
-        """Mean number of time steps per second of wall time, in this process.
-
-        The mean leaves out the time up to the first new row of the time series, which contains preparation and
-        compilation. If this process has added only one row, the mean is that of all steps.
-        """
-        if self._paced is not None and self._paced[0] != self._paced[1]:
-            (first, begun), (last, ended) = self._paced
-            return (last - first) / max(ended - begun, 1e-9)
-        return self.stepper.steps / max(self._wall_times.get("running", 0.0), 1e-9)
-
-    def _running(self) -> float:
-        return self._time_before_resume + (wall_clock.perf_counter() - self._started if self._has_run else 0.0)
+        """Mean number of time steps per second of wall time, without preparation (see :meth:`WallTimes.pace`)."""
+        return self.wall_times.pace(self.stepper.steps)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:
         """Pass the current phase, its completed fraction and current figures to the callback `progress`."""
         self._progress(phase, fraction, figures)
-
-
-def run_coroutine(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
-    """Run a generator that yields :class:`Until` requests, and return its result.
-
-    For each request, the function `advance` steps the state to the requested time [s]. An error of `advance` is raised
-    inside the generator.
-    """
-    try:
-        goal = next(coroutine)
-        while True:
-            try:
-                advance(goal.time)
-            except BaseException as error:
-                goal = coroutine.throw(error)
-            else:
-                goal = next(coroutine)
-    except StopIteration as end:
-        return end.value

@@ -16,7 +16,7 @@ from ...core.device.graphs import GraphLaunch
 from ...core.device.interpreter_priority import run_is_waiting
 from ...core.device.interrupts import defer_interrupts
 from ...core.errors import CapacityError
-from ...core.run.run_loop import Coroutine
+from ...core.run.coroutines import Coroutine
 from .batch import Batch
 from .device_rebuild import DeviceRebuild
 from .regrouping import Regrouping

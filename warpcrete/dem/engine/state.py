@@ -347,11 +347,6 @@ class State:
             return self.scenes.clock.numpy()[0].tolist()
         return self._batch.host_clock()[self.index].tolist()
 
-    @property
-    def bytes(self) -> int:
-        """Total size in memory of all arrays of the state [B]."""
-        return sum(a.size * bytes_of(a.dtype) for _, _, a in self.arrays())
-
     def table(self) -> BodyTable:
         """Return the bodies as they are now, in the order of their permanent numbers."""
         b = self.bodies

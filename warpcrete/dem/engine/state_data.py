@@ -20,10 +20,8 @@ EMPTY = {("spheres", "force"), ("spheres", "moment")}
 
 def state_dict(state: State) -> dict[str, Any]:
     """Return all data of a state that the next step depends on: arrays by struct and name, control flags, numbers."""
-    stored: dict[str, Any] = {
-        "numbers": {name: getattr(state, name) for name in NUMBERS},
-        "flags": host_copy(state.flags),
-    }
+    numbers = {name: getattr(state, name) for name in NUMBERS}
+    stored: dict[str, Any] = {"numbers": numbers, "flags": host_copy(state.flags)}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
             listed = struct == "pairs" and name in pair_bytes(state.model)

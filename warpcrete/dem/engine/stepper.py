@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from ...core.errors import CapacityError, InstabilityError, refuse
-from ...core.run.run_loop import Coroutine, Until
+from ...core.run.coroutines import Coroutine, Until
 from ...geometry.walls import MeshWall
 from ...kernels.common.control import ARRIVED, ESTIMATED, FAILED, HALTED, OVERFLOW, STALE, STEPS
+from ...kernels.dem.bond_parallel import HYDRATED
 from ...kernels.dem.clock import CLOSE
 from ...kernels.dem.probes import TRAVEL
 from ...kernels.dem.stable_step import LEAP
@@ -179,13 +180,10 @@ class Stepper:
         self._estimated = False
         return made
 
-    def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random `fraction` of the bonds of kind `old` to kind `new`.
-
-        Returns the number of bonds of kind `new` afterwards.
-        """
+    def hydrate(self, fraction: float, seed: int) -> int:
+        """Turn a random `fraction` of the bonds of the first kind into hydrated bonds; return how many there are."""
         self._estimated = False
-        made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
+        made = reassign_bonds(self.model, self.state, 1, HYDRATED, fraction, seed)
         if self.batch.features.subcycling and made:
             self._choose_rounds()
         return made

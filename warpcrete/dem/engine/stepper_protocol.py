@@ -9,7 +9,7 @@ from typing import Protocol, TypedDict
 import numpy as np
 
 from ...core.device.arrays import HostArray
-from ...core.run.run_loop import Coroutine, Until
+from ...core.run.coroutines import Coroutine, Until
 from .batch import Batch
 from .model import Model
 from .neighbors import NeighborLists

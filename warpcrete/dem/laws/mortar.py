@@ -80,7 +80,7 @@ class BinghamMortar(ContactLaw):
         Touch, shear_spring = f.Touch, f.shear_spring
         shells = shell_functions(scalar, parameters)
         area, shell_stiffness, shell_drag = shells.area, shells.shell_stiffness, shells.shell_drag
-        bending, core_overlap = shells.bending, shells.core_overlap
+        with_bending, core_overlap = shells.with_bending, shells.core_overlap
         Parameters = parameters
 
         @wp.func
@@ -90,15 +90,7 @@ class BinghamMortar(ContactLaw):
             kn = shell_stiffness(p, touch) + core
             drag = shell_drag(p, touch)
             cn = scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core) + scalar(3.0) * drag
-            ks, cs = kn * p.shear_to_normal, drag
-            if p.bending > scalar(0.0):
-                # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
-                # limits the step at most as much as a shear stiffness k_r / r^2, so add k_r / r^2 to the shear
-                # stiffness.
-                kr, cr = bending(p, touch)
-                square = touch.smaller_radius * touch.smaller_radius
-                ks += kr / square
-                cs += cr / square
+            ks, cs = with_bending(p, touch, kn * p.shear_to_normal, drag)
             return t.vec4(kn, ks, cn, cs)
 
         @wp.func
@@ -144,7 +136,8 @@ class BinghamMortar(ContactLaw):
 def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
     """Return device functions of contacts between mortar shells, for laws with parameters of :class:`BinghamMortar`.
 
-    The functions are `area`, `shell_stiffness`, `shell_drag`, `bending`, `core_overlap`, `moment` and `moment_energy`.
+    The functions are `area`, `shell_stiffness`, `shell_drag`, `with_bending`, `core_overlap`, `moment` and
+    `moment_energy`.
     """
     t = types(scalar)
     f = contact_functions(scalar)
@@ -170,6 +163,21 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
         return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
 
     @wp.func
+    def with_bending(p: Parameters, touch: Touch, shear: scalar, dashpot: scalar):
+        """Return the stiffness [N/m] and damping [N s/m] of a contact's shear, with those of its bending added.
+
+        The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r limits the
+        step at most as much as a shear stiffness k_r / r^2, so k_r / r^2 is added to the shear stiffness.
+        """
+        ks, cs = shear, dashpot
+        if p.bending > scalar(0.0):
+            kr, cr = bending(p, touch)
+            square = touch.smaller_radius * touch.smaller_radius
+            ks += kr / square
+            cs += cr / square
+        return ks, cs
+
+    @wp.func
     def core_overlap(p: Parameters, touch: Touch):
         return wp.max(-touch.gap - p.shell_fraction * touch.length, scalar(0.0))
 
@@ -191,6 +199,6 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
         return spring_energy(history, kr)
 
     return SimpleNamespace(
-        area=area, shell_stiffness=shell_stiffness, shell_drag=shell_drag, bending=bending, core_overlap=core_overlap,
-        moment=moment, moment_energy=moment_energy,
+        area=area, shell_stiffness=shell_stiffness, shell_drag=shell_drag, with_bending=with_bending,
+        core_overlap=core_overlap, moment=moment, moment_energy=moment_energy,
     )  # fmt: skip

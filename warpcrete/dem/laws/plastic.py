@@ -56,7 +56,7 @@ class PlasticMortar(BinghamMortar):
         Touch = contact_functions(scalar).Touch
         shells = shell_functions(scalar, parameters)
         area, shell_stiffness, shell_drag = shells.area, shells.shell_stiffness, shells.shell_drag
-        bending, core_overlap = shells.bending, shells.core_overlap
+        with_bending, core_overlap = shells.with_bending, shells.core_overlap
         Parameters = parameters
 
         @wp.func
@@ -77,15 +77,7 @@ class PlasticMortar(BinghamMortar):
             slider, drag = slider_stiffness(p, touch), shell_drag(p, touch)
             kn = shell_stiffness(p, touch) + core_stiffness(p, touch) + slider
             cn = core_dashpot(p, touch) + drag
-            ks, cs = slider, drag
-            if p.bending > scalar(0.0):
-                # The estimate of the stable step knows only normal and shear stiffness. A rotational stiffness k_r
-                # limits the step at most as much as a shear stiffness k_r / r^2, so add k_r / r^2 to the shear
-                # stiffness.
-                kr, cr = bending(p, touch)
-                square = touch.smaller_radius * touch.smaller_radius
-                ks += kr / square
-                cs += cr / square
+            ks, cs = with_bending(p, touch, slider, drag)
             return t.vec4(kn, ks, cn, cs)
 
         @wp.func

@@ -30,7 +30,8 @@ from ..engine.bonding import bond_kinds
 from ..engine.pairs import chunks_of, pairs_of
 from ..scene.slices import Stations
 from .probes import largest_forces, listed_forces
-from .stations import COLUMNS, STRESS_RESOLUTION, body_stresses, stresses_along
+from .station_forces import STRESS_RESOLUTION, body_stresses
+from .stations import COLUMNS, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)

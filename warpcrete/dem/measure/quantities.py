@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.run.method import Quantity
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...core.units import number
 from ...geometry.walls import Wall
 from ...standards.standard_test import report_unrest
@@ -21,7 +21,8 @@ from .probes import ContactSums
 from .sampling import STORED
 from .segregation import QUANTITIES as OF_SEGREGATION
 from .segregation import words as segregation_words
-from .stations import StationLog, losses
+from .station_losses import losses
+from .stations import StationLog
 from .vessel_measures import quantities as of_vessels
 from .wear import WearMap
 from .wear_results import QUANTITIES as OF_WEAR
@@ -60,7 +61,7 @@ class Known:
     def along(self, name: str) -> float | None:
         """Return the friction loss called `name`, averaged over the final window; None if it was not measured.
 
-        :func:`warpcrete.dem.measure.stations.losses` lists the names and their units.
+        :func:`warpcrete.dem.measure.station_losses.losses` lists the names and their units.
         """
         if self.log is None or not self.pumped:
             return None

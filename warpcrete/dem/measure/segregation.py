@@ -175,8 +175,8 @@ def row_of(model: Model, state: State) -> dict[str, float]:
     return measured(pipe.axis, varying_bores(model.scene.stations) or pipe.radius, stones_of(state))
 
 
-def _at(name: str, place: int) -> Callable[[Any], float | None]:
-    return lambda known: float(known.series[name][place]) if name in known.series else None
+def _at_end(name: str) -> Callable[[Any], float | None]:
+    return lambda known: float(known.series[name][-1]) if name in known.series else None
 
 
 def _outward(place: int) -> Callable[[Any], float | None]:
@@ -202,14 +202,14 @@ def _large_outward(known: Any) -> float | None:
 
 
 QUANTITIES = (
-    Quantity("aggregate_inner", "1", _at("aggregate_inner", -1)),
-    Quantity("aggregate_outer", "1", _at("aggregate_outer", -1)),
-    Quantity("aggregate_front", "1", _at("aggregate_front", -1)),
-    Quantity("aggregate_rear", "1", _at("aggregate_rear", -1)),
+    Quantity("aggregate_inner", "1", _at_end("aggregate_inner")),
+    Quantity("aggregate_outer", "1", _at_end("aggregate_outer")),
+    Quantity("aggregate_front", "1", _at_end("aggregate_front")),
+    Quantity("aggregate_rear", "1", _at_end("aggregate_rear")),
     Quantity("segregation", "1", _outward(-1)),
     Quantity("segregation_at_start", "1", _outward(0)),
     Quantity("size_segregation", "1", _large_outward),
-    Quantity("mixing", "1", _at("mixing", -1)),
+    Quantity("mixing", "1", _at_end("mixing")),
 )
 """Segregation results of a run.
 

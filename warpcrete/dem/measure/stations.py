@@ -8,25 +8,17 @@ to the wall.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
-from operator import attrgetter
 
 import numpy as np
-import warp as wp
 
-from ...core.device.graphs import Zero
-from ...core.device.launching import Stage
 from ...geometry.axis import Axis
-from ...kernels.common.types import types
-from ...kernels.dem.stations import STRESSES, force_probe, stress_probe
 from ..engine.model import Model
-from ..engine.pairs import chunks_of, pairs_of
+from ..engine.pairs import pairs_of
 from ..engine.state import State
-from ..scene.slices import FEWEST, Stations
-from .probes import launch_recorded, scene_stage
+from ..scene.slices import Stations
+from .station_forces import StationArrays, read_arrays
 
 RINGS = 5
 """Number of rings of equal width around the axis, in each of which the axial velocity is averaged for a profile."""
@@ -36,14 +28,9 @@ concrete does not fill the whole cross-section."""
 FARTHEST = 8
 """The search for the front of the concrete looks only at 1/FARTHEST of all bodies, to save time. These are the bodies
 that are farthest along the pipe."""
-PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
-READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
-        "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
-"""Names of the arrays of a state that a measurement in the slices of a pipe reads, in addition to the contact
-forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
 """Units of the columns of a table of stations (slices of a pipe). `place` is the arc length of a slice. `pressure` is
@@ -101,38 +88,6 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     return found
 
 
-STRESS_RESOLUTION = 2.0**-40
-"""Resolution of the integers that :func:`body_stresses` returns, as a fraction of its argument `unit`.
-
-With this resolution, sums over thousands of contacts are exact to nine digits. Values of up to a million times `unit`
-still fit into 64-bit integers.
-"""
-
-
-def body_stresses(model: Model, state: State, unit: float) -> wp.array:
-    """Return the sum of force times branch vector over every body's contacts, as integers, shape (bodies, 6).
-
-    Each body of a pair receives half of the pair's value. The columns are xx, yy, zz, xy, yz and zx in multiples of
-    `STRESS_RESOLUTION` times `unit` (stress times volume, [J]), in the order of the state's arrays. The array is on the
-    device, and the next call overwrites it.
-    """
-    stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
-    if state.sphere_count:
-        scale = 1 / (STRESS_RESOLUTION * unit)
-        launch_recorded(
-            state,
-            f"body stresses in {unit!r}",
-            lambda: [Zero(stress), *_force_stages(model, state), _stress_stage(model, state, scale, stress)],
-        )
-    return stress
-
-
-def _stress_stage(model: Model, state: State, scale: float, stress: wp.array) -> Stage:
-    pair_push, wall_push, wall_arm = _arrays(state)
-    return scene_stage(state, stress_probe(model.scalar), state.sphere_count, scale=scale, pair_push=pair_push,
-                       wall_push=wall_push, wall_arm=wall_arm, stress=stress)  # fmt: skip
-
-
 def stresses_along(
     stations: Stations,
     stress: np.ndarray,
@@ -183,101 +138,6 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
         last, before = np.arange(len(s)), 0.0
     order = last[np.argsort(s[last], kind="stable")]
     return float(s[order[np.searchsorted(before + np.cumsum(volume[order]), behind)]])
-
-
-def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
-    """Return the friction losses along a pipe, from a table of the measured stress at stations along it.
-
-    The weight of the concrete is subtracted. For a straight pipe, the losses are the pressure gradient [Pa/m] and the
-    wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight
-    section upstream of the middle and for the section downstream of it. Each loss follows from a straight line that is
-    fitted to the stresses in its section. The fit leaves out a length of one pipe radius at each end of the section. A
-    pipe with a middle has three more results:
-
-    - `middle_loss` [Pa] is the loss of axial stress in the middle, from the end of the upstream line to the beginning
-      of the downstream line.
-    - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
-      pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
-      middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
-    - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
-
-    A result is left out if concrete fills too few of the slices that it needs. The result `middle_ratio` is also left
-    out if the wall stress at an end of the middle is not positive.
-    """
-    s = stations.places
-    slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
-    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(s)
-    weight = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(steps), steps, 0.0))])
-    stress, shear = table["axial_stress"] - weight, table["wall_stress"]
-    flux = table["velocity"] * table["solid_fraction"] * table["radius"] ** 2
-
-    def lines(low: float, high: float) -> _Straight | None:
-        here = stations.clear(low, high) & np.isfinite(stress)
-        if np.count_nonzero(here) < FEWEST:
-            return None
-        return _Straight(*(np.polyfit(s[here], each[here], 1) for each in (stress, shear)),
-                         float(shear[here].mean()), float(flux[here].mean()))  # fmt: skip
-
-    stretches = [lines(*ends) for ends in stations.straights]
-    if stations.middle is None:
-        found = stretches[0]
-        return {} if found is None else {"gradient": -found.stress[0], "wall_stress": found.mean}
-    begin, end = stations.middle
-    before, behind = stretches
-    result: dict[str, float] = {}
-    for name, found in (("upstream", before), ("downstream", behind)):
-        if found is not None:
-            result |= {f"{name}_gradient": -found.stress[0], f"{name}_wall_stress": found.mean}
-    if before is not None and behind is not None:
-        loss = float(np.polyval(before.stress, begin) - np.polyval(behind.stress, end))
-        there = [2 * np.polyval(line.shear, place) / stations.bores.at(place)
-                 for line, place in ((before, begin), (behind, end))]  # fmt: skip
-        result |= {"middle_loss": loss, "flux_ratio": behind.flux / before.flux}
-        if min(there) > 0:
-            result["middle_ratio"] = loss / (_logarithmic_mean(*map(float, there)) * (end - begin))
-    return result
-
-
-@dataclass
-class _Straight:
-    """Stresses and flux in a straight section of a pipe.
-
-    `stress` and `shear` are the coefficients of straight lines, fitted to the axial stress and to the wall stress [Pa]
-    over the arc length [m]. `flux` is the mean product of velocity, solid fraction and squared radius [m3/s].
-    """
-
-    stress: np.ndarray
-    shear: np.ndarray
-    mean: float
-    """Mean wall stress in the straight section [Pa]."""
-    flux: float
-
-
-def _logarithmic_mean(a: float, b: float) -> float:
-    return a if abs(a - b) < 1e-6 * a else (a - b) / math.log(a / b)
-
-
-@dataclass(frozen=True)
-class StationArrays:
-    """Host copies of the arrays from which the slices are measured.
-
-    On a CPU, they are the run's own arrays and not copies.
-    """
-
-    model: Model
-    chunks: list[int] | None
-    arrays: Mapping[str, np.ndarray]
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        return self.arrays[name]
-
-
-def read_arrays(model: Model, state: State) -> StationArrays:
-    """Compute the forces of all contacts of a state; return them with the other arrays that slice measurements read."""
-    _probe(model, state)
-    arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
-    arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
-    return StationArrays(model, chunks_of(state), {name: each.numpy() for name, each in arrays.items()})
 
 
 class _Spheres:
@@ -421,30 +281,3 @@ def _wall_pushes(seen: StationArrays, order: np.ndarray) -> tuple[np.ndarray, np
         first = seen.model.analytic_walls
         wall[:, first:] = seen["slots.wall"][order][:, first:]
     return push, arm, wall
-
-
-def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
-    vec3 = types(state.model.scalar).vec3
-    slots = state.slots.history.shape[1]
-    return (
-        state.scratch("pair pushes", (len(state.pairs.other),), vec3),
-        state.scratch("wall pushes", (state.sphere_count, slots), vec3),
-        state.scratch("wall arms", (state.sphere_count, slots), vec3),
-    )
-
-
-def _probe(model: Model, state: State) -> None:
-    """Compute the forces of all contacts and store them in the device arrays returned by `_arrays`."""
-    launch_recorded(state, "forces", lambda: _force_stages(model, state))
-
-
-def _force_stages(model: Model, state: State) -> list[Stage]:
-    f = model.features
-    pair_push, wall_push, wall_arm = _arrays(state)
-    kernel = force_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
-    base = int(state.batch.rows["spheres"][state.index])
-    return [
-        scene_stage(state, kernel, last - first, first=base + first, last=base + last, pair_push=pair_push,
-                    wall_push=wall_push, wall_arm=wall_arm)
-        for first, last in pairwise(state.chunks)
-    ]  # fmt: skip

@@ -16,6 +16,12 @@ from ..laws import OWN_LAW, OWN_WALL_LAW
 from ..laws.linear import DASHPOTS
 from ..scene.scene import Blockage, Wear
 
+FixedTimeStep = Annotated[float | None, "Fixed time step [s]; default: automatic", Above()]
+Safety = Annotated[float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"]
+EnergyBalance = Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"]
+Precision = Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)]
+SampleInterval = Annotated[float, "Simulated time between two rows of the series [s]", Above()]
+Seed = Annotated[int, "Random seed", Within(0)]
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 
 
@@ -318,25 +324,23 @@ class RunParameters(Declared):
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
     settle: Annotated[float, "Longest time to settle under gravity and plug pressure before the start [s]",
                       Within(0)] = 2.0  # fmt: skip
-    time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None
+    time_step: FixedTimeStep = None
     hydration_rounds: Annotated[
         int | None,
         "Number of sub-steps in which hydrated bonds are integrated within one time step; default: as many as needed "
         "if they are much stiffer than everything else; 1: no sub-steps, so that these bonds limit the time step",
         HYDRATED,
     ] = None
-    safety: Annotated[
-        float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"
-    ] = 0.8
+    safety: Safety = 0.8
     overlap_limit: Annotated[
         float,
         "Overlap at which the run stops, as a multiple of the overlap that swallows an aggregate; 0: no limit",
         Within(0),
     ] = 1.5
-    energy_balance: Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"] = False
-    precision: Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.01
-    seed: Annotated[int, "Random seed", Within(0)] = 0
+    energy_balance: EnergyBalance = False
+    precision: Precision = "float32"
+    sample_interval: SampleInterval = 0.01
+    seed: Seed = 0
 
 
 def index_settings(given: IndexParameters) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.run.checks import with_cures
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ..scene.checks import energy_check, overlap_words
 from .vessels import VesselParameters
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from ...core.device.device import PRECISIONS
 from ...core.errors import refuse
 from ...core.inputs.parameters import Above, Declared, Needs, OneOf, Within
 from ...geometry.prisms import Solid
@@ -20,7 +19,7 @@ from ..scene.clumps import templates
 from ..scene.containers import Fill, MeshContainer
 from ..scene.scene import Bonds, Settle, TimeStep, Vessel, Watch
 from ..scene.sizes import Gaussian, Sizes, Uniform
-from .parameter_groups import BY_ITSELF
+from .parameter_groups import BY_ITSELF, EnergyBalance, FixedTimeStep, Precision, Safety, SampleInterval, Seed
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
@@ -167,19 +166,17 @@ class VesselRun(Declared):
     ] = 1e-3
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
     settle: Annotated[float, "Longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
-    time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None
-    safety: Annotated[
-        float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"
-    ] = 0.8
+    time_step: FixedTimeStep = None
+    safety: Safety = 0.8
     overlap_limit: Annotated[
         float,
         "Overlap at which the run stops, as a multiple of the overlap that swallows a grain; 0: no limit",
         Within(0),
     ] = 1.5
-    energy_balance: Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"] = False
-    precision: Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "Random seed", Within(0)] = 0
+    energy_balance: EnergyBalance = False
+    precision: Precision = "float32"
+    sample_interval: SampleInterval = 0.02
+    seed: Seed = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,8 @@ import numpy as np
 from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError
 from ...core.run.provenance import arrays_hash, provenance
-from ...core.run.run_loop import Run, Simulation
+from ...core.run.run import Run
+from ...core.run.run_loop import Simulation
 from ...core.run.tables import Table
 from ...core.units import quantity
 
@@ -80,7 +81,7 @@ class FlowRun(Simulation):
         self.tell("packing", 0.0)
         self.flow = self.stepper = self.place_flow()
         self.tell("packing", 1.0)
-        self._wall_times["packing"] = wall_clock.perf_counter() - started
+        self.wall_times.phases["packing"] = wall_clock.perf_counter() - started
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if a value in a `row` of the time series is not finite."""
@@ -110,9 +111,9 @@ class FlowRun(Simulation):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore a run from a `state_dict`; this replaces the call of `prepare`."""
-        spent = dict(self._wall_times)
+        spent = dict(self.wall_times.phases)
         self.prepare()
-        self._wall_times = spent
+        self.wall_times.phases = spent
         self.flow.load_state_dict(state["flow"])
         self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
 
@@ -148,10 +149,10 @@ class FlowRun(Simulation):
 
     def speed(self) -> dict[str, Any]:
         """Return wall times, step rates and memory of the run for its result."""
-        flow, running = self.flow, self._wall_times.get("running", 0.0)
+        flow, running = self.flow, self.wall_times.phases.get("running", 0.0)
         return {
             "wall_time": quantity(running, "s"),
-            "packing_time": quantity(self._wall_times.get("packing", 0.0), "s"),
+            "packing_time": quantity(self.wall_times.phases.get("packing", 0.0), "s"),
             "steps_per_second": quantity(self.pace, "1/s"),
             "particle_steps_per_second": quantity(self.pace * flow.count, "1/s"),
             "memory": quantity(footprint(flow=flow)["flow"], "B"),

@@ -19,8 +19,9 @@ import warp as wp
 from ...core.device.device import parallel
 from ...core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, report_compiling
 from ...core.errors import CapacityError, ConvergenceError, InstabilityError
+from ...core.run.coroutines import Coroutine
 from ...core.run.method import Progress, run_in_turn
-from ...core.run.run_loop import Coroutine, Run
+from ...core.run.run import Run
 from ...kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ...kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY

@@ -1,6 +1,6 @@
 """Acceptance checks of standard tests that are simulated as a flow with a free surface."""
 
-from ...core.run.checks import Check, with_cures
+from ...core.run.checks import NO_SAMPLE, Check, with_cures
 from ...core.run.run import Run
 
 CURES = {
@@ -18,7 +18,7 @@ def check_flow(volume_error: float) -> Check:
     def check(run: Run) -> dict[str, tuple[bool, str]]:
         """Return the checks of a run by name: whether each one passed, and the measured value as text."""
         if "volume_error" not in run.result:
-            return {"finished": (False, "the run recorded no sample after its start")}
+            return NO_SAMPLE
         volume = run.result["volume_error"]
         found = {"volume": (abs(volume) < volume_error, f"{100 * volume:+.2f} % largest change")}
         return found | run.scene.test.judge(run)

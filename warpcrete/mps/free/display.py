@@ -198,8 +198,9 @@ class FreeDisplay(GridDisplay):
         return np.array([[left, 0.0, 0.0], [0.8 * scene.width if self._axial else scene.width, 0.0, height]])
 
 
-def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool, facets: int = 48) -> DrawnWall:
+def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool) -> DrawnWall:
     """Return the surface that a line of radii and heights [m] sweeps about the axis."""
+    facets = 48
     angle = 2 * np.pi * np.arange(facets) / facets
     ring = np.stack([np.cos(angle), np.sin(angle)], 1)
     vertices = np.concatenate([np.column_stack([r * ring, np.full(facets, z)]) for r, z in line])

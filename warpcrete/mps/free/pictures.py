@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import SERIES, THEORY, legend_beside, open_frame, rgb
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...core.units import number, shown
 from ...theory.vessels import heap_depth
 from .scene import FreeScene

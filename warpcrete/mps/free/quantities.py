@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.run.method import Quantity
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...geometry.sections import section_area
 from ...standards import Outcome, StandardTest
 from ...standards.standard_test import FASTEST, MOST, quantities_of_tests, report_unrest

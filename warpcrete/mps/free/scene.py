@@ -37,11 +37,7 @@ class FreeSettings(Declared):
     duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
         60.0
     )
-    rest_speed: Annotated[
-        float,
-        REST_SPEED,
-        Above(),
-    ] = 2e-4
+    rest_speed: Annotated[float, REST_SPEED, Above()] = 2e-4
     time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 2e-2
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-3
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81

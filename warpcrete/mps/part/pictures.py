@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import BEND, NOT_STRAIGHT, RUN, THEORY, legend_beside, open_frame, rgb
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from .scene import PartScene
 
 

@@ -55,8 +55,7 @@ class Measurement:
 MEASUREMENTS = {
     "slip layer": (
         Measurement(
-            "fit it to pressures of a trial line with --fit",
-            (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY),
+            "fit it to pressures of a trial line with --fit", (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY)
         ),
         Measurement("measure it with a tribometer", TRIBOMETER_RATIO),
     ),

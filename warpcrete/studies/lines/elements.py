@@ -18,7 +18,7 @@ import numpy as np
 from ...core.errors import between, refuse
 from ...core.run.files import write_json
 from ...core.run.method import Method
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...core.units import number
 from ...geometry.pipe_line import Part, PipeLine
 from ...methods import method_of

@@ -32,13 +32,7 @@ def draw(result: LinePressures) -> Any:
     low, ours, high = low / size, ours / size, high / size
     main = RUN if result.simulated else SECOND
     axes.fill_between(places, low, high, color=rgb(main), alpha=0.15, linewidth=0, label="likely range")
-    axes.plot(
-        places,
-        ours,
-        color=rgb(main),
-        linewidth=1.8,
-        label="simulated" if result.simulated else "by theory",
-    )
+    axes.plot(places, ours, color=rgb(main), linewidth=1.8, label="simulated" if result.simulated else "by theory")
     if result.simulated:
         theory = scaled(result.course(lambda x: x.theory + x.weight))
         axes.plot(*theory, "--", color=rgb(THEORY), linewidth=1.4, label="theory, as straight pipe")

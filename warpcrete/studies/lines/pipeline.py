@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...core.errors import RunFolderError, at_least, between, one_of, refuse
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...core.units import number, quantity
 from ...dem.measure.quantities import WINDOW, past_ramp
 

@@ -14,7 +14,7 @@ from ...core.inputs.knobs import Knob
 from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
 from ...core.run.method import Quantity
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...methods import Simulation, method_of
 from ...record.recorders import recorders_of
 from ..cases import Case, name_part, short_name

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from ...core.run.checks import with_cures
-from ...core.run.run_loop import Run
+from ...core.run.checks import NO_SAMPLE, with_cures
+from ...core.run.run import Run
 from ...core.units import number
+from ..checks import no_overlap, steadiness
 
 OUTFLOW = 1e-3
 """Largest accepted difference of outflow and inflow, divided by the inflow."""
-OVERLAP = 0.05
-"""Largest overlap of two aggregates, or of an aggregate and a wall, in radii."""
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
     "steady": "a longer --duration",
@@ -24,12 +23,12 @@ def check_part(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the checks of a finished run by name: whether each one passed, and what it found."""
     result = run.result
     if "pressure" not in result:
-        return {"finished": (False, "the run recorded no sample after its start")}
-    outflow, gap = float(result["outflow_error"]), float(result["smallest_gap"])
+        return NO_SAMPLE
+    outflow = float(result["outflow_error"])
     at = "" if not result["blocked"] else f"blocked at {number(result['blocked_at']):.3g} m"
     return {
-        "steady": (bool(result["steady"]), f"after {number(result['simulated_time']):g} s"),
+        "steady": steadiness(result),
         "not blocked": (not result["blocked"], at or "no part of the aggregates stood still"),
         "volume": (abs(outflow) < OUTFLOW, f"{100 * outflow:+.3f} % difference of outflow from inflow"),
-        "no overlap": (gap > -OVERLAP, f"smallest gap {gap:+.4f} radii"),
+        "no overlap": no_overlap(result),
     }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import SECOND, rgb
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...mps.part.pictures import plot_part
 
 RIGHT_OF_AXIS = 1.2

@@ -17,12 +17,7 @@ from ..balance import pair_forces
 from ..flow import SuspensionFlow
 from .scene import PartSuspensionScene
 
-UNITS = PART_UNITS | {
-    "aggregates_present": "1",
-    "aggregates_entered": "1",
-    "aggregates_left": "1",
-    "slowest_part": "1",
-}
+UNITS = PART_UNITS | {"aggregates_present": "1", "aggregates_entered": "1", "aggregates_left": "1", "slowest_part": "1"}
 """Units of the columns of the time series, without those that all mortars with aggregates have."""
 
 

@@ -11,7 +11,7 @@ from ...core.errors import refuse
 from ...core.inputs.knobs import Knob, Trading, precisions, scaled
 from ...core.inputs.limits import check_velocity
 from ...core.inputs.parameters import Above
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...mps.column import FlowParameters, check_flow, flow_trading
 from ...theory.pipe import Line, steady
 from ..aggregates import MIN_CELLS

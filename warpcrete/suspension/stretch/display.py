@@ -100,10 +100,7 @@ class StretchDisplay(SphereDisplay):
         if self._scene.mean_velocity is not None:
             label = "friction [kPa/m]"
             driven = Plot("friction", "Friction", (Curve("friction", label, lambda row: 1e-3 * row["gradient"], RUN),))
-        return (
-            driven,
-            Plot("migration", "Aggregates", (radius,)),
-        )
+        return (driven, Plot("migration", "Aggregates", (radius,)))
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the velocity over the radius, and that of the mortar without aggregates by theory."""

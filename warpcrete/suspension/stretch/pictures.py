@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import RUN, SECOND, THEORY, legend_beside, open_frame, rgb
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from .quantities import LATE
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.run.method import Quantity
-from ...core.run.run_loop import Run
+from ...core.run.run import Run
 from ...core.units import number
 from ..quantities import aggregate_lines
 from .scene import StretchScene

@@ -1,0 +1,191 @@
+"""Entries of a mix: their names and units, what an ingredient is, and what is refused."""
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from mixes import BULK, SPREADING, written
+
+from warpcrete import SceneError, scenes
+from warpcrete.cli.main import cli
+from warpcrete.core.errors import PlausibilityWarning
+from warpcrete.mix.ingredients import is_plasticizer, is_thickener, paste_volumes
+from warpcrete.mix.mix import mix_of
+
+LOAD = {"cement": 573, "fly ash": 101, "water": 295, "sand": 1315, "gravel": 1702}
+"""Ingredients of a cubic yard [lb]."""
+
+
+def test_the_largest_stone_alone_suffices(tmp_path):
+    """The smallest is then that which the option --stone of `warpcrete line` assumes."""
+    given = mix_of(SPREADING | {"sizes": "20 mm"}).given
+    assert given.sizes == (0.004, 0.02) == mix_of(SPREADING | {"sizes": ["4 mm", "20 mm"]}).given.sizes
+    with pytest.raises(SceneError, match=r"largest of mix sizes = 0\.006: must be in \[0\.008, 0\.3\] m"):
+        mix_of(SPREADING | {"sizes": "6 mm"})
+    for name in ("stone", "largest_stone"):
+        with pytest.raises(SceneError, match=rf"mix key = '{name}': is the entry 'sizes' of a mix; write 'sizes: 20 m"):
+            mix_of(SPREADING | {name: "20 mm"})
+    for value in (None, {"a": 1}, [5, 20], "coarse"):
+        with pytest.raises(SceneError, match=r"is the entry 'sizes' of a mix; write 'sizes: 20 mm'"):
+            mix_of({"density": 2350, "stone": value})
+
+
+def test_the_sieve_curve_that_a_warning_suggests_is_accepted(tmp_path):
+    with pytest.warns(PlausibilityWarning, match="has no sieve curve") as caught:
+        scenes.pipe(concrete=str(written(tmp_path, SPREADING)))
+    text = next(str(each.message) for each in caught if "sieve curve" in str(each.message))
+    entry = yaml.safe_load(text.split("in a mix '")[1].split("'")[0])
+    assert mix_of(SPREADING | entry).given.largest == 0.016
+    assert "sizes='4:0,8:0.4,16:1'" in text and scenes.pipe(sizes="4:0,8:0.4,16:1")
+
+
+@pytest.mark.parametrize("unit", ["lb/yd3", "lbs/yd3", "lbs/cy", "pcy"])
+@pytest.mark.parametrize("admixture", ["HRWR", "high-range water reducer", "superplasticizer", "WRDA 64"])
+def test_names_and_units_of_an_american_ticket(unit, admixture):
+    parts = {name: f"{mass} {unit}" for name, mass in LOAD.items()} | {admixture: "80 oz/yd3"}
+    given = mix_of({"parts": parts, "slump": "8 in"}).given
+    assert given.parts["cement"] == pytest.approx(573 * 0.5932764, rel=1e-6)
+    assert given.parts[admixture] == pytest.approx(1100 * 80 * 3.86807e-5, rel=1e-4)
+    assert given.plasticizer and not given.thickener
+    assert given.water_binder == pytest.approx(295 / 674)
+
+
+def test_a_reducer_of_other_things_than_water_is_no_plasticizer():
+    assert not is_plasticizer("shrinkage reducer") and not is_plasticizer("viscosity reducer")
+
+
+def test_an_ingredient_that_may_be_powder_leaves_the_paste_unknown():
+    """A US name of cement is known; under another name 330 kg of it would be missing in the paste."""
+    parts = {"water": "33 gal/yd3", "fly ash": "141 lb/yd3", "sand": "1420 lb/yd3", "gravel": "1780 lb/yd3"}
+    named = mix_of({"parts": parts | {"Type I/II": "564 lb/yd3"}, "slump": "6 in"})
+    assert named["slip viscosity"].value == mix_of({"parts": parts | {"cement": "564 lb/yd3"}, "slump": "6 in"})[
+        "slip viscosity"].value  # fmt: skip
+    with pytest.warns(PlausibilityWarning, match="counts neither as powder nor as stone"):
+        unknown = mix_of({"parts": parts | {"CX-7": "564 lb/yd3"}, "slump": "6 in"})
+    assert unknown["slip viscosity"].way.startswith("slump")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("crushed limestone", "stone"), ("limestone 8/16", "stone"), ("limestone 4-16 mm", "stone"),
+        ("limestone powder", "powder"), ("limestone", "powder"), ("limestone sand", "stone"),
+        ("crushed quartz", "stone"), ("Type I/II cement", "powder"), ("Type I/II", "powder"),
+        ("limestone 0/0.063 mm", "powder"), ("expansive agent", "powder"),
+        ("viscosity-modifying admixture", "liquid"), ("anti-washout agent", "liquid"),
+    ],
+)  # fmt: skip
+def test_words_of_an_ingredient_say_what_it_is(name, kind):
+    """The paste of 300 kg of cement and 180 kg of water grows by what belongs to it, and by nothing else."""
+    alone, more = paste_volumes({"cement": 300, "water": 180}), paste_volumes({"cement": 300, "water": 180, name: 100})
+    powder, liquid = more[0] - alone[0], more[1] - alone[1]
+    assert (powder > 1e-6, liquid > 1e-6) == (kind == "powder", kind == "liquid")
+
+
+def test_a_hydration_stabilizer_thickens_nothing():
+    assert is_thickener("viscosity-modifying admixture") and is_thickener("VMA") and is_thickener("stabilizer")
+    assert not is_thickener("hydration stabilizer") and not is_thickener("viscosity-reducing admixture")
+    assert not is_thickener("retarder") and not is_thickener("superplasticizer")
+
+
+def test_ounces_of_admixture_are_fluid_ounces():
+    load = {"volume": "1 yd3", "parts": {"cement": "564 lb", "water": "33 gal", "sand": "1420 lb", "gravel": "1780 lb"}}
+    with_ounces = dict(load, parts=load["parts"] | {"water reducer admixture": "20 oz"})
+    more = mix_of(with_ounces | {"slump": "6 in"})["density"].value - mix_of(load | {"slump": "6 in"})["density"].value
+    assert more == pytest.approx(20 * 29.5735e-6 * 1100 / 0.764555, rel=1e-5)
+
+
+def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
+    """39 fluid ounces in a cubic yard are 1.51 l/m3, which have 1100 kg/m3."""
+    parts = {"cement": 340, "water": 170, "sand": 800, "gravel": 1050}
+    with pytest.warns(PlausibilityWarning, match="'MasterGlenium 7920' is not a known ingredient"):
+        named = mix_of({"parts": parts | {"MasterGlenium 7920": "39 oz/yd3"}, "slump": "180 mm"})
+    plain = mix_of({"parts": parts | {"superplasticizer": "39 oz/yd3"}, "slump": "180 mm"})
+    assert named["density"].value == pytest.approx(plain["density"].value)
+    assert named["slip viscosity"].value == pytest.approx(plain["slip viscosity"].value, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        ({}, "mix = {}: is empty"),
+        ({"density": 2350, "W/C": 0.45}, "mix key = 'W/C': is the entry 'water_binder' of a mix; write 'water_"),
+        ({"parts": {"cement CEM II 42": None, "5 R": 340, "water": 170}}, "has no amount; a comma inside braces"),
+        ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),
+        ({"parts": {"cement": 340, "water": 170, "Sikka 12": "30 l/m3"}}, "is a volume, which is accepted for water"),
+        ({"volume": "8 yd3", "parts": {"cement": "4,794 lb", "water": "265 lb"}, "slump": "5 in"},
+         "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
+        (["density"], "mix = ['density']: must consist of 'key: value' lines"),
+        (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
+        ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
+        ({"spread": 0.6}, "mix density: is missing, and the mix lists no 'parts'"),
+        ({"densty": 2300}, "mix key = 'densty': must be one of density"),
+        (SPREADING | {"density": 2.3},
+         "mix density = 2.3: must be in [1000, 5000] kg/m3; write units other than kg/m3 behind the"),
+        (SPREADING | {"density": "2300 kg/cm3"}, "mix density = '2300 kg/cm3': must be a number with one of kg/m3"),
+        (SPREADING | {"spread": "60 mn"}, "mix spread = '60 mn': must be a number with one of m, mm, cm"),
+        (SPREADING | {"spread": 600}, "mix spread = 600.0: must be in [0.35, 1.2] m"),
+        (SPREADING | {"spread": 0.45}, "mix t500 = '4 s': needs a final spread of 500 mm or more"),
+        ({"density": 2300, "t500": 3}, "mix t500 = 3: needs a final spread"),
+        ({"density": 2300, "slump": "29.5 cm"},
+         "mix slump = 0.295: must be in [0.01, 0.29] m; write the unit, as in '180 mm', and give 'spread'"),
+        ({"density": 2300, "slump": "50 mm", "spread": "700 mm"}, "contradicts"),
+        ({"parts": {"cement": 320, "420 lb/yd3": None}, "slump": 0.15},
+         "mix parts = '420 lb/yd3': is an amount without a name; a comma inside braces separates entries"),
+        ({"parts": {"cement": 420, "water": 20, "sand": 900, "gravel": 1060}, "slump": 0.15},
+         "mix parts = '20 kg/m3 of water': is too little for the powder"),
+        (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume, more than the share 0.57"),
+        (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume, more than the share 0.57 that"),
+        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume, below 1, or"),
+        (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume, more than the share 0.57"),
+        (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: leaves 1067 kg/m3 for the density"),
+        (SPREADING | {"parts": {"cement": 300, "water": 200}}, "= 2300.0: contradicts 'parts', which add up to 500"),
+        (SPREADING | {"sieve": {4: 0, 8: 0.6, 12: 0.5, 16: 1}}, "falls from 0.6 at 8 mm to 0.5 at 12 mm"),
+        (SPREADING | {"sieve": {4: 0.1, 16: 1}}, "must rise from 0 to 1"),
+        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "begins below 1 mm, but sand belongs to the mortar"),
+        (SPREADING | {"sieve": {16: 0, 4: 1}}, "must have increasing openings above 0"),
+        (SPREADING | {"sieve": {4: 0, 16: 1}, "sizes": [0.004, 0.016]}, "is given together with 'sieve'"),
+        (SPREADING | {"sizes": [5, 20]}, "largest of mix sizes = 20.0: must be in [0.001, 0.3] m; write"),
+        (SPREADING | {"shape": "pointy"}, "mix shape = 'pointy': must be one of spheres, round"),
+        (SPREADING | {"mortar": {"viscosity": 9}}, "needs the share of coarse aggregate in the concrete"),
+        (BULK | {"aggregate": 0.36, "mortar": {"viscosity": "40 Pa s", "uncertainty": 0.1}},
+         "mix viscosity = '40 (36 to 44) Pa s from concrete': contradicts 158 (134 to 280) Pa s from mortar"),
+        (BULK | {"aggregate": 0.3, "mortar": {"density": 2600}}, "but the density of the mortar is given as 2600"),
+        (BULK | {"concrete": {"viscosity": "40 Pa.m"}}, "mix concrete: viscosity = '40 Pa.m': must be a number"),
+        (BULK | {"concrete": {"viscosity": 40, "yeild_stress": 6}}, "mix concrete: key = 'yeild_stress'"),
+        (BULK | {"layer": {"viscosity": 900}}, "must have 'yield_stress' and 'viscosity', or 'points', or"),
+        (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
+        (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be the diameter"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have two or more different values"),
+        (BULK | {"layer": {"tribometer": [[-0.1, 50], [0.2, 90]]}}, "must be 0 or more"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50], [0.2, -90]]}}, "must be 0 or more"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}},
+         "mix slip viscosity = -50.0: follows from a straight line"),
+        (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"},
+         "contradicts 19.3 (17 to 26.7) Pa from spread of 700 mm; leave out"),
+    ],
+)  # fmt: skip
+def test_contradictory_and_empty_mixes_are_refused_in_one_line(tmp_path, section, says):
+    path = written(tmp_path, section)
+    for make in (scenes.tube, scenes.pipe):
+        with pytest.raises(SceneError) as refused:
+            make(concrete=path)
+        assert says in str(refused.value) and "\n" not in str(refused.value)
+    done = CliRunner().invoke(cli, ["mix", str(path), "--out", str(tmp_path / "plain.yaml")])
+    assert isinstance(done.exception, SceneError) and not (tmp_path / "plain.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated beside a flow"),
+        ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity = None: must be stated"),
+        ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 9}}, "mix concrete: flow_index = 9.0: is"),
+        ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have 'yield_stress'"),
+        ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 1.2, "quadratic_viscosity": 1}},
+         "flow_index = 1.2: cannot be combined with quadratic_viscosity"),
+    ],
+)  # fmt: skip
+def test_laws_that_a_mix_cannot_have(section, says):
+    with pytest.raises(SceneError) as caught:
+        mix_of({"density": 2300, **section})
+    assert str(caught.value).startswith(says) and "\n" not in str(caught.value)

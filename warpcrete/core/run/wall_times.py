@@ -1,0 +1,66 @@
+"""Wall times of a run: those of its phases, the time since its last checkpoint, and its time steps per second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+
+class WallTimes:
+    """Wall times of a run. A resumed run adds its own time to that in the checkpoint."""
+
+    def __init__(self) -> None:
+        self.phases: dict[str, float] = {}
+        """Wall time of each phase of the run that has ended [s], by the phase's name, such as "packing"."""
+        # Wall-clock time at which the last checkpoint was written or read [s].
+        self._saved_at = time.perf_counter()
+        self._started: float | None = None  # Wall-clock time at which this process began to run the simulation [s].
+        # Wall time that a resumed run had taken before its checkpoint was written [s].
+        self._before_resume = 0.0
+        # Steps taken and wall-clock time [s] at the first and at the last new row after the start of this process.
+        self._rows: tuple[tuple[int, float], tuple[int, float]] | None = None
+
+    def restore(self, phases: Mapping[str, float]) -> None:
+        """Take over the wall times of the `phases` [s] from a checkpoint, which counts as the last checkpoint."""
+        self.phases = dict(phases)
+        self._before_resume = phases["running"]
+        self.note_checkpoint()
+
+    def start(self) -> None:
+        """Note that the simulation begins to run now."""
+        self._started = time.perf_counter()
+
+    def note_checkpoint(self) -> None:
+        """Note that a checkpoint has been written or read now."""
+        self._saved_at = time.perf_counter()
+
+    def note_row(self, steps: int) -> None:
+        """Note that the time series has got a new row now, after the given number of `steps`."""
+        now = (steps, time.perf_counter())
+        self._rows = (self._rows[0] if self._rows else now, now)
+
+    @property
+    def since_checkpoint(self) -> float:
+        """Wall time since the last checkpoint [s]."""
+        return time.perf_counter() - self._saved_at
+
+    @property
+    def running(self) -> float:
+        """Wall time that the run has taken up to now, without its preparation [s]."""
+        return self._before_resume + (0.0 if self._started is None else time.perf_counter() - self._started)
+
+    @property
+    def has_pace(self) -> bool:
+        """True if this process has added at least two rows, so that the pace leaves out preparation."""
+        return self._rows is not None and self._rows[0] != self._rows[1]
+
+    def pace(self, steps: int) -> float:
+        """Return the mean number of time steps per second of wall time, in this process.
+
+        The mean leaves out the time up to the first new row of the time series, which contains preparation and
+        compilation. If this process has added only one row, the mean is that of all `steps`.
+        """
+        if self._rows is not None and self.has_pace:
+            (first, begun), (last, ended) = self._rows
+            return (last - first) / max(ended - begun, 1e-9)
+        return steps / max(self.phases.get("running", 0.0), 1e-9)

@@ -1,0 +1,152 @@
+"""Entries of a mix: their names, meanings, units and ranges, and their values in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from .ingredients import is_plasticizer, sand_and_stone_masses
+from .measurements import Layer, Measured
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Numeric entry of a mix: its meaning, its unit and its possible range."""
+
+    help: str
+    unit: str
+    low: float
+    high: float
+    hint: str = ""
+
+
+NUMBERS = {
+    "density": Entry(
+        "Density of the concrete; can be replaced by its parts",
+        "kg/m3",
+        1000,
+        5000,
+        "write units other than kg/m3 behind the number, as in '2.35 t/m3'",
+    ),
+    "volume": Entry("Volume of the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
+    "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent with the sign, as in '2 %'"),
+    "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
+    "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "write the unit, as in '180 mm', and give 'spread' "
+                                                                "instead for softer concrete"),
+    "spread": Entry("Spread of the Abrams cone", "m", 0.35, 1.2),
+    "t500": Entry("Time until the spread reaches 500 mm", "s", 0.5, 120),
+    "water_binder": Entry(
+        "Mass of water over mass of all powder (cement, ash, slag, filler); not needed if parts are given",
+        "1",
+        0.12,
+        1.2,
+    ),
+    "voids": Entry("Voids of sand and stones together when compacted, share of their bulk volume", "m3/m3", 0.1, 0.5,
+                   "write per cent with the sign, as in '24 %'"),
+    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1,
+                       "write per cent with the sign, as in '18 %'"),
+}  # fmt: skip
+"""Entries of a mix that are single numbers, by name, each with its meaning, unit and possible range."""
+OTHERS = {
+    "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
+    "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
+    "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
+    "sizes": "Largest coarse aggregate [m], or the smallest and the largest, instead of a sieve curve",
+    "shape": "Shape of the coarse aggregate: a word, or the ratio of longest to shortest width",
+    "concrete": "Measured properties of the concrete",
+    "mortar": "Measured properties of the mortar",
+    "viscometer": "Points of a viscometer: pairs of shear rate and stress, or the path of a CSV file",
+    "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
+    "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
+}
+"""Names of the entries of a mix that are not single numbers, each with its meaning."""
+KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
+        "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
+        "fine_sand")  # fmt: skip
+LARGEST_NAMES = ("largest_stone", "largest_size", "size_max", "max_size", "maximum_size", "stone")
+"""Names under which users state the largest stone, instead of the entry `sizes`."""
+OTHER_NAMES = {
+    **dict.fromkeys(("w c", "w b", "w cm", "wc", "wb", "water cement", "water cement ratio", "water binder ratio",
+                     "w c ratio"), "water_binder"),
+    **dict.fromkeys(("slump flow", "slumpflow", "flow"), "spread"),
+    **dict.fromkeys(("air content", "entrained air"), "air"),
+    **dict.fromkeys(("unit weight", "bulk density"), "density"),
+}  # fmt: skip
+"""Other names of entries of a mix, in small letters with single blanks between words, which a message translates."""
+GRAVEL = 2650.0
+"""Density of coarse aggregate if the mix states none [kg/m3]."""
+
+
+@dataclass(frozen=True)
+class MixEntries:
+    """Entries of a mix in SI units; an entry that is missing in the file is None."""
+
+    density: float
+    """Density of the concrete [kg/m3]."""
+    summed: bool
+    """True if the mix states no density. The density is then the sum of the masses of the ingredients in a cubic
+    metre."""
+    share: float | None
+    """Volume fraction of coarse aggregate in the concrete; None if the mix does not state it."""
+    aggregate_density: float
+    sieve: tuple[tuple[float, float], ...] | None
+    """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
+    sizes: tuple[float, float] | None
+    shape: str | None
+    """Shape of the stones by the name that scenes of discrete elements use, such as 'spheres'; None if the mix states
+    none."""
+    concrete: Measured
+    mortar: Measured
+    viscometer_points: tuple[list[float], list[float]] | None
+    """Points measured with a viscometer: shear rates [1/s] and stresses [Pa]; None if the mix states none."""
+    slump: float | None
+    spread: float | None
+    t500: float | None
+    layer: Layer
+    paste_solids: float | None = None
+    """Volume fraction of powder in the paste, which consists of powder, water and admixtures, without air."""
+    sand_and_stone: float | None = None
+    """Volume fraction of sand and stones together in the concrete."""
+    thickener: bool = False
+    """True if the concrete contains a viscosity-modifying admixture."""
+    parts: Mapping[str, float] = field(default_factory=dict)
+    """Mass of each ingredient in a cubic metre of concrete [kg/m3], by the ingredient's name."""
+    paste_share: float | None = None
+    """Volume fraction of powder, water and admixtures together in the concrete."""
+    water_binder: float | None = None
+    """Mass of water divided by the mass of all powder, stated or calculated from the ingredients; None if it is
+    unknown."""
+    voids: float | None = None
+    """Volume fraction of voids in compacted sand and stones."""
+    fine_sand: float | None = None
+    """Fraction of the sand's mass in grains smaller than 0.3 mm."""
+
+    @property
+    def largest(self) -> float | None:
+        """Diameter of the largest stone [m]."""
+        if self.sieve is not None:
+            return self.sieve[-1][0]
+        return self.sizes[1] if self.sizes is not None else None
+
+    @property
+    def sand_mass(self) -> float:
+        """Mass of sand in a cubic metre of concrete [kg]; 0 if the ingredients do not determine it."""
+        sand, _ = sand_and_stone_masses(self.parts)
+        if sand == 0 and self.share is not None and self.sand_and_stone is not None:
+            return max(self.sand_and_stone - self.share, 0.0) * GRAVEL
+        return sand
+
+    @property
+    def sand_share(self) -> float | None:
+        """Share of sand in the aggregate, by mass if the ingredients state it, otherwise by volume; None if unknown."""
+        sand, stone = sand_and_stone_masses(self.parts)
+        if sand > 0 and stone > 0:
+            return sand / (sand + stone)
+        if self.share is None or self.sand_and_stone is None or self.share >= self.sand_and_stone:
+            return None
+        return 1 - self.share / self.sand_and_stone
+
+    @property
+    def plasticizer(self) -> bool:
+        """True if the ingredients name a plasticizer."""
+        return any(is_plasticizer(name) for name in self.parts)

@@ -1,0 +1,22 @@
+"""Acceptance checks that all simulations of mortar with aggregates in pipes share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.units import number
+
+OVERLAP = 0.05
+"""Largest overlap of two aggregates, or of an aggregate and a wall, in radii."""
+
+
+def steadiness(result: Mapping[str, Any]) -> tuple[bool, str]:
+    """Return whether the flow became steady, and after which simulated time the run ended."""
+    return bool(result["steady"]), f"after {number(result['simulated_time']):g} s"
+
+
+def no_overlap(result: Mapping[str, Any]) -> tuple[bool, str]:
+    """Return whether no aggregates overlapped by more than `OVERLAP`, and the smallest gap."""
+    gap = number(result["smallest_gap"])
+    return gap > -OVERLAP, f"smallest gap {gap:+.4f} radii"
