@@ -37,7 +37,8 @@ FUNNEL = StandardTest(
     columns={"screen": "1", "inside": "1"},
     measure=_measure,
     quantities=(
-        Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True), "funnel time", None, True),
+        Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True), "funnel time", None, True,
+                 only_if="light is seen through the outlet before the run ends"),
         Quantity("remaining", "1", lambda k: k.last("inside"), "remaining",
                  lambda run: f"{100 * run.result['remaining']:.1f} %"),
     ),

@@ -15,18 +15,20 @@ def _of(name: str) -> Callable[[Any], float | None]:
     return lambda known: known.blockage.found.get(name) if known.blockage is not None else None
 
 
+BLOCKED = "the pipe was blocked"
+
 QUANTITIES = (
     Quantity("blocked", "1", lambda known: None if known.blockage is None else float(bool(known.blockage.found)),
              compared=True, rare=True),
     Quantity("blockage_window", "m", lambda known: None if known.blockage is None else known.blockage.window),
     Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest)),
-    Quantity("blocked_at", "m", _of("at")),
-    Quantity("blocked_time", "s", _of("time")),
-    Quantity("blocked_from_travel", "m", _of("travel")),
-    Quantity("blocked_pressure", "Pa", _of("pressure")),
-    Quantity("blocked_pressure_before", "Pa", _of("pressure_before")),
-    Quantity("blocked_solid_fraction", "1", _of("solid_fraction")),
-    Quantity("blocked_chains", "1", _of("chains")),
+    Quantity("blocked_at", "m", _of("at"), only_if=BLOCKED),
+    Quantity("blocked_time", "s", _of("time"), only_if=BLOCKED),
+    Quantity("blocked_from_travel", "m", _of("travel"), only_if=BLOCKED),
+    Quantity("blocked_pressure", "Pa", _of("pressure"), only_if=BLOCKED),
+    Quantity("blocked_pressure_before", "Pa", _of("pressure_before"), only_if=BLOCKED),
+    Quantity("blocked_solid_fraction", "1", _of("solid_fraction"), only_if=BLOCKED),
+    Quantity("blocked_chains", "1", _of("chains"), only_if=BLOCKED),
 )  # fmt: skip
 """Quantities of a blocked pipe.
 

@@ -300,14 +300,20 @@ def _level(of):
     return lambda known: of(known) if known.on_plateau else None
 
 
+ON_PLATEAU = (
+    "the piston moves at its final speed throughout the last fifth of its travel and the pressure is level there "
+    "('end_pressure' is the mean in any case)"
+)
+"""Condition under which a run has a plateau of its pressure."""
+
 QUANTITIES = (
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
              _peak_words, True),
     Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak])),
     Quantity("plateau_pressure", "Pa", _level(lambda k: k.series["pressure"][k.window].mean()), "plateau pressure",
-             _plateau_words, True),
-    Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std())),
-    Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0])),
+             _plateau_words, True, only_if=ON_PLATEAU),
+    Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std()), only_if=ON_PLATEAU),
+    Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0]), only_if=ON_PLATEAU),
     Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean())),
     Quantity("first_peak_pressure", "Pa", _restarted(lambda k: k.peaks[0])),
     Quantity("held_pressure", "Pa", _restarted(lambda k: k.held), "pressure held at the stop"),
