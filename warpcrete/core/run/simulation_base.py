@@ -72,7 +72,7 @@ class SimulationBase:
             kind = next((kind for kind in reversed(kinds) if isinstance(scene, kind.scene_type)), cls)
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):
-            known = [wanted] if wanted else [kind.scene_type for kind in SimulationBase.kinds]
+            known = [wanted] if wanted else [kind.scene_type for kind in kinds]
             hint = (
                 "use warpcrete.Simulation, which accepts every scene"
                 if wanted
