@@ -1,4 +1,4 @@
-"""What commands print, write and end with, while the functions that do the work are replaced."""
+"""Texts, files and exit codes of commands, while the functions that do the work are replaced."""
 
 import json
 from pathlib import Path
