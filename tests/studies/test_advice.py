@@ -48,7 +48,7 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_pat
 
 
 def test_kept_advice_of_a_trade(tmp_path):
-    """Advice takes the cheapest promise that suffices; also texts for other scenes, and for records that are no trades."""
+    """Advice takes the cheapest promise that suffices, and says why there is none in other scenes and records."""
     promises = [
         {"setting": "x", "levels": {"time step": "x 4"}, "promised": 0.04, "ratio": 0.3, "time": 2.5,
          "carried": {"twice the flow": {"shift": 0.01}, "concrete no2": None}},
