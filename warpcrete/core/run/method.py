@@ -40,6 +40,8 @@ class Quantity:
     """True if studies show the quantity in their table and figure."""
     rare: bool = False
     """True if a study shows the quantity only if its value is above 0 in at least one of the study's runs."""
+    meaning: str = ""
+    """Meaning of the quantity for the reference pages: a sentence without a full stop at its end."""
 
     @property
     def title(self) -> str:
