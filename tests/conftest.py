@@ -37,6 +37,8 @@ if WORKER:
     if hasattr(os, "sched_setaffinity") and workers <= len(os.sched_getaffinity(0)):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[place::workers])
 
+PRECISIONS = ("float32", "float64")
+
 
 def devices() -> list[str]:
     import warp as wp
@@ -104,11 +106,12 @@ def by_id(state, name: str) -> np.ndarray:
     return getattr(state.bodies, name).numpy()[np.argsort(state.bodies.id.numpy())]
 
 
-def verification(module):
-    """Test of every case of a verification module, on every device, in both precisions."""
+def verification(module, thorough=()):
+    """Test of every case of a verification module, on every device, in both precisions; some only thoroughly."""
+    precisions = [pytest.param(p, marks=[pytest.mark.thorough] if p in thorough else []) for p in PRECISIONS]
     cases = [pytest.param(c, id=c.name, marks=[pytest.mark.slow] if c.slow else []) for c in module.CASES]
 
-    @pytest.mark.parametrize("precision", ["float32", "float64"])
+    @pytest.mark.parametrize("precision", precisions)
     @pytest.mark.parametrize("case", cases)
     def test_case(device, precision, case):
         rows = case.run(device, precision)

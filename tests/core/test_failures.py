@@ -282,6 +282,7 @@ def test_walls_move_again_after_a_settling_that_was_cut():
 # Processes.
 
 
+@pytest.mark.thorough
 def test_workers_end_with_a_study_that_is_killed(tmp_path):
     study = subprocess.Popen(
         [sys.executable, "-c", "from warpcrete.cli import main; main()", "study", "pipe", "--velocity", "0.2", "0.3",

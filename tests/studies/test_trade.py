@@ -269,6 +269,7 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(element_tr
     assert tried and all({2, 3, 4} <= set(promise.point.results) for promise in tried)
 
 
+@pytest.mark.thorough
 def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(Trade, "expected", lambda self, point: 1e9)
@@ -345,6 +346,7 @@ def test_the_command(tmp_path):
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.thorough
 def test_a_scene_function_is_traded_from_python(tmp_path):
     import warpcrete
 

@@ -118,6 +118,7 @@ def test_a_stretch_goes_on_from_its_checkpoint_with_the_same_bits(device):
     assert second.flow.steps > 0 and second.run().result["state_hash"] == whole.result["state_hash"]
 
 
+@pytest.mark.thorough
 def test_a_run_reports_its_results(device):
     run = stretch(
         device, **SLOW | {"duration": 60.0}, yield_stress=0.05, surfaces="slips", slip_viscosity=200.0, slip_yield=0.01
