@@ -135,7 +135,7 @@ def body_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def shape_functions(scalar, kind: BodyKind) -> SimpleNamespace:
-    """Build functions for the spheres of which aggregates consist.
+    """Build functions that return properties of an aggregate's spheres, such as centre, radius and velocity.
 
     If each aggregate is one sphere, the index of the sphere is that of the aggregate.
     """

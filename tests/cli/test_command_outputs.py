@@ -118,7 +118,11 @@ def test_what_a_validation_and_a_reproduction_print(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("kind", ["whole", "open", "failed", "lost", "suspect"])
 def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatch):
-    study = Study(Path("here"), "pipe", [SimpleNamespace(name=name, varied={"x": name}) for name in "ab"])
+    law, again = {"contact": "linear"}, "warpcrete study --resume here"
+    if kind == "lost":
+        law, again = {"contact": "sticky:Sticky"}, "warpcrete --trust study --resume here"
+    cases = [SimpleNamespace(name=name, varied={"x": name}, parameters=law) for name in "ab"]
+    study = Study(Path("here"), "pipe", cases)
     study.results = {"a": {"checks": {}}, "b": {"checks": {}}}
     if kind == "open":
         study.results.pop("b")
@@ -136,7 +140,7 @@ def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatc
         code = ended.code
     said = capsys.readouterr().out
     assert code == {"whole": 0, "open": 130, "failed": 1, "lost": 1, "suspect": 3}[kind]
-    assert ("continue with: warpcrete study --resume here" in said) == (kind == "open")
-    assert ("repeat b with: warpcrete study --resume here" in said) == (kind == "lost")
+    assert (f"continue with: {again}" in said) == (kind == "open")
+    assert (f"repeat b with: {again}" in said) == (kind == "lost")
     assert ("failed: b: it burst" in said) == (kind in ("failed", "lost"))
     assert ("checks of 1 of 2 cases: b (balance)" in said) == (kind == "suspect")

@@ -10,6 +10,7 @@ import click
 
 from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
+from ..core.inputs.by_name import trust_option
 from ..core.inputs.parameters import Alias, CompositeRule, Field
 from ..core.run.files import next_folder, read_record
 from ..record.recorders import RECORDERS
@@ -87,12 +88,13 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         else:
             study = _new_study(scene, options, settings, modules, tell)
     report(study)
+    again = f"warpcrete {trust_option([case.parameters for case in study.cases])}study --resume {study.folder}"
     if not study.finished:
-        click.echo(f"continue with: warpcrete study --resume {study.folder}")
+        click.echo(f"continue with: {again}")
         raise SystemExit(INTERRUPTED)
     if study.failures:
         if study.lost:
-            click.echo(f"repeat {', '.join(study.lost)} with: warpcrete study --resume {study.folder}")
+            click.echo(f"repeat {', '.join(study.lost)} with: {again}")
         raise SystemExit(CASE_FAILED)
     if study.suspect:
         names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())

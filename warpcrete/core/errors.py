@@ -164,6 +164,12 @@ def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
         refuse(field, value, f"must be a finite number above 0{' ' + unit if unit else ''}", hint)
 
 
+def at_least_and_below(field: str, value: float, lower: float, end: float, unit: str = "", hint: str = "") -> None:
+    """Raise :class:`SceneError` unless `value` is a number in [lower, end), which does not contain `end`."""
+    if not is_number(value) or not lower <= value < end:
+        refuse(field, value, f"must be at least {lower:g} and below {end:g}{' ' + unit if unit else ''}", hint)
+
+
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a finite number in [lower, upper]."""
     if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:

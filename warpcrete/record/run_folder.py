@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, TextIO
 
 from ..core.errors import RunFolderError
+from ..core.inputs.by_name import trust_option
 from ..core.inputs.origin import Arguments, changed_fields, readable
 from ..core.run.files import atomic_file, cannot_write, read_json, write_json
 from ..core.run.folders import FolderLock, make_folder
@@ -172,7 +173,7 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
         if there.get(name) != here[name]:
             raise RunFolderError(
                 f"out = '{path.parent}': exists already and contains another run (its {name} differs); choose a new "
-                f"folder, or continue the other run with 'warpcrete run --resume {path.parent}'"
+                f"folder, or continue the other run with 'warpcrete {trust_option(there)}run --resume {path.parent}'"
             )
 
 

@@ -61,7 +61,7 @@ class Run:
     """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool
     interrupted: bool = False
-    """True if an interruption (Ctrl-C) ended the run at once, before the next row of the time series."""
+    """True if an interruption (Ctrl-C or SIGTERM) ended the run at once, before the next row of the time series."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
     """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""

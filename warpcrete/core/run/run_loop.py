@@ -5,6 +5,7 @@ Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods`
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..device.device import checked_threads, find_device, scalar_of
+from ..device.interrupts import terminate_as_interrupt
 from ..device.launching import report_compiling
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from ..units import number as number_of
@@ -215,19 +217,34 @@ class Simulation(SimulationBase):
                 recorder.abandon(self)
 
     def run(self) -> Run:
-        """Prepare and run the simulation, until its end, `stop_requested` or Ctrl-C; return the results.
+        """Prepare and run the simulation, until its end, `stop_requested`, Ctrl-C or SIGTERM; return the results.
+
+        Ctrl-C and SIGTERM end the run at once, and a line on standard error says so. The returned run then has
+        `interrupted` = True and `finished` = False. An interruption before t = 0 raises :class:`KeyboardInterrupt`. If
+        the program has a handler of its own for SIGTERM, that handler stays in force.
 
         Raises :class:`WarpcreteError` if this simulation has run before.
         """
         if self._has_run:
             raise WarpcreteError("this simulation has already run; create a new Simulation for another run")
-        with report_compiling(self.tell):
+        with report_compiling(self.tell), terminate_as_interrupt(self):
             if not self.prepared:
                 self.begin()
             run: Run = run_coroutine(self.running(), self.stepper.advance)
+        if run.interrupted and not self.stop_requested:  # The caller that requests a stop tells the user by itself.
+            self._tell_interruption(run)
         if run.folder is None and self.rows:
             self._keep_final_state(run)
         return run
+
+    def _tell_interruption(self, run: Run) -> None:
+        """Print that the run was interrupted, and how it can go on."""
+        text = f"interrupted at t = {self.stepper.time:.3f} s; run() returns the results so far"
+        if run.folder is not None:
+            text += f", which are saved in '{run.folder}'"
+            if self._checkpoint_time is not None:
+                text += f"; the same lines continue the run from its checkpoint at t = {self._checkpoint_time:.3f} s"
+        print(text, file=sys.stderr, flush=True)
 
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
         """Write the run folder of a `run` that has ended, from its state at the end, instead of running the scene.

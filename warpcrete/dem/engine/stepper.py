@@ -354,7 +354,7 @@ class Stepper:
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
-        """Advance this scene alone until the simulated time reaches `until` [s], to within one step."""
+        """Advance this scene alone to the end of the step that reaches `until` [s]: up to one step later than that."""
         drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:
