@@ -177,13 +177,18 @@ def parameters(fields: Iterable[Field]) -> str:
 
 def results(module: Any) -> str:
     """Return a table of the results of a scene, and one for `--method suspension` if its results differ."""
-    plain, suspended = ([[f"`{each.name}`", "-" if each.unit == "1" else each.unit, cell(each.meaning)]
+    plain, suspended = ([[f"`{each.name}`", "-" if each.unit == "1" else each.unit, cell(worded(each))]
                          for each in quantities_of(module.scene(**given))]
                         for given in ({}, getattr(module, "suspension", {})))  # fmt: skip
     head = ["result", "unit", "meaning"]
     if plain == suspended:
         return table(head, plain)
     return f"{table(head, plain)}\n### Results of `--method suspension`\n\n{table(head, suspended)}"
+
+
+def worded(each: Quantity) -> str:
+    """Return the meaning of a quantity, with the condition under which a run has it."""
+    return f"{each.meaning}; only if {each.only_if}" if each.only_if else each.meaning
 
 
 def quantities_of(made: Any) -> list[Quantity]:

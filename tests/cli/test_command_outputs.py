@@ -12,6 +12,7 @@ from pumping import command
 
 from warpcrete.cli.run import report
 from warpcrete.core.inputs.yaml_files import parsed_yaml
+from warpcrete.core.run.ending import Ending, interruption
 from warpcrete.core.units import quantity
 from warpcrete.geometry.lines import line_of
 from warpcrete.studies.lines.result import lines_of
@@ -87,6 +88,7 @@ def test_the_report_of_a_run_is_kept(capsys, tmp_path):
             },
             "provenance": {"device": "cpu"},
             "checks": {"a": {"passed": True, "found": "1"}, "b": {"passed": False, "found": "2"}},
+            "ended": (Ending("travel", "it arrived", 10.0) if finished else interruption(10.0)).entry(),
         }
         report(run, [("pipeline", "3 MPa")])
     kept.compare("report-of-a-run", capsys.readouterr().out.replace(str(tmp_path), "FOLDER"))

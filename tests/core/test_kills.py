@@ -138,7 +138,11 @@ def test_settling_that_was_cut_goes_on(tmp_path, batched):
 
     with pytest.raises(KeyboardInterrupt):
         created(cut).run()
-    assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["checkpoint.npz", "scene.json"]
+    assert sorted(file.name for file in (tmp_path / "run").iterdir()) == [
+        "checkpoint.npz",
+        "result.json",
+        "scene.json",
+    ]
     told.clear()
     again = created(lambda phase, fraction, figures: told.append((phase, fraction)))
     if batched:

@@ -38,7 +38,8 @@ FUNNEL = StandardTest(
     measure=_measure,
     quantities=(
         Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True), "funnel time", None, True,
-                 meaning="Time from the opening of the gate until light is seen through the outlet"),
+                 meaning="Time from the opening of the gate until light is seen through the outlet",
+                 only_if="light is seen through the outlet before the run ends"),
         Quantity("remaining", "1", lambda k: k.last("inside"), "remaining",
                  lambda run: f"{100 * run.result['remaining']:.1f} %",
                  meaning="Fraction of the concrete that is in the funnel at the end"),

@@ -8,6 +8,7 @@ from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
 
 FAR_END = 0.05
 """Length of the stretch at the far end of the L-box over which the depth of the concrete is averaged [m]."""
+FRONT = "the front moves {} mm beyond the gate before the run ends"
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
@@ -57,6 +58,7 @@ L_BOX = StandardTest(
             None,
             True,
             meaning="Time after which the front has come 200 mm along the box",
+            only_if=FRONT.format(200),
         ),
         Quantity(
             "t400",
@@ -66,6 +68,7 @@ L_BOX = StandardTest(
             None,
             True,
             meaning="Time after which the front has come 400 mm along the box",
+            only_if=FRONT.format(400),
         ),
     ),
     forms=(ClosedForm("passing_ratio", "theory", "slow flow, no bars", _ratio_of_slow_flow),),

@@ -96,6 +96,7 @@ SLUMP = StandardTest(
             None,
             True,
             meaning="Time after which the diameter of the heap reaches 500 mm",
+            only_if="the spread grows to 500 mm before the run ends",
         ),
     ),
     forms=(

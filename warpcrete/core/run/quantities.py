@@ -11,6 +11,9 @@ from ..inputs.amounts import UNITS
 from ..narrowing import is_dict
 from ..units import number
 
+CONDITIONS: dict[str, str] = {}
+"""Condition under which a run has a quantity, by the quantity's name, for messages about a quantity that is absent."""
+
 
 class Amount(float):
     """Number that knows its unit; it computes and compares like a plain number.

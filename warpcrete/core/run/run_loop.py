@@ -22,6 +22,7 @@ from ..units import number as number_of
 from . import checkpoint
 from .checkpoint import RunRecord
 from .coroutines import Coroutine, run_coroutine
+from .ending import Ending, failure, interruption
 from .files import is_full
 from .frames import Frames
 from .output import CHECKPOINT, RunOutput, output_of
@@ -43,8 +44,8 @@ class Simulation(SimulationBase):
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
     `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
-    one thread for each core. Runs with equal numbers of threads give bitwise identical results. `frame_interval` is
-    the simulated time between two recorded frames [s]; None takes the default of
+    one thread for each core. Flows on a grid give the same bits for any number of threads, and discrete elements for
+    the same number. `frame_interval` is the simulated time between two recorded frames [s]; None takes the default of
     :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or a callback.
 
     `out` is the path of a new run folder, which then holds everything that `warpcrete run` writes, and which an
@@ -192,11 +193,20 @@ class Simulation(SimulationBase):
             else:
                 self.prepare()
         except BaseException as error:
+            self.note_failure(error)
             self.abandon(refused=isinstance(error, SceneError))
             if isinstance(error, Exception) and is_full(error):
                 saved = self.checkpoint_path is not None and self.checkpoint_path.is_file()
                 raise disk_full_error([error], 0.0 if saved else None) from error
             raise
+
+    def note_failure(self, error: BaseException) -> None:
+        """Note the `error` that ends the run before its first row, for the result in the run folder.
+
+        An invalid scene, or a folder that cannot be used, is not the end of a run.
+        """
+        if not isinstance(error, SceneError | RunFolderError):
+            self.ending = failure(error, 0.0)
 
     def claim(self) -> None:
         """Let recorders take exclusive resources, such as the run folder."""
@@ -271,7 +281,8 @@ class Simulation(SimulationBase):
         self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
-        finished = interrupted = False
+        finished = False
+        error: BaseException | None = None
         # Errors of a full disk, which are raised only after everything else has been written.
         full: list[Exception] = []
         try:
@@ -284,28 +295,32 @@ class Simulation(SimulationBase):
                         self._recording.call("sample", row)
                     self._frame()
                 finished = yield from self._loop()
-            except KeyboardInterrupt:
+            except KeyboardInterrupt as stop:
+                error = stop
                 if self._ended_run is not None:
                     raise  # Pass the interruption on, because the run folder that the caller requested is not complete.
-                interrupted = True
-            except Exception as error:
-                if not is_full(error):
+            except Exception as found:
+                error = found
+                if not is_full(found):
                     raise
-                full.append(error)
+                full.append(found)
         finally:
             # Write all results, for whatever reason the run ended.
             failures = self._recording.failures
             self.wall_times.phases["running"] = self.wall_times.running
             self.finishing = True
-            run = self._end(finished, interrupted)
+            run = self._end(finished, error)
+            error = None  # The traceback of the error refers to this frame, and the cycle would keep memory allocated.
         if full := [*full, *filter(is_full, failures)]:
             raise disk_full_error(full, self._checkpoint_time) from full[0]
         if failures:
             raise failures[0]
         return run
 
-    def _end(self, finished: bool, interrupted: bool) -> Run:
+    def _end(self, finished: bool, error: BaseException | None) -> Run:
         """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
+
+        `error` is the error or the interruption that ended the run at once, or None.
 
         The order makes sure that no data are lost if a recorder fails or the run is killed:
 
@@ -324,7 +339,9 @@ class Simulation(SimulationBase):
         run = self._ended_run
         if run is None:
             run = self.result(finished)
-            run.interrupted = interrupted
+            run.interrupted = isinstance(error, KeyboardInterrupt)
+            self.ending = self._ending(finished, error)
+            run.result["ended"] = self.ending.entry()
         run.finished = run.result["finished"] = finished and run.finished and not recording.failures
         recording.finish(run)
         if written and path is not None:
@@ -342,6 +359,12 @@ class Simulation(SimulationBase):
         if isinstance(self._progress, ProgressBar):
             self._progress.close()
         return run
+
+    def _ending(self, finished: bool, error: BaseException | None) -> Ending:
+        time = self.stepper.time
+        if error is not None:
+            return failure(error, time)
+        return Ending(*self.why_ended(), time) if finished else interruption(time)
 
     def _keep_final_state(self, run: Run) -> None:
         """Keep the final state in host memory, from which `run.save` can write a run folder, unless it is large."""

@@ -15,6 +15,8 @@ def _of(name: str) -> Callable[[Any], float | None]:
     return lambda known: known.blockage.found.get(name) if known.blockage is not None else None
 
 
+BLOCKED = "the pipe was blocked"
+
 QUANTITIES = (
     Quantity("blocked", "1", lambda known: None if known.blockage is None else float(bool(known.blockage.found)),
              compared=True, rare=True,
@@ -24,19 +26,19 @@ QUANTITIES = (
     Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest),
              meaning="Advance of the slowest part of the concrete at the last check, divided by that of the piston"),
     Quantity("blocked_at", "m", _of("at"),
-             meaning="Arc length of the blockage along the axis of the pipe"),
+             meaning="Arc length of the blockage along the axis of the pipe", only_if=BLOCKED),
     Quantity("blocked_time", "s", _of("time"),
-             meaning="Time at which the blockage was detected"),
+             meaning="Time at which the blockage was detected", only_if=BLOCKED),
     Quantity("blocked_from_travel", "m", _of("travel"),
-             meaning="Travel of the piston at which a part of the concrete stopped"),
+             meaning="Travel of the piston at which a part of the concrete stopped", only_if=BLOCKED),
     Quantity("blocked_pressure", "Pa", _of("pressure"),
-             meaning="Pressure on the piston when the blockage was detected"),
+             meaning="Pressure on the piston when the blockage was detected", only_if=BLOCKED),
     Quantity("blocked_pressure_before", "Pa", _of("pressure_before"),
-             meaning="Pressure on the piston when that part of the concrete stopped"),
+             meaning="Pressure on the piston when that part of the concrete stopped", only_if=BLOCKED),
     Quantity("blocked_solid_fraction", "1", _of("solid_fraction"),
-             meaning="Solid fraction at the blockage"),
+             meaning="Solid fraction at the blockage", only_if=BLOCKED),
     Quantity("blocked_chains", "1", _of("chains"),
-             meaning="Number of networks of strong contacts that span the pipe at the blockage"),
+             meaning="Number of networks of strong contacts that span the pipe at the blockage", only_if=BLOCKED),
 )  # fmt: skip
 """Quantities of a blocked pipe.
 

@@ -300,6 +300,12 @@ def _level(of):
     return lambda known: of(known) if known.on_plateau else None
 
 
+ON_PLATEAU = (
+    "the piston moves at its final speed throughout the last fifth of its travel and the pressure is level there "
+    "('end_pressure' is the mean in any case)"
+)
+"""Condition under which a run has a plateau of its pressure."""
+
 QUANTITIES = (
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
              _peak_words, True,
@@ -308,11 +314,11 @@ QUANTITIES = (
              meaning="Travel of the piston at the largest pressure"),
     Quantity("plateau_pressure", "Pa", _level(lambda k: k.series["pressure"][k.window].mean()), "plateau pressure",
              _plateau_words, True,
-             meaning="Mean pressure on the piston over the last fifth of the travel, if the pressure is level there"),
+             meaning="Mean pressure on the piston over the last fifth of the travel", only_if=ON_PLATEAU),
     Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std()),
-             meaning="Standard deviation of the pressure over the last fifth of the travel"),
+             meaning="Standard deviation of the pressure over the last fifth of the travel", only_if=ON_PLATEAU),
     Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0]),
-             meaning="Travel of the piston at which the plateau begins"),
+             meaning="Travel of the piston at which the plateau begins", only_if=ON_PLATEAU),
     Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean()),
              meaning="Mean pressure on the piston over the last fifth of the travel, level or not"),
     Quantity("first_peak_pressure", "Pa", _restarted(lambda k: k.peaks[0]),
