@@ -144,6 +144,8 @@ def test_quantities_know_their_units(ran):
     assert pickle.loads(pickle.dumps(pressure)).unit == copy.copy(pressure).unit == "Pa"
     with pytest.raises(SceneError, match=r"^unit = 'm': must be one of Pa, bar"):
         pressure.to("m")
+    assert pressure.to("kPa").unit == "kPa" and repr(pressure.to("kPa").to("Pa")) == repr(pressure)
+    assert repr(Amount(16000.0, "Pa/m").to("kPa/m")) == "16 kPa/m"
     assert Amount(2.0, "J").to("J") == 2.0
     assert type(ran["particles"]) is float
     lines = repr(ran.quantities).splitlines()

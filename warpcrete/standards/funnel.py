@@ -38,9 +38,11 @@ FUNNEL = StandardTest(
     measure=_measure,
     quantities=(
         Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True), "funnel time", None, True,
+                 meaning="Time from the opening of the gate until light is seen through the outlet",
                  only_if="light is seen through the outlet before the run ends"),
         Quantity("remaining", "1", lambda k: k.last("inside"), "remaining",
-                 lambda run: f"{100 * run.result['remaining']:.1f} %"),
+                 lambda run: f"{100 * run.result['remaining']:.1f} %",
+                 meaning="Fraction of the concrete that is in the funnel at the end"),
     ),
     forms=(ClosedForm("funnel_time", "theory", "row of ducts", _time_of_ducts),),
     outflow=Outflow("screen", LIGHT, "funnel_time", "light is seen", _height),

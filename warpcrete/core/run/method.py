@@ -41,6 +41,8 @@ class Quantity:
     """True if studies show the quantity in their table and figure."""
     rare: bool = False
     """True if a study shows the quantity only if its value is above 0 in at least one of the study's runs."""
+    meaning: str = ""
+    """Meaning of the quantity for the reference pages: a sentence without a full stop at its end."""
     only_if: str = ""
     """Condition under which a run has the quantity, as the end of a sentence; empty if there is no simple condition."""
 

@@ -123,8 +123,8 @@ class Run:
         """Return the series as an xarray Dataset in SI units, with the dimension `time` [s].
 
         If `table` is the name of one of the run's `tables`, such as `stations`, return this table instead, with its
-        first column as the dimension. Each variable has its unit in `attrs["units"]`. The attributes of the Dataset are
-        the scene's name and, as JSON texts, the scene's parameters and the run's quantities. Raises
+        first column as the dimension. Variables with a unit have it in `attrs["units"]`. The attributes of the Dataset
+        are the scene's name and, as JSON texts, the scene's parameters and the run's quantities. Raises
         :class:`WarpcreteError` if xarray is not installed, and :class:`SceneError` for a table that the run does not
         have.
         """
