@@ -40,7 +40,7 @@ def test_a_run_comes_back_from_its_folder(ran):
         assert back.series[name] == pytest.approx(column, rel=1e-8, nan_ok=True)
     assert back["pressure"] == ran["pressure"] == ran.result["pressure"]["value"]
     assert back["particles"] == ran.result["particles"]
-    assert "finished, 0.02 s" in repr(back) and "<table>" in back._repr_html_()
+    assert "finished (duration), 0.02 s" in repr(back) and "<table>" in back._repr_html_()
     assert "pressure" in back._ipython_key_completions_() and "finished" not in back._ipython_key_completions_()
     with pytest.raises(KeyError, match=r"'presure'; similar names are pressure"):
         back["presure"]
