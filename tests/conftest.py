@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-from run_folders import flow
 from shortcuts import SHORTCUTS
 from source_hash import RECORD, source_hash
 
@@ -36,6 +35,8 @@ if WORKER:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpus.split(",")[place % len(gpus.split(","))]
     if hasattr(os, "sched_setaffinity") and workers <= len(os.sched_getaffinity(0)):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[place::workers])
+
+PRECISIONS = ("float32", "float64")
 
 
 def devices() -> list[str]:
@@ -104,11 +105,12 @@ def by_id(state, name: str) -> np.ndarray:
     return getattr(state.bodies, name).numpy()[np.argsort(state.bodies.id.numpy())]
 
 
-def verification(module):
-    """Test of every case of a verification module, on every device, in both precisions."""
+def verification(module, thorough=()):
+    """Test of every case of a verification module, on every device, in both precisions; some only thoroughly."""
+    precisions = [pytest.param(p, marks=[pytest.mark.thorough] if p in thorough else []) for p in PRECISIONS]
     cases = [pytest.param(c, id=c.name, marks=[pytest.mark.slow] if c.slow else []) for c in module.CASES]
 
-    @pytest.mark.parametrize("precision", ["float32", "float64"])
+    @pytest.mark.parametrize("precision", precisions)
     @pytest.mark.parametrize("case", cases)
     def test_case(device, precision, case):
         rows = case.run(device, precision)
@@ -125,6 +127,8 @@ def verification(module):
 @pytest.fixture(scope="session")
 def undisturbed_folder(tmp_path_factory):
     """The run folder of a short flow that nothing disturbed."""
+    from run_folders import flow  # It imports much of the package, which most workers do not need.
+
     folder = tmp_path_factory.mktemp("folders") / "whole"
     flow(folder).run()
     return folder

@@ -93,6 +93,7 @@ def test_an_interrupted_flow_goes_on(tmp_path):
     assert one == two
 
 
+@pytest.mark.thorough
 def test_a_study_of_flows(tmp_path):
     out = tmp_path / "sweep"
     done = command("study", "channel", "--spacing", 20e-3, 10e-3, "--device", "cpu", "--out", out, "--quiet")

@@ -194,6 +194,7 @@ def test_no_gpu_where_one_is_asked_for(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.posix
 def test_ctrl_c_keeps_what_was_written(tmp_path):
     folder = tmp_path / "run"

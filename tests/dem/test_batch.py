@@ -69,6 +69,7 @@ def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision, monke
     check_the_same(alone(device, some, precision=precision), batched)
 
 
+@pytest.mark.thorough
 def test_pumping_cases_pack_settle_and_run_in_a_batch_as_alone(device):
     some = [scenes.pipe(velocity=v, seed=s, **SMALL) for v, s in ((0.3, 0), (0.6, 0), (0.6, 1))]
     batched = run_batch(simulate(device, some))

@@ -33,6 +33,7 @@ def test_every_unit_pumps_and_balances_momentum(device, unit):
     assert np.median(speed) == pytest.approx(0.3, rel=0.25)
 
 
+@pytest.mark.thorough
 def test_weight_is_the_difference_between_vertical_at_rest_and_horizontal(device):
     # Without friction the piston carries the weight and the plug's pressure, and nothing else.
     run = Simulation(

@@ -190,6 +190,7 @@ def test_small_random_scenes_run_or_stop_with_our_own_error(scene):
     assert body_sums(simulation.model, state).mass == pytest.approx(run.bodies.mass.sum(), rel=1e-5)
 
 
+@pytest.mark.thorough
 @settings(RUNS, max_examples=6)
 @given(scene=small_scenes())
 def test_the_same_scene_gives_the_same_bits(scene):

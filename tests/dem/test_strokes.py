@@ -218,6 +218,7 @@ def test_a_run_cut_in_a_pause_or_after_a_rest_goes_on_with_the_same_bits(device,
         assert np.array_equal(whole.series[name], rest.series[name], equal_nan=True), name
 
 
+@pytest.mark.thorough
 def test_strokes_in_a_batch_hold_the_bits_of_runs_alone(device):
     several = [
         scenes.pipe(**STOPPING | more)

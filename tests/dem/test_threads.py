@@ -118,6 +118,7 @@ def test_momentum_is_kept_across_chunks(packing):
     assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.bodies.mass.numpy())
 
 
+@pytest.mark.thorough
 def test_a_pumping_run_on_threads_resumes_with_the_same_bits(tmp_path):
     scene = scenes.pipe(**SMALL)
     uncut = Simulation(scene, device="cpu", threads=2).run()

@@ -286,6 +286,7 @@ SMALL = dict(
 )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_cone_with_rolling_resistance_stands_and_one_without_runs_away(device):
     """The same cone, twice: what holds it is rolling resistance; its outcomes have units and its checks pass."""
     found = {}

@@ -6,7 +6,7 @@ import trimesh
 from tubes import bent
 
 from warpcrete import scenes
-from warpcrete.dem.measure import blockage, heaps, segregation, stations
+from warpcrete.dem.measure import blockage, heaps, segregation, station_losses, stations
 from warpcrete.dem.measure.wear import patches_of
 from warpcrete.dem.scene import clumps, sizes
 from warpcrete.dem.scene.containers import low_discrepancy_points
@@ -172,7 +172,7 @@ def test_heaps_and_stones_are_kept():
             "spread_evenly": stations._spread_evenly(s, s + 0.05 * np.cos(9 * s), np.c_[volume, s], columns),
             "filled": stations._filled_slices(columns, 0.1, s, volume),
             "front": stations._front(s, volume, 0.4 * volume.sum()),
-            "mean": [stations._logarithmic_mean(*pair) for pair in ((1.0, 2.0), (3.0, 3.0), (5.0, 4.9999))],
+            "mean": [station_losses._logarithmic_mean(*pair) for pair in ((1.0, 2.0), (3.0, 3.0), (5.0, 4.9999))],
         },
     )
 

@@ -73,6 +73,7 @@ def test_no_link_is_committed():
     assert not [line for line in git("ls-files", "--stage").splitlines() if line.startswith("120000")]
 
 
+@pytest.mark.thorough
 def test_wheel_contains_the_package_and_nothing_else(built):
     names = {name for name in built[1]["wheel"] if ".dist-info" not in name}
     sources = {room: [*(ROOT / room).rglob("*.py")] for room in ("warpcrete", "kernels", "scenes")}
@@ -106,6 +107,7 @@ print(warpcrete.__file__, structs.__file__, scenes.__file__, sep="\\n")
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_kernels_and_scenes_are_found_without_installing(built, kind):
     """Find both packages under the same names, in the wheel inside the package and in the sdist beside it."""
@@ -119,6 +121,7 @@ def test_kernels_and_scenes_are_found_without_installing(built, kind):
     assert listed.returncode == 0 and listed.stdout == CliRunner().invoke(cli, ["list"]).output
 
 
+@pytest.mark.thorough
 def test_tests_are_collected_in_an_sdist(built):
     done = run_in(built[0]["sdist"], "-m", "pytest", "-q", "--collect-only", str(built[0]["sdist"] / "tests/house"),
                   "-p", "no:cacheprovider")  # fmt: skip

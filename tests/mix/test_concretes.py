@@ -132,6 +132,7 @@ def test_files_without_a_flow_are_refused_by_flows(tmp_path, text, says):
     assert says in str(refused.value) and "\n" not in str(refused.value)
 
 
+@pytest.mark.thorough
 def test_a_study_keeps_what_a_concrete_said(tmp_path):
     path = written(tmp_path, "elements: {friction: 0.2}")
     coarse = SMALL | dict(

@@ -158,6 +158,7 @@ def iterations(spacing, precision="float32"):
     return np.mean(found, axis=0)
 
 
+@pytest.mark.thorough
 def test_iterations_hardly_grow_with_resolution():
     """Steps are the shorter the finer the cells, by less than the square of the width: the viscous number grows."""
     coarse, fine = iterations(0.0125), iterations(0.00625)

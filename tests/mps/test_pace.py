@@ -111,6 +111,7 @@ def test_noise_of_the_transfer_does_not_shorten_steps(device):
     assert run.result["steps"] < 400
 
 
+@pytest.mark.thorough
 def test_a_forecast_tells_the_mean_step():
     """From a coarser copy, whose cells are passed later; measured: 1.4 % of the time, 4 % of the step. A thin heap of
     100 Pa, which the copy has two cells for, takes a third of the steps that are foretold.

@@ -153,7 +153,7 @@ def test_every_level_of_every_knob_makes_another_scene(name):
 
 
 def test_kept_knobs_and_variants():
-    """What a trade varies in each scene: settings, their levels and costs; and the scenes that try its promises."""
+    """Variations of a trade in each scene: settings, their levels and costs; and the scenes that try its promises."""
     found = {}
     for name, module in modules().items():
         others = FURTHER | {"jring-dem": {"bars": 24}}  # narrow gaps limit the size of stones
@@ -269,6 +269,7 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(element_tr
     assert tried and all({2, 3, 4} <= set(promise.point.results) for promise in tried)
 
 
+@pytest.mark.thorough
 def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(Trade, "expected", lambda self, point: 1e9)
@@ -345,6 +346,7 @@ def test_the_command(tmp_path):
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.thorough
 def test_a_scene_function_is_traded_from_python(tmp_path):
     import warpcrete
 

@@ -55,6 +55,7 @@ def test_what_has_passed_the_ring_is_counted(device):
     assert row["mortar_passed"] == pytest.approx(mortar_part(0.0, 1 / len(centre), simulation.fraction))
 
 
+@pytest.mark.thorough
 def test_a_ring_goes_on_from_its_checkpoint_with_the_same_bits(device):
     given = {"sample_interval": 0.01}
     whole = ring(device, duration=0.02, **given).run()

@@ -68,6 +68,7 @@ def test_aggregates_fill_the_part_and_the_space_behind_it(given):
     assert (place + speed * enters)[later] == pytest.approx(1.01 * radius[later], abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_aggregates_enter_like_a_plug_and_none_is_lost(device):
     simulation = begun(device, aggregate_fraction=0.2, **BEND, duration=0.3)
     flow, enters = simulation.flow, simulation.entering

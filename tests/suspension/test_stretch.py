@@ -118,6 +118,7 @@ def test_a_stretch_goes_on_from_its_checkpoint_with_the_same_bits(device):
     assert second.flow.steps > 0 and second.run().result["state_hash"] == whole.result["state_hash"]
 
 
+@pytest.mark.thorough
 def test_a_run_reports_its_results(device):
     run = stretch(
         device, **SLOW | {"duration": 60.0}, yield_stress=0.05, surfaces="slips", slip_viscosity=200.0, slip_yield=0.01
@@ -163,7 +164,9 @@ def test_aggregates_and_half_of_the_mortar_are_drawn(device):
 def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
     """The step of a stretch follows from `courant`, and a run lasts for its whole duration."""
     simulation = stretch("cpu")
-    with pytest.raises(warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; use a smaller 'courant'$"):
+    with pytest.raises(
+        warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; usual cure: a smaller 'courant'$"
+    ):
         simulation.watch_row({"time": 1.0, "smallest_gap": -0.4})
     assert not simulation.may_end_early
 

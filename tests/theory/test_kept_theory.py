@@ -6,7 +6,7 @@ import kept
 import numpy as np
 
 from warpcrete.core.errors import WarpcreteError
-from warpcrete.theory import fits, pipe, suspension, vessels
+from warpcrete.theory import fits, inverse, pipe, suspension, vessels
 from warpcrete.theory.laws import FlowLaw
 from warpcrete.theory.pipe import CONCRETES, FORMS, Concrete, Line
 from warpcrete.theory.pipe_table import restart_table, table
@@ -118,6 +118,25 @@ def test_kept_theory_of_vessels():
                 vessels.funnel_time((0.0325, 0.245), (0.15, 0.572), 0.075, 30.0, stress, 2300.0, layer=layer)
                 for stress, layer in ((40.0, None), (0.0, (800.0, 20.0, 1.0, 0.0)), (4000.0, None))
             ],
+        },
+    )  # fmt: skip
+
+
+def test_kept_theory_of_tests_of_fresh_concrete():
+    """Yield stresses and viscosities for slumps and spreads from stiff to thin, where less than 1 Pa remains."""
+    kept.compare(
+        "theory-inverse",
+        {
+            "spread": [
+                [inverse.yield_of_long_heap(spread, 2300.0), inverse.yield_of_heap(spread, 2300.0),
+                 inverse.viscosity_of_t500(3.0, spread, 2300.0), inverse.viscosity_of_t500_sedran(3.0, spread, 2300.0)]
+                for spread in (0.09, 0.5, 0.65, 1.2, 1.6)
+            ],
+            "slump": [
+                [inverse.yield_of_slump(slump, 2300.0), inverse.yield_of_slump_measured(slump, 2300.0)]
+                for slump in (0.001, 0.1, 0.2, 0.2999)
+            ],
+            "slump by Tresca": inverse.yield_of_slump(0.1, 2300.0, bears=2.0),
         },
     )  # fmt: skip
 

@@ -4,4 +4,4 @@ from conftest import verification
 
 from warpcrete.verification import flows
 
-test_flows = verification(flows)
+test_flows = verification(flows, thorough=["float32"])
