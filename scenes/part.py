@@ -275,7 +275,7 @@ def _axis(given: PartParameters, bends: bool) -> Axis:
 
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
-    "steady": "a longer --duration",
+    "steady": "a longer --duration, or a larger --steadiness",
     "friction upstream": "a smaller --spacing, or a longer --straight",
     "friction downstream": "a smaller --spacing, or a longer --straight",
     "volume": "a smaller --tolerance, or a smaller --time-step",

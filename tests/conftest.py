@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-from run_folders import flow
 from shortcuts import SHORTCUTS
 from source_hash import RECORD, source_hash
 
@@ -128,6 +127,8 @@ def verification(module, thorough=()):
 @pytest.fixture(scope="session")
 def undisturbed_folder(tmp_path_factory):
     """The run folder of a short flow that nothing disturbed."""
+    from run_folders import flow  # It imports much of the package, which most workers do not need.
+
     folder = tmp_path_factory.mktemp("folders") / "whole"
     flow(folder).run()
     return folder

@@ -7,10 +7,10 @@ def results_under_contention(monkeypatch, compute):
     """Return the different results of `compute()`; each time, one thread does the work of all at other times."""
     results, used = set(), set()
     for contended in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
-        asked = iter(range(10**9))
+        numbers = iter(range(10**9))
 
-        def use_one_thread(self, contended=contended, asked=asked):
-            used.add(answer := contended(next(asked)))
+        def use_one_thread(self, contended=contended, numbers=numbers):
+            used.add(answer := contended(next(numbers)))
             return answer
 
         monkeypatch.setattr(CoreContention, "use_one_thread", use_one_thread)

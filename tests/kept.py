@@ -8,6 +8,7 @@ sign, which default is passed on. If a change is meant, write the files anew and
 """
 
 import dataclasses
+import difflib
 import enum
 import functools
 import math
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import trimesh
 
 from warpcrete.dem.scene.clumps import ClumpTemplate
@@ -40,9 +42,11 @@ def compare(name: str, value: Any, tolerance: float = TOLERANCE) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     kept = path.read_text(encoding="utf-8").splitlines()
+    if len(kept) != len(lines):
+        found = list(difflib.unified_diff(kept, lines, "kept", "now", lineterm="", n=0))
+        pytest.fail(f"{path.name}: {len(lines)} lines instead of {len(kept)}\n" + "\n".join(found[:20]))
     wrong = [f"  {was}\n  {now}" for was, now in zip(kept, lines) if not same(was, now, tolerance)]
     assert not wrong, f"{path.name}: {len(wrong)} lines differ, the first of which are\n" + "\n".join(wrong[:5])
-    assert len(kept) == len(lines), f"{path.name}: {len(lines)} lines instead of {len(kept)}"
 
 
 def same(was: str, now: str, tolerance: float = TOLERANCE) -> bool:

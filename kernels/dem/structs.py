@@ -267,8 +267,8 @@ def links_struct(scalar):
         # Bit masks that mark neighbours in contact, for the entries of a sphere's neighbour list after the first BLOCK
         # entries. Each sphere has EXTRA_MASKS integers.
         later_touching: wp.array(dtype=wp.int32)
-        # For each list entry, the index p of its link in the scene if the entry is at the sphere with the lower
-        # permanent number. Otherwise -1 - p.
+        # For each entry of the neighbour lists, the index p of the link that stands for its pair. The entry of the
+        # sphere with the lower permanent number stores p, and that of the other sphere stores -1 - p.
         end: wp.array(dtype=wp.int32)
         # Result of each link (pair of spheres) in this step. An array element holds a vector and a number. The lower
         # sphere of a pair is the one with the lower permanent number. Without bonds, rolling resistance and energy

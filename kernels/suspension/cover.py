@@ -9,7 +9,7 @@ from ..common.control import HALTED
 from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
-from .bodies import FULL, LOOPS, BodyKind, body_functions, body_structs, shape_functions
+from .bodies import COVER_LOOPS, FULL, BodyKind, body_functions, body_structs, shape_functions
 
 
 @functools.cache
@@ -126,7 +126,7 @@ def cover_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
             cover.toucher[k] = 0
             cover.covered[k] = 0
 
-    @wp.kernel(enable_backward=False, module="unique", module_options=LOOPS)
+    @wp.kernel(enable_backward=False, module="unique", module_options=COVER_LOOPS)
     def claim(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, mesh: Fields, cover: Cover):
         if flags[HALTED] != 0:
             return

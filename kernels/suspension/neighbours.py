@@ -9,7 +9,7 @@ from ..common.control import HALTED
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import mps_types
-from .bodies import LOOPS, BodyKind, body_functions, body_structs, shape_functions
+from .bodies import SEARCH_LOOPS, BodyKind, body_functions, body_structs, shape_functions
 from .pairs import CAPACITY, LOOKED_AT, WALL, pair_struct, store_functions
 
 TURNS = 6
@@ -181,7 +181,7 @@ def neighbour_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     def locate(bodies: Bodies, points: wp.array(dtype=wp.vec3f)):
         points[wp.tid()] = wp.vec3f(shape.centre(bodies, wp.tid()))
 
-    @wp.kernel(enable_backward=False, module="unique", module_options=LOOPS)
+    @wp.kernel(enable_backward=False, module="unique", module_options=SEARCH_LOOPS)
     def find(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, bodies: Bodies,
         pairs: Pairs, grid: wp.uint64, span: wp.float32, sides: wp.int32, mirrors: wp.int32,

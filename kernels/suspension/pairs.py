@@ -305,8 +305,8 @@ def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
                 if pairs.other[place] != WALL:
                     u = u - after(bodies, change, pairs.other[place])
                 approach = wp.dot(u, pairs.normal[place]) - pairs.still[place]
-                # Count a pair as touching only if it would overlap even at the fraction `certain` of its speed of
-                # approach.
+                # The speed of approach is still uncertain. Reduce it to the fraction `certain`, and count the pair as
+                # touching only if it would overlap at the end of the step even then.
                 approach *= wp.where(approach > scalar(0.0), certain, scalar(2.0) - certain)
                 if pairs.touching[place] == 0 and pairs.gap[place] - approach * dt < scalar(0.0):
                     pairs.touching[place] = NEW

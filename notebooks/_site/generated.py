@@ -7,6 +7,7 @@ import pkgutil
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,7 +16,10 @@ from warpcrete import scenes
 from warpcrete.cli import options
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.parameters import WORDS, Above, Field, OneOf, Within, declared_fields
+from warpcrete.core.run.method import Quantity
 from warpcrete.dem.laws.choice import LAWS
+from warpcrete.methods import method_of
+from warpcrete.standards import TESTS
 
 OPTION = re.compile(r"(?<![\w-])(--[a-z][\w-]*)")
 INTERNAL = ("warpcrete.kernels", "warpcrete.cli", "warpcrete.scenes", "warpcrete.__main__")
@@ -171,6 +175,30 @@ def parameters(fields: Iterable[Field]) -> str:
     return table(["parameter", "meaning", "default", "allowed"], rows)
 
 
+def results(module: Any) -> str:
+    """Return a table of the results of a scene, and one for `--method suspension` if its results differ."""
+    plain, suspended = ([[f"`{each.name}`", "-" if each.unit == "1" else each.unit, cell(worded(each))]
+                         for each in quantities_of(module.scene(**given))]
+                        for given in ({}, getattr(module, "suspension", {})))  # fmt: skip
+    head = ["result", "unit", "meaning"]
+    if plain == suspended:
+        return table(head, plain)
+    return f"{table(head, plain)}\n### Results of `--method suspension`\n\n{table(head, suspended)}"
+
+
+def worded(each: Quantity) -> str:
+    """Return the meaning of a quantity, with the condition under which a run has it."""
+    return f"{each.meaning}; only if {each.only_if}" if each.only_if else each.meaning
+
+
+def quantities_of(made: Any) -> list[Quantity]:
+    """Return the quantities that the method of a scene declares, without those of other standard tests."""
+    test = getattr(made, "test", None) or getattr(getattr(made, "vessel", None), "test", None)
+    own = {each.name for each in test.with_forms()} if test else set()
+    others = {each.name for other in TESTS.values() for each in other.with_forms()} - own
+    return [each for each in method_of(made).quantities if each.name not in others]
+
+
 def scene_pages() -> dict[str, str]:
     """Return a page for each scene, and a list of scenes."""
     pages, rows = {}, []
@@ -184,6 +212,9 @@ def scene_pages() -> dict[str, str]:
             "A parameter `some_name` is the option `--some-name` of the command and a keyword in Python. A number may "
             'have a unit, as in `--flow "30 m3/h"`.\n\n'
             f"{parameter_tables(declared_fields(module.scene.parameters).values())}\n"
+            "## Results\n\nA run has those of the following results that its parameters determine. In Python, "
+            '`run["name"]` returns a result. The name `suspect` in the table of a study counts finished runs in which '
+            f"a check failed.\n\n{results(module)}\n"
             "## Not covered\n\n[Options of every run](run-options.md) lists device, precision and recording. "
             "[Input files](../input-files.md) lists the units that a number may have.\n"
         )

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import memory_free
+from warpcrete.core.device.footprint import footprint
 from warpcrete.verification.suspensions_many import suspension
 
 COLUMNS = "cells | aggregates | first step [s] | a step [ms] | fastest [ms] | iterations | memory [MB]"
@@ -32,7 +32,7 @@ def seconds(flow, steps: int) -> float:
     return time.perf_counter() - start
 
 
-def row(flow, first: float, steps: int, repeats: int, memory: float) -> None:
+def row(flow, first: float, steps: int, repeats: int) -> None:
     """Print one line of a table."""
     times = [seconds(flow, steps) / steps for _ in range(repeats)]
     solves = " ".join(f"{name} {found['iterations']:.0f}" for name, found in flow.outcomes().items())
@@ -40,12 +40,7 @@ def row(flow, first: float, steps: int, repeats: int, memory: float) -> None:
     median, fastest = 1e3 * np.median(times), 1e3 * min(times)
     count = 0 if bodies is None else bodies.count
     print(f"| {flow.state.slots:,} | {count:,} | {first:.2f} | {median:.2f} | {fastest:.2f} | {solves} | "
-          f"{memory / 1e6:.0f} |", flush=True)  # fmt: skip
-
-
-def used(device, before: int) -> float:
-    """Return the memory that was taken since `before` bytes were free [B]."""
-    return float(before - memory_free(device))
+          f"{footprint(flow=flow)['flow'] / 1e6:.0f} |", flush=True)  # fmt: skip
 
 
 def kernels(flow, steps: int) -> None:
@@ -63,14 +58,13 @@ def lbox(args) -> None:
     """Print the table of an L-box."""
     for spacing in args.spacings:
         scene = scenes.lbox(spacing=spacing * 1e-3, duration=10.0)
-        before = memory_free(wp.get_device(args.device))
         simulation = Simulation(scene, device=args.device, precision=args.precision)
         simulation.begin()
         flow = simulation.flow
         first = seconds(flow, 1)
         while flow.time < args.until:
             flow.take(10)
-        row(flow, first, args.steps, args.repeats, used(flow.device, before))
+        row(flow, first, args.steps, args.repeats)
         if args.kernels:
             kernels(flow, args.steps)
 
@@ -78,10 +72,9 @@ def lbox(args) -> None:
 def spheres(args) -> None:
     """Print the table of spheres in a sheared mortar."""
     for wide in args.wide:
-        before = memory_free(wp.get_device(args.device))
         flow = suspension(args.fraction, 0, args.device, args.precision, wide=wide, long=wide, rate=args.rate)
         first = seconds(flow, 1)
-        row(flow, first, args.steps, args.repeats, used(flow.device, before))
+        row(flow, first, args.steps, args.repeats)
         if args.kernels:
             kernels(flow, args.steps)
 

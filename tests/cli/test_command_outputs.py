@@ -1,4 +1,4 @@
-"""What commands print, write and end with, while the functions that do the work are replaced."""
+"""Texts, files and exit codes of commands, while the functions that do the work are replaced."""
 
 import json
 from pathlib import Path
@@ -12,6 +12,7 @@ from pumping import command
 
 from warpcrete.cli.run import report
 from warpcrete.core.inputs.yaml_files import parsed_yaml
+from warpcrete.core.run.ending import Ending, interruption
 from warpcrete.core.units import quantity
 from warpcrete.geometry.lines import line_of
 from warpcrete.studies.lines.result import lines_of
@@ -87,6 +88,7 @@ def test_the_report_of_a_run_is_kept(capsys, tmp_path):
             },
             "provenance": {"device": "cpu"},
             "checks": {"a": {"passed": True, "found": "1"}, "b": {"passed": False, "found": "2"}},
+            "ended": (Ending("travel", "it arrived", 10.0) if finished else interruption(10.0)).entry(),
         }
         report(run, [("pipeline", "3 MPa")])
     kept.compare("report-of-a-run", capsys.readouterr().out.replace(str(tmp_path), "FOLDER"))
@@ -118,7 +120,11 @@ def test_what_a_validation_and_a_reproduction_print(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("kind", ["whole", "open", "failed", "lost", "suspect"])
 def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatch):
-    study = Study(Path("here"), "pipe", [SimpleNamespace(name=name, varied={"x": name}) for name in "ab"])
+    law, again = {"contact": "linear"}, "warpcrete study --resume here"
+    if kind == "lost":
+        law, again = {"contact": "sticky:Sticky"}, "warpcrete --trust study --resume here"
+    cases = [SimpleNamespace(name=name, varied={"x": name}, parameters=law) for name in "ab"]
+    study = Study(Path("here"), "pipe", cases)
     study.results = {"a": {"checks": {}}, "b": {"checks": {}}}
     if kind == "open":
         study.results.pop("b")
@@ -136,7 +142,7 @@ def test_a_study_ends_with_its_exit_code_and_what_to_do(kind, capsys, monkeypatc
         code = ended.code
     said = capsys.readouterr().out
     assert code == {"whole": 0, "open": 130, "failed": 1, "lost": 1, "suspect": 3}[kind]
-    assert ("continue with: warpcrete study --resume here" in said) == (kind == "open")
-    assert ("repeat b with: warpcrete study --resume here" in said) == (kind == "lost")
+    assert (f"continue with: {again}" in said) == (kind == "open")
+    assert (f"repeat b with: {again}" in said) == (kind == "lost")
     assert ("failed: b: it burst" in said) == (kind in ("failed", "lost"))
     assert ("checks of 1 of 2 cases: b (balance)" in said) == (kind == "suspect")

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import warp as wp
 from pumping import command
 
 from warpcrete import scenes
@@ -22,15 +23,44 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
         assert done.returncode == 2 and message in done.stderr and done.stderr.startswith("error: "), done.stderr
 
 
-def test_each_named_scene_is_forecast_on_the_device_without_a_cache(monkeypatch):
+def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):
+    compiled, cache = [], tmp_path / "kernels"
+    kernel = cache / "wp_a" / "a.o"
+
+    def explain(scene, **settings):
+        compiled.append(scene.name)
+        kernel.parent.mkdir(parents=True, exist_ok=True)
+        kernel.write_bytes(b"code")
+
+    monkeypatch.setattr("warpcrete.cli.warm.explain", explain)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(cache))
+    said = command("warm", "tube", "channel", "--device", "cpu").stdout
+    # A line when each scene begins, and one when it is done.
+    assert compiled == ["tube", "channel"] and said.count("begins") == 2 and "ready: an earlier" not in said
+    said = command("warm", "tube", "channel", "--device", "cpu").stdout
+    assert len(compiled) == 2 and said.count("ready: an earlier") == 2 and said.endswith("without compiling\n")
+    # Another scene, other code, another processor or a lost kernel need a new look.
+    command("warm", "slump", "--device", "cpu")
+    assert compiled[2:] == ["slump"]
+    for name, value in (("_code_hash", lambda: "other"), ("provenance", lambda *settings: {"processor": "an abacus"})):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"warpcrete.cli.warm.{name}", value)
+            command("warm", "tube", "--device", "cpu")
+    kernel.unlink()
+    command("warm", "channel", "--device", "cpu")
+    assert compiled[3:] == ["tube", "tube", "channel"]
+
+
+def test_each_named_scene_is_forecast_on_the_device_without_a_cache(tmp_path, monkeypatch):
     """A cached forecast would compile nothing, and another device or scene would compile other kernels."""
     calls = []
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr("warpcrete.cli.warm.explain", lambda *given, **settings: calls.append((given, settings)))
     done = command("warm", "tube", "pipe", "--device", "cpu")
     assert done.returncode == 0, done.stderr
     assert [given[0].name for given, _ in calls] == [scenes.tube().name, scenes.pipe().name]
     assert [settings for _, settings in calls] == 2 * [{"device": "cpu", "cache": False}]
-    first, second, last = done.stdout.splitlines()
+    _, first, _, second, last = done.stdout.splitlines()
     assert first.split()[:2] == ["tube", "mps"] and second.split()[:2] == ["pipe", "dem"]
     assert 0 <= float(first.split()[2]) < 60 and last.startswith("kernels for cpu are ready")
 
@@ -50,3 +80,4 @@ def test_a_run_after_warming_compiles_nothing(tmp_path):
     assert len(before) > 10 and "channel" in said and "are ready" in said
     after, _ = modules_after("run", "channel", "--duration", "0.02", "--quiet")
     assert after == before
+    assert "ready: an earlier call" in modules_after("warm", "channel")[1]

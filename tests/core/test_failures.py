@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import hashlib
 import importlib.util
 import json
 import os
@@ -18,8 +19,10 @@ from pumping import alive, command, small_options, wait_until
 import warpcrete
 from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
+from warpcrete.core.device.device import default_threads, find_device
 from warpcrete.core.errors import DiskFullError, RunFolderError, SceneError
 from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.run.provenance import processor_features, provenance
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show
@@ -246,6 +249,28 @@ def test_results_say_which_processor_and_flags_their_bits_belong_to():
     run = Simulation(scenes.channel(spacing=20e-3, duration=5e-3), device="cpu").run()
     found = run.result["provenance"]
     assert found["processor"] and "march" in found["compiler_flags"] and found["warp"]
+    assert found["threads"] == default_threads()
+
+
+@pytest.mark.parametrize(
+    ("text", "features"),
+    [
+        # The order of the features does not matter, and only the first processor counts.
+        ("processor\t: 0\nvmx flags\t: no\nflags\t\t: sse2 avx\n\nprocessor\t: 1\nflags\t: mmx", "avx sse2"),
+        ("processor\t: 0\nFeatures\t: fp asimd\n", "asimd fp"),
+        ("processor\t: 0\n", None),
+        (None, None),
+    ],
+)
+def test_results_identify_the_processor_by_its_features(tmp_path, monkeypatch, text, features):
+    monkeypatch.setattr("warpcrete.core.run.provenance.CPU_INFO", tmp_path / "cpuinfo")
+    if text is not None:
+        (tmp_path / "cpuinfo").write_text(text, encoding="utf-8")
+    hashed = hashlib.sha256(features.encode()).hexdigest()[:16] if features else ""
+    assert processor_features.__wrapped__() == hashed
+    monkeypatch.setattr("warpcrete.core.run.provenance.processor_features", processor_features.__wrapped__)
+    found = provenance(find_device("cpu"), "float32", 0)
+    assert found.get("processor_features", "") == hashed and "threads" not in found
 
 
 def test_what_the_pressure_is_made_with_belongs_to_a_scene(tmp_path):

@@ -19,6 +19,7 @@ from warpcrete.core.run import checkpoint
 from warpcrete.core.run.files import LOCK
 from warpcrete.core.run.folders import locked_folder
 from warpcrete.core.run.processes import killed_with_parent
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.record.loading import is_finished
 from warpcrete.record.rerun import RerunRecorder
@@ -137,7 +138,11 @@ def test_settling_that_was_cut_goes_on(tmp_path, batched):
 
     with pytest.raises(KeyboardInterrupt):
         created(cut).run()
-    assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["checkpoint.npz", "scene.json"]
+    assert sorted(file.name for file in (tmp_path / "run").iterdir()) == [
+        "checkpoint.npz",
+        "result.json",
+        "scene.json",
+    ]
     told.clear()
     again = created(lambda phase, fraction, figures: told.append((phase, fraction)))
     if batched:
@@ -164,3 +169,46 @@ def test_sigterm_is_heard_as_ctrl_c_where_the_program_says_so():
         assert done
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+class RaiseTerminate(Recorder):
+    """Send SIGTERM to this process at the third row."""
+
+    def sample(self, simulation, row):
+        if len(simulation.rows) == 3:
+            signal.raise_signal(signal.SIGTERM)
+
+
+def test_sigterm_in_a_python_script_interrupts_the_run_and_says_so(tmp_path, capsys, undisturbed_folder):
+    folder, before = tmp_path / "run", signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        settings = dict(device="cpu", threads=1, out=folder)
+        run = Simulation(scenes.channel(**FLOW), **settings, recorders=[RaiseTerminate()]).run()
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert run.interrupted and not run.finished and not (folder / LOCK).exists()
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("interrupted"))
+    time = run["simulated_time"]
+    assert line == (
+        f"interrupted at t = {time:.3f} s; run() returns the results so far, which are saved in '{folder}'; the same "
+        "lines continue the run from its checkpoint at t = 0.000 s"
+    )
+    again = Simulation(scenes.channel(**FLOW), **settings).run()
+    uncut = json.loads((undisturbed_folder / "result.json").read_text(encoding="utf-8"))
+    assert again.finished and again.result["state_hash"] == uncut["state_hash"]
+
+
+def test_a_handler_of_the_program_for_sigterm_stays_in_force(capsys):
+    heard = []
+
+    def own(number, frame):
+        heard.append(number)
+
+    before = signal.signal(signal.SIGTERM, own)
+    try:
+        run = flow(None, RaiseTerminate()).run()
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert heard == [signal.SIGTERM] and run.finished and "interrupted" not in capsys.readouterr().err

@@ -32,7 +32,7 @@ EVERY = sorted(scenes.modules())
 def saved(scene, folder):
     """Path of the record of a run of a scene, without the run."""
     folder.mkdir(exist_ok=True)
-    simulation = SimpleNamespace(scene=scene, device=find_device("cpu"), precision=scene.precision)
+    simulation = SimpleNamespace(scene=scene, device=find_device("cpu"), precision=scene.precision, threads=None)
     write_json(folder / "scene.json", scene_record(simulation))
     return folder / "scene.json"
 

@@ -40,7 +40,7 @@ def test_a_run_comes_back_from_its_folder(ran):
         assert back.series[name] == pytest.approx(column, rel=1e-8, nan_ok=True)
     assert back["pressure"] == ran["pressure"] == ran.result["pressure"]["value"]
     assert back["particles"] == ran.result["particles"]
-    assert "finished, 0.02 s" in repr(back) and "<table>" in back._repr_html_()
+    assert "finished (duration), 0.02 s" in repr(back) and "<table>" in back._repr_html_()
     assert "pressure" in back._ipython_key_completions_() and "finished" not in back._ipython_key_completions_()
     with pytest.raises(KeyError, match=r"'presure'; similar names are pressure"):
         back["presure"]
@@ -144,6 +144,8 @@ def test_quantities_know_their_units(ran):
     assert pickle.loads(pickle.dumps(pressure)).unit == copy.copy(pressure).unit == "Pa"
     with pytest.raises(SceneError, match=r"^unit = 'm': must be one of Pa, bar"):
         pressure.to("m")
+    assert pressure.to("kPa").unit == "kPa" and repr(pressure.to("kPa").to("Pa")) == repr(pressure)
+    assert repr(Amount(16000.0, "Pa/m").to("kPa/m")) == "16 kPa/m"
     assert Amount(2.0, "J").to("J") == 2.0
     assert type(ran["particles"]) is float
     lines = repr(ran.quantities).splitlines()

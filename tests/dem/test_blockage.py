@@ -40,7 +40,7 @@ def uncut(device):
 
 def test_a_closed_pipe_is_blocked_at_its_end(device):
     run = uncut(device)
-    assert run.finished and run["blocked"] == 1.0
+    assert run.finished and run["blocked"] == 1.0 and run.ended.reason == "blocked"
     # The plug's balls are squeezed against the end; the last of the concrete lies two balls before it.
     assert run["blocked_at"] == pytest.approx(0.245, abs=0.02)
     assert run["blocked_from_travel"] == pytest.approx(0.03, abs=0.01)

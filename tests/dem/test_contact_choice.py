@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from pumping import command_process, small_options
@@ -17,11 +18,14 @@ from test_records import refused, saved
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli import cli
+from warpcrete.cli.run import report
 from warpcrete.core.inputs.fingerprints import fingerprint
 from warpcrete.core.inputs.origin import changed_fields
 from warpcrete.core.inputs.parameters import Above
 from warpcrete.core.run.files import write_json
+from warpcrete.core.units import quantity
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer, RollingResistance
+from warpcrete.dem.simulation import ElementRun
 from warpcrete.record.loading import load, repeatable_scene
 from warpcrete.studies import study as studies
 from warpcrete.studies.tradeoffs.trade import run_trade
@@ -277,6 +281,18 @@ def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypa
     assert "contact law Sticky" in scene.caption and "concrete" not in scene.caption
     assert scene.contact.pull == 0.01 and scene.contact.frictionless().pull == 0.0
     assert scene.parameters["contact_stiffness"] == 1e4
+    monkeypatch.delitem(sys.modules, "sticky")
+
+
+def test_an_interrupted_run_with_an_own_law_is_told_to_be_trusted(tmp_path, monkeypatch, capsys):
+    guide_law(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "checkpoint.npz").touch()
+    speed = {"steps_per_second": quantity(1.0, "1/s")}
+    result = {"speed": speed, "steps": 1, "provenance": {"device": "cpu"}, "simulated_time": quantity(1.0, "s")}
+    for law, words in (("sticky:Sticky", "warpcrete --trust run"), ("mortar", "warpcrete run")):
+        report(ElementRun(scenes.pipe(contact=law), {"time": np.zeros(0)}, {}, result, False, folder=tmp_path))
+        assert f"continue with        {words} --resume {tmp_path}\n" in capsys.readouterr().out
     monkeypatch.delitem(sys.modules, "sticky")
 
 

@@ -48,7 +48,7 @@ def near_list_exceeded(monkeypatch):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("shapes", ["spheres", "reference"])
-def test_whatever_links_are_near_the_bits_are_the_same(shapes, monkeypatch, near_list_exceeded):
+def test_whatever_links_are_near_the_state_hash_is_the_same(shapes, monkeypatch, near_list_exceeded):
     """Chosen every twenty steps, or only with new lists, so that spheres outrun them and all links are looked at."""
     scene, found = scenes.pipe(shapes=shapes, hydration=0.2, healing=True, **SMALL), []
     with divide_work_like_gpu():
@@ -196,6 +196,27 @@ def test_a_sphere_feels_entries_of_which_no_bits_tell(count, energies):
     assert counts == [count for count, _ in full] and max(counts) > 31 and min(counts) < max(counts)
     assert np.abs(half[-1][1] - full[-1][1]).max() < 1e-13 and np.abs(spin - other_spin).max() < 1e-10
     assert lost == pytest.approx(other_lost, rel=1e-9) and (lost > 0) == energies
+
+
+def test_a_rebuild_marks_each_touching_pair_at_both_spheres(like_a_gpu):
+    """Three spheres in a row. The outer ones have one entry each and the middle one has two, so a pair's entries lie at
+    different places in the two rows."""
+    row = Bodies(positions=[[0.0, 0, 0], [0.0199, 0, 0], [0.0398, 0, 0]], sizes=0.02, spins=[[0.0, 0, 3]] * 3)
+    scene = Scene(name="row", duration=1.0, gravity=(0, 0, 0), contact=Contact(friction=0.4), bodies=(row,))
+    model = build_model(scene, find_device("cpu"), "float64")
+    stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-5))
+    stepper.take(20)
+    stepper.rebuild()
+    links, start, found = stepper.batch.links, stepper.state.pairs.start.numpy(), [0, 0, 0]
+    touching = np.flatnonzero((links.link.numpy()[:, 0] >= 0) & (links.state.numpy() == int(TOUCHING)))
+    places = {}
+    for i, j, k, twin in links.link.numpy()[touching].tolist():
+        places[i, j] = (k - start[i], twin - start[j])
+        found[i] |= 1 << int(k - start[i])
+        found[j] |= 1 << int(twin - start[j])
+    assert len(places) == 2 and any(at_first != at_second for at_first, at_second in places.values())
+    assert stepper.state.spheres.touching.numpy().tolist() == found
+    assert not links.later_touching.numpy().any()
 
 
 @pytest.mark.parametrize("scalar", [wp.float32, wp.float64], ids=["float32", "float64"])

@@ -1,19 +1,31 @@
 """Scenes built in Python: general checks, the warning about a coarse step, and what a loaded run offers."""
 
 import dataclasses
+import pickle
 import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 import warpcrete
 from warpcrete.cli.run import report
-from warpcrete.dem.laws import BinghamMortar, Contact
-from warpcrete.dem.scene.checks import overlap_words
+from warpcrete.core.errors import InstabilityError, SceneError
+from warpcrete.dem.engine.failures import unstable
+from warpcrete.dem.laws import BinghamMortar, Contact, LubricationLayer, RollingResistance, own_laws
+from warpcrete.dem.packing import pack
+from warpcrete.dem.scene.checks import energy_check, overlap_words, warn_of_coarse_step
+from warpcrete.dem.scene.clumps import sphere
+from warpcrete.dem.scene.containers import Fill, PipeContainer
 from warpcrete.dem.scene.scene import Bodies, TimeStep, Watch
+from warpcrete.dem.scene.sizes import Uniform
 from warpcrete.dem.simulation import ElementRun
+from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import PlaneWall
+from warpcrete.kernels.common.types import types
+from warpcrete.kernels.dem.contact_law import contact_functions
 
 FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
 
@@ -66,6 +78,34 @@ def test_a_loaded_run_of_an_own_scene_offers_what_every_run_offers(tmp_path):
     assert copy.result == back.result and copy.scene.modified
 
 
+def test_a_loaded_run_says_where_its_bodies_are(tmp_path):
+    out = warpcrete.RunFolder(tmp_path / "run", recordings=["usd"])
+    done = run(drop(energy_balance=False), out=out)
+    back = warpcrete.load(tmp_path / "run")
+    file = tmp_path / "run" / "scene.usdc"
+    with pytest.raises(AttributeError, match=re.escape(f"their recorded frames are in {file}; warpcrete.Simulation(")):
+        _ = back.bodies
+    assert not hasattr(back, "body") and "energy_balance_error" not in pickle.loads(pickle.dumps(back)).quantities
+    file.unlink()
+    with pytest.raises(AttributeError, match="this one has no recording of them"):
+        _ = back.bodies
+    assert len(done.bodies) == 1
+
+
+def test_the_page_draws_the_final_state_from_the_recording(tmp_path, monkeypatch):
+    """Run the lines of the page with the folder of a short run, and compare with the bodies of the run."""
+    out = warpcrete.RunFolder(tmp_path / "my-run", recordings=["usd"])
+    done = run(drop(energy_balance=False), out=out)
+    page = (Path(__file__).parents[2] / "notebooks" / "how-to" / "view.md").read_text(encoding="utf-8")
+    (lines,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "PointInstancer" in block)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(lines, names)
+    assert names["position"] == pytest.approx(done.bodies.position, abs=1e-7)
+    assert names["size"] == pytest.approx(done.bodies.size, rel=1e-6)
+    assert (tmp_path / "final.png").stat().st_size > 1000
+
+
 class Bookkeeper(warpcrete.Recorder):
     """Read the bodies as the page on recorders shows, at every row."""
 
@@ -91,11 +131,19 @@ def test_a_recorder_reads_the_bodies_without_the_plug():
 
 
 def test_help_shows_the_meaning_and_the_unit_of_every_field():
-    for documented in (warpcrete.Scene, Bodies, warpcrete.RunFolder):
+    for documented in (warpcrete.Scene, Bodies, Fill, warpcrete.RunFolder):
         listed = re.findall(r"^- `(\w+)`: .{20}", documented.__doc__, re.M)
         assert listed == [field.name for field in dataclasses.fields(documented)]
     assert "`positions`: Centroids of the bodies [m], shape (n, 3)." in Bodies.__doc__
     assert "any of `rerun`, `usd` and `paraview`" in warpcrete.RunFolder.__doc__
+
+
+def test_a_fill_says_which_shapes_it_has_and_how_to_get_spheres():
+    assert "The default is the four clumps" in Fill.__doc__
+    container = PipeContainer(Axis((0, 0, 0), (0, 0, 1), (Line(0.1),)), 0.05, 0.1)
+    for wrong in ((), sphere()):
+        with pytest.raises(SceneError, match=r"for single spheres: \(warpcrete.dem.scene.clumps.sphere\(\),\)"):
+            Fill(container=container, templates=wrong, solid_fraction=0.5)
 
 
 def test_an_own_law_is_told_about_bonds_and_coats():
@@ -111,6 +159,59 @@ def test_an_own_law_is_told_about_bonds_and_coats():
     assert texts[0] == "largest overlap 0.35 of the smaller radius"
     assert texts[1] == f"{texts[0]}, of which shells of mortar are 0.2 in spheres of equal size"
     assert texts[2] == f"{texts[0]}, including coats that Other may have"
+
+
+class Own(Contact):
+    """The linear law as a class from outside of the package."""
+
+
+class Pulling(Own):
+    """The linear law with the wrong sign of the force."""
+
+    @classmethod
+    def device_functions(cls, scalar, parameters):
+        functions = super().device_functions(scalar, parameters)
+        right, Touch, P, vec3 = functions["force"], contact_functions(scalar).Touch, parameters, types(scalar).vec3
+
+        @wp.func
+        def force(p: P, touch: Touch, history: vec3, dt: scalar):
+            on_a, new_history, lost = right(p, touch, history, dt)
+            return -on_a, new_history, lost
+
+        return functions | {"force": force}
+
+
+def test_an_energy_balance_that_fails_names_a_law_from_outside_of_the_package():
+    words = "or energy() and the losses of Own do not fit its force()"
+    for law, told in ((Own(), True), (Contact(), False)):
+        done = ElementRun(drop(contact=law), {}, {}, {"energy_balance_error": 0.02}, True)
+        ((passed, found),) = energy_check(done).values()
+        assert not passed and "usual cure: --safety 0.32" in found and (words in found) is told
+        with pytest.warns(
+            UserWarning, match="in this run, or its contact law is wrong: en" if told else "this run: en"
+        ):
+            warn_of_coarse_step(done)
+    within = drop(contacts={("aggregate", "wall"): LubricationLayer(contact=Own())})
+    assert own_laws(within.laws()) == "Own" and own_laws([BinghamMortar(), RollingResistance()]) == ""
+
+
+def test_an_unstable_run_names_a_law_from_outside_of_the_package():
+    hint = "or another sign in force() of Own, if it pulls where it should push"
+    for law, told in ((Own(), True), (Contact(), False)):
+        assert (hint in str(unstable(0.1, 0, "a speed", scene=drop(contact=law)))) is told
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("dense", [dict(pressure=500.0), dict(solid_fraction=0.6)], ids=["pressure", "fraction"])
+def test_a_packing_with_the_wrong_sign_of_the_force_says_what_may_be_wrong(dense):
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.1),))
+    fill = Fill(container=PipeContainer(axis, 0.05, 0.1), sizes=Uniform(0.012, 0.016), templates=(sphere(),), **dense)
+    goal = "packing to a pressure of 500 Pa failed while the bodies grew, at most to a solid fraction of 0.75: t = "
+    with pytest.raises(InstabilityError, match=r"another sign in force\(\) of Pulling") as error:
+        pack(fill, contact=Pulling(effective_modulus=1e6), device="cpu")
+    assert str(error.value).startswith(
+        goal if "pressure" in dense else "packing to a solid fraction of 0.6 failed: t = "
+    )
 
 
 def test_a_report_tells_the_time_that_the_run_does_not_account_for(capsys):

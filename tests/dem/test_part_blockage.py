@@ -7,7 +7,7 @@ import pytest
 from test_part_elements import SMALL
 
 from warpcrete import Simulation, scenes
-from warpcrete.dem.measure.blockage_results import not_blocked_words
+from warpcrete.dem.measure.blockage_results import blocked_words, not_blocked_words
 from warpcrete.dem.measure.quantities import report
 from warpcrete.dem.measure.segregation import measured
 from warpcrete.geometry.axis import Axis, Line
@@ -54,6 +54,14 @@ def test_a_run_that_is_too_short_to_show_a_blockage_says_so():
     assert "at least 0.90 times" in words(0.5, 0.9)
     assert "move the piston further" in words(0.5, 0.1)
     assert "too few aggregates" in words(0.5, None)
+
+
+@pytest.mark.parametrize("travel, words", [(0.0, "since the piston began to move"),
+                                           (0.25, "since a piston travel of 0.25 m")])  # fmt: skip
+def test_a_blockage_says_since_when_concrete_stands_still(travel, words):
+    names = ("at", "pressure", "pressure_before", "solid_fraction", "chains")
+    result = {f"blocked_{name}": 1.0 for name in names} | {"blocked_from_travel": travel}
+    assert words in blocked_words(SimpleNamespace(result=result))
 
 
 def test_segregation_in_a_cone_of_evenly_spread_stones():

@@ -1,14 +1,17 @@
 """Motion of walls, the sums of forces and work on them, and contacts that turn with them."""
 
 import math
+import warnings
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from conftest import by_id
 from wall_spheres import DENSITY, K_WALL, MASS, RADIUS, sphere_scene
 
+from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
-from warpcrete.geometry.axis import Axis, Line
+from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 
 
@@ -51,6 +54,40 @@ def test_a_pipe_that_moves_throws_a_sphere_at_twice_its_speed(start):
     stepper = start(scene)
     stepper.advance(gap / speed + 1.2 * math.pi * math.sqrt(MASS / K_WALL))
     assert by_id(stepper.state, "velocity")[0] == pytest.approx([-2 * speed, 0, 0], rel=1e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+def test_a_pipe_that_slides_along_its_axis_only_drags(start, speed):
+    """Pull away a pipe against which a sphere lies: the wall still carries the sphere where the axis has passed it."""
+    straight = Axis((0, 0, 0), (0, 0, 1), (Line(0.01), Line(0.01)))
+    told = pytest.warns(PlausibilityWarning, match=r"pipe.motion: moves the pipe along its .* MeshWall with axis.tube")
+    with told if speed else nullcontext():
+        pipe = PipeWall(name="pipe", axis=straight, radius=0.05, motion=Prescribed(velocity=(0, 0, speed)))
+    sphere = Bodies(positions=[[0.05 - RADIUS, 0, 0.01]], sizes=2 * RADIUS, density=DENSITY)
+    scene = Scene(
+        name="drag", duration=1, walls=(pipe,), gravity=(9.81, 0, 0), contact=Contact(effective_modulus=1e5),
+        bodies=(sphere,), time_step=TimeStep(fixed=1e-5),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.advance(0.02)
+    position, velocity = by_id(stepper.state, "position")[0], by_id(stepper.state, "velocity")[0]
+    assert 0 < position[0] - (0.05 - RADIUS) < 0.1 * RADIUS
+    limit = scene.contact.friction * 9.81 * stepper.time
+    assert (0.8 * limit < velocity[2] < limit) if speed else (velocity[2] == 0)  # 0.91 of the limit: N needs some time
+
+
+@pytest.mark.parametrize(
+    "axis, velocity",
+    [
+        (Axis((0, 0, 0), (0, 0, 1), (Line(0.3),)), (0.1, 0, 0.1)),
+        (Axis((0, 0, 0), (0, 0, 1), (Line(0.3), Arc(0.2, 0.5, (1, 0, 0)))), (0, 0, 0.1)),
+    ],
+    ids=["aslant", "bend"],
+)
+def test_other_motions_of_pipes_are_not_suspicious(axis, velocity):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        PipeWall(name="pipe", axis=axis, radius=0.05, motion=Prescribed(velocity=velocity))
 
 
 def test_driven_plate_comes_to_rest_on_what_carries_it(start):

@@ -25,16 +25,29 @@ def test_the_example_draws_a_bent_pipe_with_a_wall(tmp_path, monkeypatch):
     mesh = trimesh.load_mesh("elbow.stl")
     length = 0.4 + 0.3 * math.radians(60)
     assert mesh.is_watertight
-    assert abs(mesh.volume) * 1e-9 == pytest.approx(math.pi * (0.055**2 - 0.05**2) * length, rel=0.01)
+    assert mesh.volume * 1e-9 == pytest.approx(math.pi * (0.055**2 - 0.05**2) * length, rel=0.01)
     bore = bore_of(("wall", "wall_scale"), tmp_path / "elbow.stl", 0.001, ways=WAYS)
     assert bore.axis.length == pytest.approx(length, rel=1e-3)
     assert bore.ends == pytest.approx((0.1, 0.1), rel=2e-3)
     scene = scenes.part(wall="elbow.stl", wall_scale=0.001, straight=0.3, concrete="no1", spacing=0.015)
     # The elbow rises by R (1 - cos 60 degrees), and its straight ends, 0.2 m and 0.3 m, by their sine.
     assert scene.rise == pytest.approx(0.15 + 0.5 * math.sin(math.radians(60)), rel=0.01)
+    # The command that the page gives for the round pipe of the program has the same course.
+    options = dict(re.findall(r"--(angle|elbow-radius|straight) ([\d.]+)", built_in_command()))
+    round_pipe = scenes.part(
+        unit="bend-to-vertical", spacing=0.015, **{key.replace("-", "_"): float(v) for key, v in options.items()}
+    )
+    assert round_pipe.axis.length == pytest.approx(scene.axis.length, rel=1e-3)
+    assert round_pipe.rise == pytest.approx(scene.rise, rel=0.01)
     assert np.isfinite(scene.friction_loss(0.0, scene.axis.length))
     told = pressures_of(scene, 30e3)
     assert "with the straight pipes before and behind the mesh" in told["of it weight"]
+
+
+def built_in_command():
+    """Return the command of the page that simulates the elbow without a mesh."""
+    (line,) = re.findall(r"^warpcrete run part --unit bend-to-vertical .*$", PAGE.read_text(encoding="utf-8"), re.M)
+    return line
 
 
 def pressures_of(scene, pressure):
@@ -53,5 +66,9 @@ def test_the_pressure_of_a_part_is_told_apart_into_friction_and_weight():
     weight = 2354 * 9.81 * 0.55 / 1e3
     assert told["of it weight"] == f"{weight:.4g} kPa   (rise 0.55 m; gravity 9.81 m/s2)"
     assert told["of it friction"].startswith(f"{30 - weight:.4g} kPa   (the whole part as straight pipe: ")
+    # The made-up loss of the bend is 1 Pa.
+    scene = scenes.part(**given)
+    straight = scene.friction_loss(*scene.middle)
+    assert told["excess over straight"] == f"{(1 - straight) / 1e3:.4g} kPa"
     told = pressures_of(scenes.part(**given, gravity=0.0), 30e3)
     assert told["of it weight"].startswith("0 kPa") and told["of it friction"].startswith("30 kPa")

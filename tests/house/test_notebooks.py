@@ -24,6 +24,8 @@ and on one thread they differ by 0.004 at most."""
 TOLERANCES = {"01_pump_concrete": 0.04, "07_flow": 0.07}
 """The same of a packing, which parts by rounding (measured 0.016), and of a surface, whose steps do (0.057)."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
+COMPILING = "compiling kernels"
+"""First words of the line that a run prints while it compiles kernels, which later runs find in the cache."""
 SHOWING = ("Markdown", "print")
 """Functions that show a text."""
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -42,12 +44,13 @@ def executed(path, folder):
 
 
 def texts(cell) -> list[str]:
-    """Return what a cell prints and shows, pictures by their kind, without the note that kernels are compiled."""
+    """Return what a cell prints and shows, pictures by their kind, without lines about the compilation of kernels."""
     found = []
     for output in cell.outputs:
-        if output.get("text", "").startswith("compiling kernels"):
+        printed = "".join(line for line in output.get("text", "").splitlines(True) if not line.startswith(COMPILING))
+        if "text" in output and not printed:
             continue
-        data = output.get("data", {"text/plain": output.get("text", "")})
+        data = output.get("data", {"text/plain": printed})
         kinds = [kind for kind in ("image/png", "text/markdown", "text/html", "text/plain") if kind in data]
         found.append(kinds[0] if kinds[0] == "image/png" else PASSING.sub("", data[kinds[0]]))
     return found

@@ -1,4 +1,4 @@
-"""What names of ingredients mean, and figures and rules of practice for many mixes, kept (see `kept`)."""
+"""Meanings of the names of ingredients, and figures and rules of practice for many mixes, kept (see `kept`)."""
 
 import dataclasses
 import warnings

@@ -81,12 +81,15 @@ def test_a_study_ends_when_it_is_asked_to():
     assert one.stop_requested
 
 
-def test_a_study_from_python(tmp_path):
+def test_a_study_from_python(tmp_path, capsys):
     flow = dict(spacing=0.02, duration=0.012, sample_interval=4e-3, device="cpu", processes=1)
-    study = warpcrete.study(scenes.channel, vary={"flow": [1e-3, 2e-3]}, out=tmp_path / "study", **flow)
+    study = warpcrete.study(scenes.channel, vary={"flow": [1e-3, 2e-3]}, out=tmp_path / "study", quiet=False, **flow)
+    line = "running; the first cases compile kernels that are missing in the cache"
+    assert capsys.readouterr().err.splitlines().count(line) == 1
     assert study.finished and list(study.table()["flow"]) == [1e-3, 2e-3]
     assert warpcrete.load(tmp_path / "study").scene == "channel"
     check_ways_to_run(study, tmp_path)
+    assert line not in capsys.readouterr().err  # Standard error is no terminal.
     with pytest.raises(SceneError, match="must be a scene function"):
         warpcrete.study("channel", vary={"flow": [1e-3]}, out=tmp_path / "other")
     for vary, message in (({"flow": 1e-3}, "flow = 0.001: must be a list"), ({"ends": "open"}, "ends = 'open'"),

@@ -153,7 +153,7 @@ def test_every_level_of_every_knob_makes_another_scene(name):
 
 
 def test_kept_knobs_and_variants():
-    """What a trade varies in each scene: settings, their levels and costs; and the scenes that try its promises."""
+    """Variations of a trade in each scene: settings, their levels and costs; and the scenes that try its promises."""
     found = {}
     for name, module in modules().items():
         others = FURTHER | {"jring-dem": {"bars": 24}}  # narrow gaps limit the size of stones

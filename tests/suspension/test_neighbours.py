@@ -42,7 +42,7 @@ def test_the_neighbours_are_those_of_a_search_of_all_pairs(device, cells, period
 
 
 def test_contacts_with_friction_are_stored_and_restored():
-    """Of the first three contacts of one sphere and the only one of another, and of no entries beyond them."""
+    """A checkpoint holds three contacts of one sphere and the only one of another, and no entries beyond them."""
     entries, counts, random = 3 * int(CAPACITY), [3, 0, 1], np.random.default_rng(4)
 
     def bodies():

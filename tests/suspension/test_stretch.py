@@ -164,7 +164,9 @@ def test_aggregates_and_half_of_the_mortar_are_drawn(device):
 def test_an_overlap_and_the_time_left_name_what_a_stretch_has():
     """The step of a stretch follows from `courant`, and a run lasts for its whole duration."""
     simulation = stretch("cpu")
-    with pytest.raises(warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; use a smaller 'courant'$"):
+    with pytest.raises(
+        warpcrete.InstabilityError, match=r"overlap by 0.4 of a radius; usual cure: a smaller 'courant'$"
+    ):
         simulation.watch_row({"time": 1.0, "smallest_gap": -0.4})
     assert not simulation.may_end_early
 

@@ -9,6 +9,7 @@ import click
 
 from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError
+from ..core.inputs.by_name import trust_option
 from ..core.run.files import next_folder
 from ..core.run.progress import progress_bar
 from ..studies.calibration.calibrate import RECORD, resume_calibration, run_calibration
@@ -77,5 +78,5 @@ def report(found: Calibration) -> None:
     verified = f" and {proofs} runs that verify the answer" if proofs else ""
     click.echo(f"\n{len(found.searched)} trials{verified} in {found.took:.0f} s; calibration folder: {found.folder}")
     if not found.finished:
-        click.echo(f"continue with: warpcrete calibrate --resume {found.folder}")
+        click.echo(f"continue with: warpcrete {trust_option(found.record)}calibrate --resume {found.folder}")
         raise SystemExit(INTERRUPTED)

@@ -290,7 +290,11 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--known", type=click.Path(path_type=Path), help="Folder of an earlier line, finished or interrupted, "
               "whose runs of the same parts are reused")  # fmt: skip
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
-@click.option("--threads", type=click.IntRange(1, 1024), help="Number of threads on a CPU  [default: all cores]")
+@click.option(
+    "--threads",
+    type=click.IntRange(1, 1024),
+    help="Number of threads on a CPU, up to the number of cores  [default: all cores]",
+)
 @click.option(
     "--rest",
     type=TIME,

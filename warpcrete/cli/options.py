@@ -160,7 +160,7 @@ def run_options() -> list[click.Parameter]:
         click.Option(["--precision"], type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
                      help="Precision of positions and forces"),
         click.Option(["--threads"], type=click.IntRange(1, 1024),
-                     help="Number of threads of a CPU run  [default: one per core]"),
+                     help="Number of threads of a CPU run, up to the number of cores  [default: one per core]"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
                      help="Watch the run in a new Rerun viewer, or in a running one if its URL is given"),
         click.Option(["--bind"], default="127.0.0.1", show_default=True,

@@ -13,6 +13,7 @@ import click
 from ..core.device.device import default_threads
 from ..core.device.interrupts import StopAtSample
 from ..core.errors import RunFolderError, WarpcreteError, between, one_line, positive, refuse
+from ..core.inputs.by_name import trust_option
 from ..core.inputs.limits import check_limit
 from ..core.inputs.parameters import declared_fields
 from ..core.run.files import next_folder, read_json
@@ -220,9 +221,9 @@ def report(run: Run, more: Iterable[tuple[str, str]] = (), took: float = 0.0) ->
          f"({rate_text(number(speed['steps_per_second']))} per second without preparation){extra}")  # fmt: skip
     for name, check in result.get("checks", {}).items():
         show("check", f"{'ok  ' if check['passed'] else 'FAIL'} {name}: {check['found']}")
-    if not run.finished:
-        show("interrupted", f"at t = {number(result['simulated_time']):.3f} s; all results so far are saved")
-        if run.folder is not None and (run.folder / "checkpoint.npz").is_file():
-            show("continue with", f"warpcrete run --resume {run.folder}")
+    if run.ended is not None:
+        show("ended", run.ended.message + ("" if run.finished else "; all results so far are saved"))
+    if not run.finished and run.folder is not None and (run.folder / "checkpoint.npz").is_file():
+        show("continue with", f"warpcrete {trust_option(run.scene.parameters)}run --resume {run.folder}")
     if run.folder is not None:
         show("run folder", f"{run.folder}   (warpcrete view {run.folder})")

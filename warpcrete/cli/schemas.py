@@ -200,7 +200,10 @@ def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
 
 
 def _own_parameters(fields: Mapping[str, Field]) -> Schema:
-    """Return a schema that allows the parameters of objects, such as `contact_stiffness` of the object `contact`."""
+    """Return the part of a JSON schema that allows all names beginning with `contact_`, if `contact` is a parameter.
+
+    Such names are parameters of an object, here of the contact law. The same holds for other objects.
+    """
     prefixes = [name for name, field in fields.items() if any(field.of_kind(CompositeRule))]
     return {"patternProperties": {f"^{name}_": {} for name in prefixes}} if prefixes else {}
 

@@ -10,11 +10,12 @@ import click
 
 from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
+from ..core.inputs.by_name import trust_option
 from ..core.inputs.parameters import Alias, CompositeRule, Field
 from ..core.run.files import next_folder, read_record
-from ..core.run.progress import progress_bar
 from ..record.recorders import RECORDERS
-from ..studies.study import Progress, resume_study, run_study, written_units
+from ..studies.api import study_progress
+from ..studies.study import resume_study, run_study, written_units
 from ..studies.study_result import Study
 from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
@@ -81,19 +82,19 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
-    with progress_bar(settings["quiet"]) as bar:
-        tell = None if bar is None else _announced(bar)
+    with study_progress(settings["quiet"]) as tell:
         if settings.get("resume") is not None:
             study = _resumed(scene, options, settings, modules, tell)
         else:
             study = _new_study(scene, options, settings, modules, tell)
     report(study)
+    again = f"warpcrete {trust_option([case.parameters for case in study.cases])}study --resume {study.folder}"
     if not study.finished:
-        click.echo(f"continue with: warpcrete study --resume {study.folder}")
+        click.echo(f"continue with: {again}")
         raise SystemExit(INTERRUPTED)
     if study.failures:
         if study.lost:
-            click.echo(f"repeat {', '.join(study.lost)} with: warpcrete study --resume {study.folder}")
+            click.echo(f"repeat {', '.join(study.lost)} with: {again}")
         raise SystemExit(CASE_FAILED)
     if study.suspect:
         names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())
@@ -109,20 +110,6 @@ SIZES = (
     "'validation/pumping.md' of the documentation"
 )
 """Note for studies that vary the size of aggregates."""
-
-
-def _announced(tell: Progress) -> Progress:
-    """Return a callback that prints a line before the first progress, because the first cases may take long."""
-    called = False
-
-    def announced(phase: str, fraction: float, figures: dict[str, Any]) -> None:
-        nonlocal called
-        if not called:
-            called = True
-            click.echo("running; the first cases compile kernels that are missing in the cache", err=True)
-        tell(phase, fraction, figures)
-
-    return announced
 
 
 def report(study: Study) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ..core.inputs.by_name import trust_option
 from ..core.run.files import next_folder
 from ..core.run.progress import progress_bar
 from ..studies.tradeoffs.report import table
@@ -83,7 +84,8 @@ def report(trade: Trade) -> None:
     click.echo(f"\ntrade folder: {trade.folder}")
     if left or trade.interrupted:
         click.echo(
-            f"{len(left)} settings not run; continue with: warpcrete trade --resume {trade.folder} --budget 20min"
+            f"{len(left)} settings not run; continue with: warpcrete {trust_option(trade.base)}trade --resume "
+            f"{trade.folder} --budget 20min"
         )
     if trade.interrupted:
         raise SystemExit(INTERRUPTED)

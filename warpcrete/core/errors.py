@@ -48,25 +48,41 @@ class DiskFullError(RunFolderError):
 
 
 class InstabilityError(WarpcreteError):
-    """Error: the simulated state is no longer physically meaningful, so the run must end."""
+    """Error: the simulated state is no longer physically meaningful, so the run must end.
+
+    `what` says what happened, `time` is the simulated time [s], `body` the permanent number of the body concerned, and
+    `cure` lists usual cures. Time and body are None, and the cure is empty, if they are not known. The message contains
+    all that is known.
+    """
+
+    def __init__(self, what: str, *, time: float | None = None, body: int | None = None, cure: str = "") -> None:
+        self.what, self.time, self.body, self.cure = what, time, body, cure
+        known = [f"t = {time:.6g} s"] if time is not None else []
+        known += [f"body {body}"] if body is not None else []
+        place = f"{', '.join(known)}: " if known else ""
+        super().__init__(place + what + (f"; usual cure{'s' * (',' in cure)}: {cure}" if cure else ""))
 
 
 class ConvergenceError(InstabilityError):
-    """Error: an iterative solve did not converge; `history` holds the residual's norm at each iteration."""
+    """Error: an iterative solve did not converge; `history` holds the residual's norm at each iteration.
+
+    `what` is the name of the solve.
+    """
 
     def __init__(
         self, time: float, what: str, iterations: int, history: list[float], residual: float, maximum: int
     ) -> None:
-        self.time, self.what, self.iterations, self.history, self.residual = time, what, iterations, history, residual
-        self.maximum = maximum
         chosen = sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1})
         path = ", ".join(f"{history[k]:.2g}" for k in chosen if k < len(history))
         looser = "a larger tolerance, " if what == "pressure" else ""
         super().__init__(
-            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (maximum_iterations "
-            f"= {maximum}); residual {residual:.3g} after {path}; usual cures: a smaller 'time_step', {looser}more "
-            "iterations ('maximum_iterations'), 'precision' float64"
+            f"the {what} solve did not converge in {iterations} iterations (maximum_iterations = {maximum}); residual "
+            f"{residual:.3g} after {path}",
+            time=time,
+            cure=f"a smaller 'time_step', {looser}more iterations ('maximum_iterations'), 'precision' float64",
         )
+        self.what, self.iterations, self.history, self.residual = what, iterations, history, residual
+        self.maximum = maximum
 
     def __reduce__(self):
         # Processes of a study exchange errors as pickles. By default, unpickling would pass the message alone to the
@@ -162,6 +178,12 @@ def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a finite number above zero."""
     if not is_number(value) or not math.isfinite(value) or value <= 0:
         refuse(field, value, f"must be a finite number above 0{' ' + unit if unit else ''}", hint)
+
+
+def at_least_and_below(field: str, value: float, lower: float, end: float, unit: str = "", hint: str = "") -> None:
+    """Raise :class:`SceneError` unless `value` is a number in [lower, end), which does not contain `end`."""
+    if not is_number(value) or not lower <= value < end:
+        refuse(field, value, f"must be at least {lower:g} and below {end:g}{' ' + unit if unit else ''}", hint)
 
 
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:

@@ -11,6 +11,7 @@ DISPLAY_UNITS = {
     "m": (1e3, "mm"),
     "1": (100.0, "%"),
     "m3/s": (3600.0, "m3/h"),
+    "Pa/m": (1e-3, "kPa/m"),
 }
 """Pair (factor, display unit) for each SI unit that is displayed in another unit. The factor converts a value in the SI
 unit to the display unit."""

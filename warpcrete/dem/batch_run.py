@@ -74,6 +74,7 @@ def _run_batch(
             packings_by_number[number] = packings[_packing_key(simulation)]
             if isinstance(packings_by_number[number][0], BaseException):
                 outcomes[number] = packings_by_number[number][0]
+                simulation.note_failure(outcomes[number])
                 continue
         groups.setdefault((batch_key(simulation.model), simulation.threads), []).append(number)
     parts = [part for numbers in groups.values() for part in _split_by_memory(simulations, packings_by_number, numbers)]
@@ -208,10 +209,14 @@ class _BatchMember:
 
     def _whole_run(self, number: int) -> Coroutine:
         simulation = self.simulations[number]
-        if number in self.resumed:
-            yield from simulation.going_on(self.resumed[number])
-        else:
-            yield from simulation.preparing()
+        try:
+            if number in self.resumed:
+                yield from simulation.going_on(self.resumed[number])
+            else:
+                yield from simulation.preparing()
+        except BaseException as error:
+            simulation.note_failure(error)
+            raise
         return (yield from simulation.running())
 
 

@@ -123,7 +123,10 @@ class _ShortenedCopy:
         self.remarks: list[str] = []
         container = scene.fill.container if scene.fill is not None else None
         if isinstance(container, PipeContainer) and container.bore is not None:
-            self.remarks.append("a part with the uniform bore of the pipe's beginning stands for the whole pipe")
+            self.remarks.append(
+                "the forecast assumes that the whole part is as wide as its start: numbers of aggregates and times are "
+                "too large for a part that narrows, and too small for one that widens"
+            )
         packed = self._packed(precision, threads) if scene.fill is not None else None
         simulation = ElementSimulation(
             replace(scene, settle=None), device=str(device), precision=precision, threads=threads

@@ -252,7 +252,16 @@ class _Growth:
             yield from self._grow(stepper, lambda done: tell(0.6 * done))
             yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
         except InstabilityError as error:
-            raise InstabilityError(f"packing to a solid fraction of {self.fraction:.3g} failed: {error}") from error
+            most = f"to a solid fraction of {self.fraction:.3g}"
+            # A packing to a pressure ends at a smaller fraction than the one towards which its bodies grow.
+            goal = (
+                f"{most} failed"
+                if self.fill.pressure is None
+                else (f"to a pressure of {self.fill.pressure:.3g} Pa failed while the bodies grew, at most {most}")
+            )
+            raise InstabilityError(
+                f"packing {goal}: {error.what}", time=error.time, body=error.body, cure=error.cure
+            ) from error
         return self._result(stepper)
 
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:

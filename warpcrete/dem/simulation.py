@@ -305,6 +305,19 @@ class ElementSimulation(Simulation):
             return True
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
+    def why_ended(self) -> tuple[str, str]:
+        """Return why a complete run has ended: a reason and a sentence."""
+        vessel, blockage, time = self.scene.vessel, self.scene.blockage, self.stepper.time
+        if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
+            return "blocked", f"the pipe was blocked at t = {time:.4g} s, and the scene ends blocked runs"
+        if vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows):
+            if at_rest(vessel, self.rows):
+                return "rest", f"the concrete came to rest at t = {time:.4g} s"
+            return "empty", f"the concrete had flowed out at t = {time:.4g} s"
+        if self.scene.pipe is not None:
+            return "travel", f"the piston completed its travel at t = {time:.4g} s"
+        return super().why_ended()
+
     def result(self, finished: bool) -> ElementRun:
         """Return the run up to the present time, with series, results, tables and bodies."""
         series = self.sampler.series()
@@ -315,6 +328,7 @@ class ElementSimulation(Simulation):
             "scene": self.scene.name,
             "method": "dem",
             "finished": finished,
+            "ended": None,
             "simulated_time": quantity(self.stepper.time, "s"),
             "steps": steps,
             "bodies": state.body_count,
@@ -354,7 +368,7 @@ class ElementSimulation(Simulation):
             "memory": quantity(self._memory(), "B"),
         }
         result["state_hash"] = state_hash(state)
-        result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
+        result["provenance"] = provenance(self.device, self.precision, self.scene.seed, self.threads)
         units = {name: self.unit(name) for name in series}
         run = ElementRun(
             self.scene, series, units, result, finished, tables=tables, packing=self.packing, bodies=state.table(),

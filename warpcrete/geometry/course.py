@@ -101,8 +101,11 @@ class Course:
         positive(f"part {number}, straight: length", length, "m")
         rise = length * float(self.tangent[2])
         if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
-            refuse(f"part {number}, straight: rise", said["rise"], f"does not fit: in the direction of the line it is "
-                   f"{rise:.4g} m over {length:g} m", "put a bend before this part, or leave out 'rise'")  # fmt: skip
+            refuse(
+                f"part {number}, straight: rise", said["rise"],
+                f"does not fit: as the line goes here, a part of {length:g} m rises by {rise:.4g} m",
+                "put a bend before this part, or leave out 'rise'",
+            )  # fmt: skip
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
             refuse(f"part {number}, straight: diameter", said["diameter"], "differs from the diameter at the end of "
                                                                            "the part before "

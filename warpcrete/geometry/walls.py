@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import between, positive, refuse, vector
+from ..core.errors import PlausibilityWarning, between, positive, refuse, vector
 from ..kernels.common.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED
-from .axis import Axis
+from .axis import Axis, Line
 from .cleaning import clean
 
 SIDES = 48
 """Number of flat sides with which recorders draw a round wall."""
 MOST_STOPS = 1_000_000
+PARALLEL = 1e-6
+"""Sine of the angle between velocity and axis of a pipe up to which the pipe counts as moving along its axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +224,11 @@ class PlaneWall(_Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class PipeWall(_Wall):
-    """Exact inner surface of a round pipe, without facets, along an axis of lines and arcs."""
+    """Exact inner surface of a round pipe, without facets, along an axis of lines and arcs.
+
+    It continues beyond both ends of its axis without limit; for a tube that is lifted use MeshWall with
+    `axis.tube(radius)`. A :class:`PlausibilityWarning` tells if a prescribed motion only moves the wall within itself.
+    """
 
     name: str
     axis: Axis
@@ -239,6 +246,22 @@ class PipeWall(_Wall):
                 "must be zero, because a PipeWall cannot rotate",
                 "use a MeshWall instead",
             )
+        if self._slides_within_itself():
+            warnings.warn(
+                f"{self.name}.motion: moves the pipe along its own straight axis, but a PipeWall continues beyond both "
+                "ends without limit, so that the motion only changes friction and other shear forces at the wall; for "
+                "a tube that is lifted use MeshWall with axis.tube(radius)",
+                PlausibilityWarning,
+                stacklevel=3,  # the caller of the constructor that dataclass has written
+            )
+
+    def _slides_within_itself(self) -> bool:
+        """Return whether a prescribed velocity along a straight axis leaves the surface of the wall where it is."""
+        if not isinstance(self.motion, Prescribed) or not all(isinstance(piece, Line) for piece in self.axis.pieces):
+            return False
+        velocity = np.array(self.motion.velocity)
+        across = np.cross(velocity, self.axis.tangent)
+        return bool(np.any(velocity) and np.linalg.norm(across) <= PARALLEL * np.linalg.norm(velocity))
 
     @property
     def reference_points(self) -> np.ndarray:

@@ -9,14 +9,24 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from ..core.errors import positive, refuse
+from ..core.errors import at_least_and_below, positive, refuse
 from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity, warn
-from ..core.inputs.parameters import Above, Alias, Needs, OneOf, Within
+from ..core.inputs.parameters import Above, Alias, Needs, OneOf
 from ..core.run.checks import with_cures
 from ..core.run.run import Run
 from ..core.units import number
-from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
+from ..theory.pipe import (
+    BELOW_RADIUS,
+    MIXES,
+    Concrete,
+    Line,
+    Steady,
+    after_rest,
+    flow_of_pressure,
+    steady,
+    steady_of_stress,
+)
 from ..theory.suspension import SUSPENSIONS, concrete_of_mortar, mortar_of
 from .common.mixes import (
     CONSTANTS,
@@ -204,9 +214,7 @@ def column_scene(
     print for them; these results are attached to the scene only if it is one of the paper's cases. Raises
     :class:`SceneError` if the pressure is too low to move the concrete, or if the slip layer fills the pipe.
     """
-    Within(
-        0, np.nextafter(given.diameter / 2, 0), "use 0 for no slip layer, or less than the radius of the pipe"
-    ).check("slip_thickness", given.slip_thickness, " m")
+    at_least_and_below("slip_thickness", given.slip_thickness, 0, given.diameter / 2, "m", BELOW_RADIUS)
     concrete, aggregates = given.phases(given.constants(), dimensions)
     bulk = given.diameter / 2 - given.slip_thickness
     area = np.pi * bulk**2

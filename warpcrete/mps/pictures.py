@@ -48,8 +48,7 @@ def _pressure(axes: Any, run: Run) -> None:
             linewidth=1.2,
             label="printed (Xu et al.)",
         )
-    piston = run.scene.ends == "piston"
-    axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
+    axes.set(xlabel="time [s]", ylabel=_pressure_label(run.scene))
     # Exclude the first two pressures, which are far below all later ones, from the limits of the axis.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
@@ -57,6 +56,11 @@ def _pressure(axes: Any, run: Run) -> None:
         margin = max(0.2 * (highest - lowest), 0.05 * abs(highest), 1e-9)
         axes.set_ylim(lowest - margin, highest + margin)
     legend_beside(axes)
+
+
+def _pressure_label(scene: Any) -> str:
+    place = "on the piston" if scene.ends == "piston" else "over the stretch"
+    return f"pressure {place}{' with weight' if scene.weight else ''} [kPa]"
 
 
 def _profiles(axes: Any, run: Run) -> None:

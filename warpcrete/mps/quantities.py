@@ -23,6 +23,12 @@ series.
 THEORY_COLUMNS = ("pressure", "slip_velocity", "wall_stress")
 """Columns of the time series for which theory gives a value."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
+MEANINGS = {
+    "pressure": "Pressure on the piston or over the stretch, with the weight of the concrete; without it if `gravity` "
+    "is 0",
+    "slip_velocity": "Velocity of the concrete at the wall",
+    "wall_stress": "Mean shear stress on the wall",
+}
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class RunData:
     @property
     def friction(self) -> float:
         """Loss of pressure per length by friction on the wall, without the weight of the concrete [Pa/m]."""
-        return (self.scene.dimensions - 1) * self.mean("wall_stress") / self.scene.radius
+        return self.scene.friction(self.mean("wall_stress"))
 
     def by_theory(self, name: str) -> float:
         """Return the value that theory predicts for a quantity."""
@@ -66,9 +72,10 @@ class RunData:
 
 
 def expected(scene: FluidScene) -> dict[str, float]:
-    """Return the pressure, slip velocity and wall stress that theory predicts for the steady flow, by name."""
+    """Return pressure, slip velocity, wall stress and friction that theory predicts for the steady flow, by name."""
     theory = scene.theory()
-    return {name: float(getattr(theory, name)) for name in UNITS}
+    found = {name: float(getattr(theory, name)) for name in UNITS}
+    return found | {"gradient": scene.friction(theory.wall_stress)}
 
 
 def _beside_theory(name: str):
@@ -76,7 +83,9 @@ def _beside_theory(name: str):
         factor, unit = shown(UNITS[name])
         ours, theory = (number(run.result[key]) * factor for key in (name, f"{name}_theory"))
         error = 100 * run.result[f"{name}_error"]
-        return f"{ours:.4g} {unit}   (theory, {run.result['theory']}: {theory:.4g}; {error:+.2f} %)"
+        weight = run.scene.weight * factor if name == "pressure" else 0.0
+        with_weight = f" with {weight:.2g} {unit} of weight" if weight else ""
+        return f"{ours:.4g} {unit}{with_weight}   (theory, {run.result['theory']}: {theory:.4g}; {error:+.2f} %)"
 
     return words
 
@@ -84,14 +93,32 @@ def _beside_theory(name: str):
 def _of_column(name: str) -> tuple[Quantity, ...]:
     compared, label = name != "wall_stress", "" if name == "wall_stress" else name.replace("_", " ")
     return (
-        Quantity(name, UNITS[name], lambda k: k.mean(name), label, _beside_theory(name), compared),
-        Quantity(f"{name}_theory", UNITS[name], lambda k: k.by_theory(name), compared=name == "pressure"),
-        Quantity(f"{name}_error", "1", lambda k: k.error(name), compared=compared),
+        Quantity(
+            name, UNITS[name], lambda k: k.mean(name), label, _beside_theory(name), compared, meaning=MEANINGS[name]
+        ),
+        Quantity(
+            f"{name}_theory",
+            UNITS[name],
+            lambda k: k.by_theory(name),
+            compared=name == "pressure",
+            meaning=f"Value of `{name}` by theory",
+        ),
+        Quantity(
+            f"{name}_error",
+            "1",
+            lambda k: k.error(name),
+            compared=compared,
+            meaning=f"`{name}` minus its value by theory, divided by "
+            + ("the mean velocity" if name == "slip_velocity" else "the latter"),
+        ),
     )
 
 
 def _friction_text(run: Run) -> str:
-    return f"{number(run.result['gradient']) / 1e3:.4g} kPa/m, without the weight of the concrete"
+    ours = f"{number(run.result['gradient']) / 1e3:.4g} kPa/m without the weight of the concrete"
+    if "gradient_theory" not in run.result:  # A run of an earlier version lacks it.
+        return ours
+    return f"{ours}   (theory: {number(run.result['gradient_theory']) / 1e3:.4g})"
 
 
 def _restarted(of):
@@ -108,7 +135,22 @@ def _restart_text(run: Run) -> str:
 
 QUANTITIES = (
     *(quantity for name in THEORY_COLUMNS for quantity in _of_column(name)),
-    Quantity("gradient", "Pa/m", lambda k: k.friction, "friction", _friction_text, True),
+    Quantity(
+        "gradient",
+        "Pa/m",
+        lambda k: k.friction,
+        "friction",
+        _friction_text,
+        True,
+        meaning="Friction per length, without the weight of the concrete",
+    ),
+    Quantity(
+        "gradient_theory",
+        "Pa/m",
+        lambda k: k.scene.friction(k.by_theory("wall_stress")),
+        compared=True,
+        meaning="Friction per length by theory, without the weight of the concrete",
+    ),
     Quantity(
         "restart_pressure",
         "Pa",
@@ -116,9 +158,20 @@ QUANTITIES = (
         "peak of the restart",
         _restart_text,
         True,
+        meaning="Largest pressure after the rest, with the weight of the concrete",
     ),
-    Quantity("restart_pressure_theory", "Pa", _restarted(lambda k: k.scene.restart().pressure)),
-    Quantity("restart_over_steady", "1", _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure)),
+    Quantity(
+        "restart_pressure_theory",
+        "Pa",
+        _restarted(lambda k: k.scene.restart().pressure),
+        meaning="Pressure by theory directly after the rest, when no structure is broken yet",
+    ),
+    Quantity(
+        "restart_over_steady",
+        "1",
+        _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure),
+        meaning="`restart_pressure` divided by the steady pressure by theory",
+    ),
     Quantity(
         "profile_error",
         "1",
@@ -126,9 +179,20 @@ QUANTITIES = (
         "profile",
         lambda run: f"rms deviation from theory {100 * run.result['profile_error']:.2f} % of the mean velocity",
         True,
+        meaning="Root mean square deviation of the velocity profile from theory, divided by the mean velocity",
     ),
-    Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
-    Quantity("force_balance_error", "1", lambda k: k.mean("force_balance_error")),
+    Quantity(
+        "volume_error",
+        "1",
+        lambda k: largest(k.series["volume_error"]),
+        meaning="Largest relative change of the volume of the concrete",
+    ),
+    Quantity(
+        "force_balance_error",
+        "1",
+        lambda k: k.mean("force_balance_error"),
+        meaning="Unbalanced part of weight, wall friction and inertia, divided by the driving force",
+    ),
 )
 
 

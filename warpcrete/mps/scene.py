@@ -279,6 +279,15 @@ class FluidScene(Parametrised, FlowSettings):
         return Line(radius=self.radius, length=self.length, gravity=self.gravity)
 
     @property
+    def weight(self) -> float:
+        """Part of the pressure that carries the weight of the concrete [Pa]."""
+        return self.concrete.density * self.gravity * self.length
+
+    def friction(self, wall_stress: float) -> float:
+        """Return the loss of pressure per length [Pa/m] for a shear stress of the wall [Pa], without weight."""
+        return (self.dimensions - 1) * wall_stress / self.radius
+
+    @property
     def gained(self) -> float:
         """Increase of the yield stresses of bulk and slip layer during the rest before the start [Pa]."""
         return self.thixotropy * self.rest

@@ -60,4 +60,4 @@ class WatchedFlow:
             )  # fmt: skip
 
     def _unstable(self, row: dict[str, float], what: str) -> InstabilityError:
-        return InstabilityError(f"t = {row['time']:.6g} s: {what}; usual cures: {self.cures}")
+        return InstabilityError(what, time=row["time"], cure=self.cures)

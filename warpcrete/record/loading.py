@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -22,16 +22,33 @@ from ..scenes import modules
 
 TABLES = ("stations",)
 """Names, without suffix, of further table files that a run folder may hold in addition to series.csv."""
+DRAWN = ("scene.usdc", "bodies.vtkhdf", "run.rrd")
+"""Names of the files of a run folder that may hold positions of bodies over time."""
+
+
+class LoadedRun(Run):
+    """Run that was read from a run folder."""
+
+    def __getattr__(self, name: str) -> NoReturn:
+        if name != "bodies":
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        files = [str(path) for path in map(Path(self.folder or "").joinpath, DRAWN) if path.is_file()]
+        there = f"their recorded frames are in {' and '.join(files)}" if files else "this one has no recording of them"
+        raise AttributeError(
+            f"bodies: a run folder does not hold the final bodies as a table; {there}; "
+            "warpcrete.Simulation(scene).run() returns a run with bodies"
+        )
 
 
 def load(folder: Path | str) -> Run:
     """Return the run that a folder contains: its scene, time series and results, if their files have been written.
 
-    Data that only exists during a simulation, such as the final positions of bodies, is missing. A killed run may lack
-    its result, and a run without samples has an empty series. The scene function builds the scene again. This is
-    impossible if the scene was modified or built in Python, or if a file that it read is missing or has changed. The
-    returned scene then has only its name, which is also its caption, and its parameters. Raises :class:`RunFolderError`
-    if the folder is not a run folder of this version.
+    Data that only exists during a simulation, such as the table of final `bodies`, is missing; the error of
+    `run.bodies` tells which recordings of the folder hold their positions. A killed run may lack its result, and a run
+    without samples has an empty series. The scene function builds the scene again. This is impossible if the scene was
+    modified or built in Python, or if a file that it read is missing or has changed. The returned scene then has only
+    its name, which is also its caption, and its parameters. Raises :class:`RunFolderError` if the folder is not a run
+    folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():
@@ -59,7 +76,7 @@ def load(folder: Path | str) -> Run:
     result = read_json(path) if path.is_file() else {}
     series, units = _series(folder / "series.csv")
     tables = {name: Table(*_series(folder / f"{name}.csv")) for name in TABLES if (folder / f"{name}.csv").is_file()}
-    return Run(scene, series, units, result, bool(result.get("finished")), folder=folder, tables=tables)
+    return LoadedRun(scene, series, units, result, bool(result.get("finished")), folder=folder, tables=tables)
 
 
 def is_finished(folder: Path) -> bool:

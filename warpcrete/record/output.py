@@ -38,7 +38,7 @@ class RunFolder:
     """
 
     folder: str | Path
-    """Path of the folder, which must be new, empty or that of the same unfinished run."""
+    """Path of the run folder. It must be new, empty, or hold an unfinished run of the same scene."""
     recordings: Sequence[str] | None = None
     """Names of the recordings to write, any of `rerun`, `usd` and `paraview`; None selects `rerun` and `usd`."""
     colour: str | None = None

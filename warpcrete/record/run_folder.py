@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any, Literal, TextIO
 
 from ..core.errors import RunFolderError
+from ..core.inputs.by_name import trust_option
 from ..core.inputs.origin import Arguments, changed_fields, readable
+from ..core.run.ending import Ending
 from ..core.run.files import atomic_file, cannot_write, read_json, write_json
 from ..core.run.folders import FolderLock, make_folder
 from ..core.run.provenance import provenance
@@ -37,7 +39,7 @@ def scene_record(simulation: SimulationBase, command: dict[str, Any] | None = No
         "device": str(simulation.device),
         "precision": simulation.precision,
         "command": command or {},
-        "provenance": provenance(simulation.device, simulation.precision, scene.seed),
+        "provenance": provenance(simulation.device, simulation.precision, scene.seed, simulation.threads),
     }
 
 
@@ -91,12 +93,39 @@ class TableRecorder(Recorder):
         write_json(path, record)
 
     def abandon(self, simulation: SimulationBase) -> None:
-        """Remove the folder if this recorder created it and it holds no checkpoint."""
-        if self._folder_hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
+        """Remove the folder if this recorder created it and it holds nothing of use.
+
+        The folder of a run that became unstable before its first row, or that has a checkpoint, remains. Its
+        result.json says why the run ended.
+        """
+        has_checkpoint = (self.folder / "checkpoint.npz").exists()
+        ending = simulation.ending
+        if (
+            self._folder_hold is not None
+            and self._is_new
+            and not has_checkpoint
+            and (ending is None or ending.reason not in ("unstable", "unconverged"))
+        ):
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
             self._folder_hold.remove()
+        elif self._folder_hold is not None and ending is not None:
+            with suppress(OSError, RunFolderError):
+                self._write_early_end(simulation, ending)
         self.close(simulation)
+
+    def _write_early_end(self, simulation: SimulationBase, ending: Ending) -> None:
+        """Write the result.json of a run that ended before its first row, unless an earlier one holds results."""
+        path = self.folder / "result.json"
+        if path.is_file() and "steps" in read_json(path):
+            return
+        scene = simulation.scene
+        write_json(path, {
+            "scene": scene.name,
+            "finished": False,
+            "ended": ending.entry(),
+            "provenance": provenance(simulation.device, simulation.precision, scene.seed, simulation.threads),
+        })  # fmt: skip
 
     def start(self, simulation: SimulationBase) -> None:
         """Open series.csv in the folder created by `claim`."""
@@ -141,7 +170,10 @@ class TableRecorder(Recorder):
 
     def write(self, simulation: SimulationBase) -> None:
         """Write result.json of an unfinished run; the rows of series.csv are already on disk."""
-        write_json(self.folder / "result.json", simulation.result(False).result)
+        result = simulation.result(False).result
+        if simulation.ending is not None:
+            result["ended"] = simulation.ending.entry()
+        write_json(self.folder / "result.json", result)
 
     def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Write result.json and the tables, and close series.csv."""
@@ -172,7 +204,7 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
         if there.get(name) != here[name]:
             raise RunFolderError(
                 f"out = '{path.parent}': exists already and contains another run (its {name} differs); choose a new "
-                f"folder, or continue the other run with 'warpcrete run --resume {path.parent}'"
+                f"folder, or continue the other run with 'warpcrete {trust_option(there)}run --resume {path.parent}'"
             )
 
 

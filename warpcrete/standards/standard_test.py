@@ -201,7 +201,8 @@ class StandardTest:
             forms = [form for form in self.forms if form.quantity == each.name]
             yield replace(each, words=_beside(each, forms)) if forms else each
             for form in forms:
-                yield Quantity(form.name, each.unit, form.value)
+                meaning = f"Value of `{each.name}` that the closed form '{form.label}' predicts"
+                yield Quantity(form.name, each.unit, form.value, meaning=meaning)
 
     def estimates(self, known: Outcome) -> dict[str, float]:
         """Return the quantities that closed forms predict, by name."""

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import refuse
 from ..core.run.files import next_folder
-from .study import run_study
+from ..core.run.progress import progress_bar
+from .study import Progress, run_study
 from .study_result import Study
 
 SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "frames", "checkpoint_every", "scheduler",
             "workers", "progress", "rerun", "usd")  # fmt: skip
 
 
-def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, **given: Any) -> Study:
+def study(
+    scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, quiet: bool | None = None,
+    **given: Any,
+) -> Study:  # fmt: skip
     """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
     All settings of :func:`warpcrete.studies.study.run_study` are accepted, for example `repeat`, `one_at_a_time`,
     `device`, `processes`, `frames`, `scheduler` and `workers`. `rerun` and `usd` switch on additional recordings of
-    each case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises
-    :class:`SceneError` if `scene` or `vary` is wrong, and everything that :func:`warpcrete.studies.study.run_study`
-    raises.
+    each case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN).
+    `quiet` states whether to leave out the progress that the command `warpcrete study` shows; by default, it appears
+    only in a terminal. A callback `progress` replaces it. Raises :class:`SceneError` if `scene` or `vary` is wrong, and
+    everything that :func:`warpcrete.studies.study.run_study` raises.
     """
     name, module = module_of(scene)
     if not isinstance(vary, Mapping):
@@ -31,7 +38,35 @@ def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | No
         if isinstance(values, str) or not isinstance(values, Iterable):
             refuse(key, values, "must be a list of values", f'for example vary={{"{key}": [{values!r}, ...]}}')
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
-    return run_study(name, module, vary, base=given, out=Path(out) if out else next_folder("study"), **settings)
+    folder = Path(out) if out else next_folder("study")
+    if "progress" in settings:
+        return run_study(name, module, vary, base=given, out=folder, **settings)
+    with study_progress(not sys.stderr.isatty() if quiet is None else quiet) as tell:
+        return run_study(name, module, vary, base=given, out=folder, progress=tell, **settings)
+
+
+@contextmanager
+def study_progress(quiet: bool) -> Generator[Progress | None]:
+    """Provide a progress bar for a study as a callback, or None if `quiet`, and close the bar at the end.
+
+    A line before the first progress says that the first cases may take long.
+    """
+    called = False
+    with progress_bar(quiet) as bar:
+
+        def announced(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+            nonlocal called
+            if not called:
+                called = True
+                print(
+                    "running; the first cases compile kernels that are missing in the cache",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            assert bar is not None
+            bar(phase, fraction, figures)
+
+        yield None if bar is None else announced
 
 
 def module_of(scene: Any) -> tuple[str, Any]:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import itertools
 import textwrap
+import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_beside, open_frame, rgb
-from ..core.errors import one_of, refuse
+from ..core.errors import SceneError, one_of, refuse
 from ..core.inputs.amounts import UNITS
+from ..core.inputs.concretes import is_file
 from ..core.run.method import Quantity
 from ..core.units import rounded, shown
+from ..methods import method_of
+from ..mps.common.mixes import CONSTANTS
+from ..scenes import modules
 
 MARKERS = ("o", "s", "^", "D", "v")
 TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
@@ -22,6 +28,7 @@ LABEL_WIDTH = 34
 ACROSS = 3  # maximum number of panels in a row of the figure
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
+THEORY_POINTS = 41  # number of points of a curve by theory
 MARKS = (("failed", "a case failed", "x", 0.04), ("suspect", "a check failed", "1", 0.1))
 """Marks at the bottom of a panel: column that counts them, label, marker and height as a fraction of the panel."""
 
@@ -96,7 +103,16 @@ def _common(study: Any) -> list[str]:
     """Return the parameters in TITLE that are equal in all cases, with their values, as texts for the title."""
     first = study.cases[0].parameters
     same = [name for name in TITLE if name in first and all(c.parameters.get(name) == first[name] for c in study.cases)]
-    return [_worded(study, name, first[name]) for name in same if first[name] is not None]
+    texts = {name: _worded(study, name, first[name]) for name in same if first[name] is not None}
+    # A stated constant replaces that of the named concrete, which is then another concrete.
+    # The record of a case contains all constants of a concrete from a file, so only varied ones are changes there.
+    given = (
+        () if is_file(str(first.get("concrete"))) else [k for c in study.cases for k, v in c.parameters.items() if v]
+    )
+    changed = [name for name in CONSTANTS if name in study.varied or name in given]
+    if "concrete" in texts and changed and first["concrete"] != "own":
+        texts["concrete"] += f" with other {' and '.join(changed).replace('_', ' ')}"
+    return list(texts.values())
 
 
 def _worded(study: Any, name: str, value: Any) -> str:
@@ -149,7 +165,8 @@ def _panel(
             x = [at(row) + (0.0 if numeric else 0.08 * k) for row in part]
             y = np.array([row[each.name] for row in part]) * y_scale[0]
             if each.name in theories:
-                line = _draw_theory(axes, x, y, numeric)
+                between = _theory_between(study, part, name, each) if numeric else None
+                line = _draw_theory(axes, x, y, between and tuple(np.array(between) * [[x_scale[0]], [y_scale[0]]]))
                 if not any(curve.get_label() == each.title for curve in curves):
                     line.set_label(each.title)
                     curves.append(line)
@@ -195,13 +212,38 @@ def _panel(
         legend_beside(axes, curves=curves)
 
 
-def _draw_theory(axes: Any, x: list[float], y: np.ndarray, numeric: bool) -> Any:
+def _theory_between(
+    study: Any, part: list[dict[str, Any]], name: str, quantity: Quantity
+) -> tuple[list[float], list[float]] | None:
+    """Return values of a parameter from the smallest to the largest of some rows, and what theory gives for them.
+
+    The rows differ in this parameter only. The result is None if there is no closed form between the cases, as for a
+    parameter of whole numbers.
+    """
+    module, values = modules().get(study.scene), [row[name] for row in part if name in row]
+    if module is None or len(set(values)) < 2 or not any(isinstance(value, float) for value in values):
+        return None
+    given = next(case.parameters | case.varied for case in study.cases
+                 if all(part[0].get(k) == v for k, v in case.varied.items()))  # fmt: skip
+    places: list[float] = []
+    found: list[float] = []
+    for place in np.linspace(min(values), max(values), THEORY_POINTS).tolist():
+        with suppress(SceneError, KeyError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = module.scene(**given | {name: place})
+            found.append(method_of(scene).expected(scene)[quantity.name.removesuffix("_theory")])
+            places.append(place)
+    return (places, found) if found else None
+
+
+def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
     """Draw values by theory in the colour of theory and return the line, which has no label yet.
 
-    All series have the same style: a dashed line under the simulated values, or short dashes where nothing is joined.
+    All series have the same style: a dashed curve under the simulated values, or short dashes at the cases if the
+    coordinates `between` of a curve are None.
     """
-    (line,) = axes.plot(x, y, "--" if numeric and len(x) > 1 else "_", color=rgb(THEORY), linewidth=1.4, markersize=14,
-                        markeredgewidth=2, zorder=1.5)  # fmt: skip
+    style = dict(color=rgb(THEORY), linewidth=1.4, markersize=14, markeredgewidth=2, zorder=1.5)
+    (line,) = axes.plot(x, y, "_", **style) if between is None else axes.plot(*between, "--", **style)
     return line
 
 

@@ -164,7 +164,7 @@ class Study:
 
         Several seeds have the dimension `seed`. Combinations of values that the study does not contain are NaN, or an
         empty text. If two cases share all values, a case lacks one, or the study contains less than half of all
-        combinations, the only dimension is `case`. Each variable has its unit in `attrs["units"]`. Raises
+        combinations, the only dimension is `case`. Variables with a unit have it in `attrs["units"]`. Raises
         :class:`WarpcreteError` if xarray is not installed.
         """
         columns, units = columns_of(self)

@@ -30,8 +30,24 @@ def _both(run: Run) -> str:
 
 
 QUANTITIES = (
-    Quantity("aggregates_passed", "1", lambda k: _last(k, "aggregates_passed"), "passed the bars", _both, True),
-    Quantity("mortar_passed", "1", lambda k: _last(k, "mortar_passed"), "", None, True),
+    Quantity(
+        "aggregates_passed",
+        "1",
+        lambda k: _last(k, "aggregates_passed"),
+        "passed the bars",
+        _both,
+        True,
+        meaning="Fraction of the aggregates that has passed the bars",
+    ),
+    Quantity(
+        "mortar_passed",
+        "1",
+        lambda k: _last(k, "mortar_passed"),
+        "",
+        None,
+        True,
+        meaning="Fraction of the mortar that has passed the bars",
+    ),
 )
 """Results of tests with a ring of bars."""
 

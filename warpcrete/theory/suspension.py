@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.errors import between, one_of
+from ..core.errors import at_least_and_below, one_of
 from .pipe import Concrete
 
 SUSPENSIONS = {"spheres": (2.5, 0.60), "discs": (2.0, 0.82)}
@@ -21,14 +21,7 @@ def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float
     viscosity and the densest packing. The yield stress factor is sqrt((1 - fraction) f) (Chateau, Ovarlez & Trung
     2008).
     """
-    between(
-        "aggregate fraction",
-        fraction,
-        0,
-        np.nextafter(densest, 0),
-        "",
-        "use a share of the volume below that of the densest packing",
-    )
+    at_least_and_below("aggregate fraction", fraction, 0, densest, "", "the end is the fraction of the densest packing")
     factor = (1 - fraction / densest) ** (-intrinsic * densest)
     return factor, float(np.sqrt((1 - fraction) * factor))
 

@@ -259,6 +259,9 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         shut: wp.array(dtype=wp.int32)
         # Number of the wall nearest to each cell face. There is one face for each axis and cell, shape (axes * slots,).
         surface: wp.array(dtype=wp.int32)
+        # Fraction of each face's area that a moving wall closes and no other wall, shape (axes * slots,); empty if no
+        # wall moves.
+        swept: wp.array(dtype=scalar)
 
     @wp.struct
     class Walls:

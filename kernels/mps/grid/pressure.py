@@ -70,12 +70,12 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     area = f.open_area(g, geometry, face, axis)
                     flux = area * mesh.velocity[r]
                     if wp.static(of.cut):
-                        wall = geometry.surface[r]
-                        # The part of this face that a wall closes moves with the wall. Add the volume flow that the
-                        # moving wall causes through this part.
-                        if wall > ROUGH:
+                        # A moving wall displaces concrete with its velocity through the part of this face that it
+                        # closes. If the nearest wall stands still, the part belongs to the first moving wall.
+                        if geometry.swept.shape[0] > 0:
+                            wall = wp.max(geometry.surface[r], ROUGH + 1)
                             x = f.face_middle(g, face, axis)
-                            flux += (f.face_area(g, face, axis) - area) * f.wall_speed(walls, wall, x, axis)
+                            flux += f.face_area(g, face, axis) * geometry.swept[r] * f.wall_speed(walls, wall, x, axis)
                     into += wp.where(side == 0, flux, -flux)
                     if mesh.kind[r] == LIQUID:
                         ease = area * area / mesh.volume[r]

@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C and SIGTERM: deferred until a block of code has ended, or used to end runs in an orderly way."""
+"""Handling of Ctrl-C and SIGTERM: they wait until a block of code has ended, or end runs in an orderly way."""
 
 from __future__ import annotations
 
@@ -43,6 +43,27 @@ def defer_interrupts() -> Generator[None]:
         for number, handler in before:
             if caught and caught[0][0] == number:
                 handler(*caught[0])
+
+
+@contextmanager
+def terminate_as_interrupt(simulation: SimulationOnDevice) -> Generator[None]:
+    """Treat SIGTERM like Ctrl-C while `simulation` runs in the `with` block; ignore it while results are written.
+
+    Outside the main thread, and in a program that handles SIGTERM by itself, this context does nothing.
+    """
+    if not _in_main_thread() or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        if not simulation.finishing:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 class StopAtSample:

@@ -14,7 +14,7 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError, refuse
+from ..narrowing import is_list_or_tuple, is_mapping
 from .fingerprints import fingerprint
 from .origin import note_file
 from .parameters import CompositeRule, Field, declared_fields
@@ -146,10 +147,28 @@ class ByName(CompositeRule):
         words = f"must be one of {', '.join(self.classes)}, or 'module:Class' for a class of your own module"
         if not isinstance(value, str):
             refuse(field.name, value, f"{words}, or an object of one of these classes")
-        module, colon, name = value.partition(":")
-        if not (colon and name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+        if not _names_class(value):
             refuse(field.name, value, words)
+        module, _, name = value.partition(":")
         return _imported(field, value, module, name)
+
+
+def _names_class(text: str) -> bool:
+    """Return whether a text has the form `package.module:Class`."""
+    module, colon, name = text.partition(":")
+    return bool(colon) and name.isidentifier() and all(part.isidentifier() for part in module.split("."))
+
+
+def trust_option(record: object) -> str:
+    """Return the option that a command needs before it may read `record` from a file: "--trust ", or an empty text.
+
+    The option is needed if the record of parameters, at any depth, names a class of the user's as
+    `package.module:Class`.
+    """
+    if isinstance(record, str):
+        return "--trust " if _names_class(record) else ""
+    inner: Iterable[object] = record.values() if is_mapping(record) else record if is_list_or_tuple(record) else ()
+    return "--trust " if any(trust_option(each) for each in inner) else ""
 
 
 def _imported(field: Field, value: str, module: str, name: str) -> type:

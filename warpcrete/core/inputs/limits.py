@@ -75,7 +75,7 @@ LIMITS = {
     "bend_radius": Limit(1e-4, 1e4, "bends of pumping lines have radii of 0.2 to 5 m", (0.02, 50.0), "m"),
     "size_max": Limit(1e-5, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-4, 0.3), "m"),
     "size_min": Limit(1e-6, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-5, 0.3), "m"),
-    "pressure": Limit(1e-9, 1e9, "the strongest concrete pumps reach 5e7 Pa (500 bar)", (1.0, 1e8), "Pa"),
+    "pressure": Limit(1e-9, 1e9, "concrete pumps deliver 3e6 to 5e7 Pa (30 to 500 bar)", (1.0, 1e8), "Pa"),
     "modulus": Limit(1e-1, 1e12, "granite has 5e10 Pa; simulated grains are softer", None, "Pa"),
     "bond_modulus": Limit(1e-3, 1e12, "steel has 2e11 Pa", None, "Pa"),
     "spacing": Limit(1e-6, 10.0, "cells have sizes of 1 to 20 mm", None, "m"),

@@ -13,6 +13,7 @@ import warp as wp
 from ..drawing.display import Display
 from ..units import Quantified, number, quantity, shown
 from .forecast import Forecast, Probe
+from .quantities import CONDITIONS
 from .run import Run
 from .run_loop import Simulation
 
@@ -40,6 +41,14 @@ class Quantity:
     """True if studies show the quantity in their table and figure."""
     rare: bool = False
     """True if a study shows the quantity only if its value is above 0 in at least one of the study's runs."""
+    meaning: str = ""
+    """Meaning of the quantity for the reference pages: a sentence without a full stop at its end."""
+    only_if: str = ""
+    """Condition under which a run has the quantity, as the end of a sentence; empty if there is no simple condition."""
+
+    def __post_init__(self) -> None:
+        if self.only_if:
+            CONDITIONS[self.name] = self.only_if
 
     @property
     def title(self) -> str:

@@ -13,9 +13,16 @@ import warp as wp
 
 from .version import version_of
 
+CPU_INFO = Path("/proc/cpuinfo")
+"""File in which Linux describes the CPU."""
 
-def provenance(device: wp.Device, precision: str, seed: int) -> dict[str, object]:
-    """Return the versions, the device and the settings on which the results of a run depend."""
+
+def provenance(device: wp.Device, precision: str, seed: int, threads: int | None = None) -> dict[str, object]:
+    """Return the versions, the device and the settings on which the results of a run depend.
+
+    The entry `threads` is left out if `threads` is None, and `processor_features` if the features are not known.
+    """
+    features = processor_features()
     return {
         **versions(),
         "numpy": np.__version__,
@@ -24,6 +31,8 @@ def provenance(device: wp.Device, precision: str, seed: int) -> dict[str, object
         "device": str(device),
         "device_name": device.name,  # pyright: ignore[reportUnknownMemberType]
         "processor": processor(),
+        **({"processor_features": features} if features else {}),
+        **({"threads": threads} if threads is not None else {}),
         "compiler_flags": None if device.is_cuda else wp.config.cpu_compiler_flags,
         "precision": precision,
         "seed": seed,
@@ -41,12 +50,27 @@ def processor() -> str:
 
     Warp compiles CPU kernels for this model (`-march=native`), so the last bits of results depend on it.
     """
+    return _cpu_entry("model name") or platform.processor() or platform.machine()
+
+
+@functools.cache
+def processor_features() -> str:
+    """Return a short hash of the CPU's features, or an empty text if the system does not list them.
+
+    Different models may share one name, for example in a virtual machine. Warp compiles CPU kernels for the features.
+    """
+    features = _cpu_entry("flags") or _cpu_entry("Features")  # Linux calls them Features on ARM.
+    return hashlib.sha256(" ".join(sorted(features.split())).encode()).hexdigest()[:16] if features else ""
+
+
+def _cpu_entry(name: str) -> str:
+    """Return the entry `name` of the first CPU in /proc/cpuinfo; empty if there is none."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        lines = CPU_INFO.read_text(encoding="utf-8").splitlines()
     except OSError:
-        lines = []
-    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-    return model or platform.processor() or platform.machine()
+        return ""
+    pairs = (line.partition(":") for line in lines)
+    return next((value.strip() for key, _, value in pairs if key.strip() == name), "")
 
 
 def arrays_hash(arrays: Mapping[str, np.ndarray]) -> str:

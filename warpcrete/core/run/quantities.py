@@ -11,11 +11,14 @@ from ..inputs.amounts import UNITS
 from ..narrowing import is_dict
 from ..units import number
 
+CONDITIONS: dict[str, str] = {}
+"""Condition under which a run has a quantity, by the quantity's name, for messages about a quantity that is absent."""
+
 
 class Amount(float):
-    """Number in SI units that knows its unit; it computes and compares like a plain number.
+    """Number that knows its unit; it computes and compares like a plain number.
 
-    Results of arithmetic are plain numbers, because their units may differ.
+    Quantities of runs are in SI units. Results of arithmetic are plain numbers, because their units may differ.
     """
 
     unit: str
@@ -36,14 +39,15 @@ class Amount(float):
     def __str__(self) -> str:
         return repr(self)
 
-    def to(self, unit: str) -> float:
-        """Return the number in another unit of the same kind, such as "kPa" or "bar" for a pressure.
+    def to(self, unit: str) -> Amount:
+        """Return the amount in another unit of the same kind, such as "kPa" or "bar" for a pressure.
 
         Raises :class:`SceneError` for a unit of another kind.
         """
-        factors = UNITS.get(self.unit, {self.unit: 1.0})
+        kinds = (factors for factors in UNITS.values() if self.unit in factors)
+        factors = UNITS.get(self.unit) or next(kinds, {self.unit: 1.0})
         one_of("unit", unit, tuple(factors))
-        return float(self) / factors[unit]
+        return Amount(float(self) * factors[self.unit] / factors[unit], unit)
 
 
 class Quantities(dict[str, float]):

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 from ..errors import DiskFullError
+from .ending import failure
 from .files import is_full
 from .recorder import Recorder
 from .run import Run
@@ -88,6 +89,9 @@ class Recording:
                 self._warn(recorder, error)
                 return
             self.failures.append(error)
+            if run.finished:
+                self.simulation.ending = failure(error, self.simulation.stepper.time)
+                run.result["ended"] = self.simulation.ending.entry()
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:

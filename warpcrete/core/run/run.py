@@ -21,10 +21,11 @@ from ..errors import RunFolderError, WarpcreteError, one_of, refuse
 from ..inputs.origin import readable
 from ..narrowing import is_dict
 from ..units import shown
+from .ending import Ending
 from .files import LOCK, PARTIAL, cannot_write, check_new
 from .folders import FolderLock, new_folder
 from .output import RunOutput, output_of
-from .quantities import Quantities
+from .quantities import CONDITIONS, Quantities
 from .tables import Table, dataframe, dataset
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
@@ -61,7 +62,7 @@ class Run:
     """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool
     interrupted: bool = False
-    """True if an interruption (Ctrl-C) ended the run at once, before the next row of the time series."""
+    """True if an interruption (Ctrl-C or SIGTERM) ended the run at once, before the next row of the time series."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
     """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
@@ -70,6 +71,7 @@ class Run:
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"
+        ended += f" ({self.ended.reason})" if self.ended else ""
         time = self.result.get("simulated_time", {}).get("value", 0.0)
         where = f", folder '{self.folder}'" if self.folder else ""
         count = len(next(iter(self.series.values()), ()))
@@ -81,9 +83,12 @@ class Run:
     def __getitem__(self, name: str) -> float:
         """Return a quantity of the whole run in SI units, with its unit in the attribute `unit` if it has one.
 
-        Raises :class:`KeyError` if the run does not have the quantity; the message suggests similar names.
+        Raises :class:`KeyError` if the run does not have the quantity. The message says on which condition a run has
+        it, if there is one, and otherwise suggests similar names.
         """
         quantities = self.quantities
+        if name in CONDITIONS and name not in quantities:
+            raise KeyError(f"the run has no quantity {name!r}: a run has it only if {CONDITIONS[name]}")
         if name not in quantities:
             similar = difflib.get_close_matches(name, quantities, 3)
             what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
@@ -92,6 +97,14 @@ class Run:
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.quantities)
+
+    @property
+    def ended(self) -> Ending | None:
+        """Reason why the run ended, with a sentence about it and the simulated time [s].
+
+        It is None for a saved run that was killed, or that an earlier version computed.
+        """
+        return Ending.of(self.result)
 
     @property
     def quantities(self) -> Quantities:
@@ -110,8 +123,8 @@ class Run:
         """Return the series as an xarray Dataset in SI units, with the dimension `time` [s].
 
         If `table` is the name of one of the run's `tables`, such as `stations`, return this table instead, with its
-        first column as the dimension. Each variable has its unit in `attrs["units"]`. The attributes of the Dataset are
-        the scene's name and, as JSON texts, the scene's parameters and the run's quantities. Raises
+        first column as the dimension. Variables with a unit have it in `attrs["units"]`. The attributes of the Dataset
+        are the scene's name and, as JSON texts, the scene's parameters and the run's quantities. Raises
         :class:`WarpcreteError` if xarray is not installed, and :class:`SceneError` for a table that the run does not
         have.
         """
@@ -183,11 +196,12 @@ class Run:
                 "has no samples; run it again with warpcrete.Simulation(scene, out=FOLDER)"
             )
         else:
-            final, finished = self.final_state, self.finished
+            final, finished, ended = self.final_state, self.finished, self.result["ended"]
             try:
                 final.simulation(self.scene, out=output, **final.settings).write_run(self, final.contents)
             except BaseException:
                 self.folder, self.finished, self.result["finished"] = None, finished, finished
+                self.result["ended"] = ended
                 raise
             self.final_state = None
         return output.path

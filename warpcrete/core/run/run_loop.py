@@ -5,6 +5,7 @@ Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods`
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from ..device.device import checked_threads, find_device, scalar_of
+from ..device.interrupts import terminate_as_interrupt
 from ..device.launching import report_compiling
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from ..units import number as number_of
 from . import checkpoint
 from .checkpoint import RunRecord
 from .coroutines import Coroutine, run_coroutine
+from .ending import Ending, failure, interruption
 from .files import is_full
 from .frames import Frames
 from .output import CHECKPOINT, RunOutput, output_of
@@ -41,8 +44,8 @@ class Simulation(SimulationBase):
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
     `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
-    one thread for each core. Runs with equal numbers of threads give bitwise identical results. `frame_interval` is
-    the simulated time between two recorded frames [s]; None takes the default of
+    one thread for each core. Flows on a grid give the same bits for any number of threads, and discrete elements for
+    the same number. `frame_interval` is the simulated time between two recorded frames [s]; None takes the default of
     :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or a callback.
 
     `out` is the path of a new run folder, which then holds everything that `warpcrete run` writes, and which an
@@ -190,11 +193,20 @@ class Simulation(SimulationBase):
             else:
                 self.prepare()
         except BaseException as error:
+            self.note_failure(error)
             self.abandon(refused=isinstance(error, SceneError))
             if isinstance(error, Exception) and is_full(error):
                 saved = self.checkpoint_path is not None and self.checkpoint_path.is_file()
                 raise disk_full_error([error], 0.0 if saved else None) from error
             raise
+
+    def note_failure(self, error: BaseException) -> None:
+        """Note the `error` that ends the run before its first row, for the result in the run folder.
+
+        An invalid scene, or a folder that cannot be used, is not the end of a run.
+        """
+        if not isinstance(error, SceneError | RunFolderError):
+            self.ending = failure(error, 0.0)
 
     def claim(self) -> None:
         """Let recorders take exclusive resources, such as the run folder."""
@@ -215,19 +227,34 @@ class Simulation(SimulationBase):
                 recorder.abandon(self)
 
     def run(self) -> Run:
-        """Prepare and run the simulation, until its end, `stop_requested` or Ctrl-C; return the results.
+        """Prepare and run the simulation, until its end, `stop_requested`, Ctrl-C or SIGTERM; return the results.
+
+        Ctrl-C and SIGTERM end the run at once, and a line on standard error says so. The returned run then has
+        `interrupted` = True and `finished` = False. An interruption before t = 0 raises :class:`KeyboardInterrupt`. If
+        the program has a handler of its own for SIGTERM, that handler stays in force.
 
         Raises :class:`WarpcreteError` if this simulation has run before.
         """
         if self._has_run:
             raise WarpcreteError("this simulation has already run; create a new Simulation for another run")
-        with report_compiling(self.tell):
+        with report_compiling(self.tell), terminate_as_interrupt(self):
             if not self.prepared:
                 self.begin()
             run: Run = run_coroutine(self.running(), self.stepper.advance)
+        if run.interrupted and not self.stop_requested:  # The caller that requests a stop tells the user by itself.
+            self._tell_interruption(run)
         if run.folder is None and self.rows:
             self._keep_final_state(run)
         return run
+
+    def _tell_interruption(self, run: Run) -> None:
+        """Print that the run was interrupted, and how it can go on."""
+        text = f"interrupted at t = {self.stepper.time:.3f} s; run() returns the results so far"
+        if run.folder is not None:
+            text += f", which are saved in '{run.folder}'"
+            if self._checkpoint_time is not None:
+                text += f"; the same lines continue the run from its checkpoint at t = {self._checkpoint_time:.3f} s"
+        print(text, file=sys.stderr, flush=True)
 
     def write_run(self, run: Run, contents: dict[str, Any]) -> None:
         """Write the run folder of a `run` that has ended, from its state at the end, instead of running the scene.
@@ -254,7 +281,8 @@ class Simulation(SimulationBase):
         self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
-        finished = interrupted = False
+        finished = False
+        error: BaseException | None = None
         # Errors of a full disk, which are raised only after everything else has been written.
         full: list[Exception] = []
         try:
@@ -267,28 +295,32 @@ class Simulation(SimulationBase):
                         self._recording.call("sample", row)
                     self._frame()
                 finished = yield from self._loop()
-            except KeyboardInterrupt:
+            except KeyboardInterrupt as stop:
+                error = stop
                 if self._ended_run is not None:
                     raise  # Pass the interruption on, because the run folder that the caller requested is not complete.
-                interrupted = True
-            except Exception as error:
-                if not is_full(error):
+            except Exception as found:
+                error = found
+                if not is_full(found):
                     raise
-                full.append(error)
+                full.append(found)
         finally:
             # Write all results, for whatever reason the run ended.
             failures = self._recording.failures
             self.wall_times.phases["running"] = self.wall_times.running
             self.finishing = True
-            run = self._end(finished, interrupted)
+            run = self._end(finished, error)
+            error = None  # The traceback of the error refers to this frame, and the cycle would keep memory allocated.
         if full := [*full, *filter(is_full, failures)]:
             raise disk_full_error(full, self._checkpoint_time) from full[0]
         if failures:
             raise failures[0]
         return run
 
-    def _end(self, finished: bool, interrupted: bool) -> Run:
+    def _end(self, finished: bool, error: BaseException | None) -> Run:
         """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
+
+        `error` is the error or the interruption that ended the run at once, or None.
 
         The order makes sure that no data are lost if a recorder fails or the run is killed:
 
@@ -307,7 +339,9 @@ class Simulation(SimulationBase):
         run = self._ended_run
         if run is None:
             run = self.result(finished)
-            run.interrupted = interrupted
+            run.interrupted = isinstance(error, KeyboardInterrupt)
+            self.ending = self._ending(finished, error)
+            run.result["ended"] = self.ending.entry()
         run.finished = run.result["finished"] = finished and run.finished and not recording.failures
         recording.finish(run)
         if written and path is not None:
@@ -325,6 +359,12 @@ class Simulation(SimulationBase):
         if isinstance(self._progress, ProgressBar):
             self._progress.close()
         return run
+
+    def _ending(self, finished: bool, error: BaseException | None) -> Ending:
+        time = self.stepper.time
+        if error is not None:
+            return failure(error, time)
+        return Ending(*self.why_ended(), time) if finished else interruption(time)
 
     def _keep_final_state(self, run: Run) -> None:
         """Keep the final state in host memory, from which `run.save` can write a run folder, unless it is large."""

@@ -12,6 +12,7 @@ from ..device.simulation_protocol import Stepped
 from ..drawing.display import Display
 from ..errors import refuse
 from .coroutines import Coroutine, Until
+from .ending import Ending
 from .frames import Frames
 from .run import Run
 
@@ -48,6 +49,8 @@ class SimulationBase:
     """True if all steps of the run are over, and its results are being written or have been written."""
     resumes = False
     """True if the run goes on from a checkpoint, in an existing folder."""
+    ending: Ending | None = None
+    """Reason why the run ended; None as long as the run has not ended."""
     at_end = False
     """True if the last step has been taken, so that only recordings may still be incomplete."""
 
@@ -69,7 +72,7 @@ class SimulationBase:
             kind = next((kind for kind in reversed(kinds) if isinstance(scene, kind.scene_type)), cls)
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):
-            known = [wanted] if wanted else [kind.scene_type for kind in SimulationBase.kinds]
+            known = [wanted] if wanted else [kind.scene_type for kind in kinds]
             hint = (
                 "use warpcrete.Simulation, which accepts every scene"
                 if wanted
@@ -156,6 +159,10 @@ class SimulationBase:
     def ended_early(self) -> bool:
         """Return whether the run has reached its end before its maximum duration."""
         return False
+
+    def why_ended(self) -> tuple[str, str]:
+        """Return why a complete run has ended: a key of :data:`warpcrete.core.run.ending.REASONS`, and a sentence."""
+        return "duration", f"the run has reached its duration of {self.duration:.4g} s"
 
     def reaching(self, time: float) -> Coroutine:
         """Take the run to the simulated time `time` [s], as a generator of requests to its caller.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -55,20 +56,30 @@ def dataset(
 ) -> Any:
     """Return columns as an xarray Dataset with one dimension, whose coordinate is the column `index`.
 
-    Each variable has its unit in `attrs["units"]`, where plots of xarray find it, and its name in words in
-    `attrs["long_name"]`. `attributes` become the attributes of the whole Dataset. `instead` names what the user can do
-    without xarray. Raises :class:`WarpcreteError` if xarray is not installed.
+    Each variable with a unit has it in `attrs["units"]`, where plots of xarray and pint find it, and each variable has
+    its name in words in `attrs["long_name"]`. Exponents are written as in "m^3/s", which pint requires. `attributes`
+    become the attributes of the whole Dataset. `instead` names what the user can do without xarray. Raises
+    :class:`WarpcreteError` if xarray is not installed.
     """
     try:
         xarray: Any = importlib.import_module("xarray")
     except ImportError:
         raise WarpcreteError(f"to_xarray: needs xarray; run pip install xarray, or use {instead}") from None
     variables = {
-        name: (index, _array(values), {"long_name": name.replace("_", " "), "units": units.get(name, "")})
+        name: (index, _array(values), {"long_name": name.replace("_", " ")} | _unit_attribute(units.get(name, "")))
         for name, values in columns.items()
     }
     along = {name: variables.pop(name) for name in (index,) if name in variables}
     return xarray.Dataset(variables, along, dict(attributes))
+
+
+def with_powers(unit: str) -> str:
+    """Return the name of a unit as pint reads it, with its exponents written as powers: "m^3/s" for "m3/s"."""
+    return re.sub(r"([A-Za-z])([0-9])", r"\1^\2", unit)
+
+
+def _unit_attribute(unit: str) -> dict[str, str]:
+    return {"units": with_powers(unit)} if unit else {}
 
 
 def unstacked(found: Any, names: Sequence[str]) -> Any:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.errors import InstabilityError
+from ..laws import own_laws
+from ..scene.scene import Scene
 from .model import Model
 from .state import State
 
 
-def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
+def unstable(time: float, body: int, what: str, cures: str = "", scene: Scene | None = None) -> InstabilityError:
     """Return the error for a run that became unstable at `time` [s].
 
-    Its message contains the permanent number of the `body`, what happened to the body (`what`), and usual `cures`.
+    Its message contains the permanent number of the `body`, what happened to the body (`what`), and usual `cures`. With
+    a `scene`, it also names contact laws from outside of the package, whose forces may be wrong.
     """
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
-    return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
+    if scene is not None and (own := own_laws(scene.laws())):
+        cures += f", or another sign in force() of {own}, if it pulls where it should push"
+    return InstabilityError(what, time=time, body=body, cure=cures)
 
 
 def failed_body(model: Model, state: State, place: int) -> InstabilityError:
@@ -45,7 +50,7 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
         limit = model.scene.watch.speed
         what = f"its speed rises from {speed} above watch.speed = {limit:g} m/s in one step, or is not a number"
         cures = ""
-    return unstable(state.time, body, what, cures)
+    return unstable(state.time, body, what, cures, model.scene)
 
 
 def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:

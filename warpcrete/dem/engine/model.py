@@ -126,7 +126,7 @@ class Model:
     @property
     def stress_scale(self) -> float:
         """Order of magnitude of the stress in strongly compressed contacts [Pa]: the maximum over all contact laws."""
-        return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
+        return max(c.stress_scale for c in self.scene.laws())
 
     @property
     def mesh_speed(self) -> float:
@@ -214,9 +214,9 @@ def subcycled(scene: Scene) -> bool:
     hydration, rounds = scene.hydration, scene.time_step.rounds
     if hydration is None or scene.bonds is None or scene.local_damping > 0 or rounds == 1:
         return False
-    if scene.contact.rolls or any(c.rolls for c in scene.contacts.values()):
+    if any(c.rolls for c in scene.laws()):
         return False
-    laws = [c.stress_scale for c in (scene.contact, *scene.contacts.values())]
+    laws = [c.stress_scale for c in scene.laws()]
     others = [b.effective_modulus for b in (scene.bonds, *scene.group_bonds.values())]
     return rounds is not None or hydration.bonds.effective_modulus >= MUCH_STIFFER * max(*laws, *others)
 

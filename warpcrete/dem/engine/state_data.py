@@ -25,8 +25,8 @@ def state_dict(state: State) -> dict[str, Any]:
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
             listed = struct == "pairs" and name in pair_bytes(state.model)
-            used = array[: max(state.pair_total, 1)] if listed else array
-            stored.setdefault(struct, {})[name] = host_copy(used)
+            used = min(max(state.pair_total, 1), len(array)) if listed else 0
+            stored.setdefault(struct, {})[name] = host_copy(array[:used] if used else array)
     return stored
 
 

@@ -283,16 +283,17 @@ class Stepper:
         dt = self.dt
         if not stable > 0:
             raise InstabilityError(
-                f"t = {self.time:.6g} s: the stable time step is {stable:.3g} s, which is not above 0; usual cures: "
-                "masses, stiffnesses and dashpots within the range of single precision, or precision float64"
+                f"the stable time step is {stable:.3g} s, which is not above 0",
+                time=self.time,
+                cure="masses, stiffnesses and dashpots within the range of single precision, or precision float64",
             )
         if fixed is not None and fixed > stable * max(1.0, self.time_step.safety):
             what = f"is above the largest stable time step of this scene, {stable:.3g} s"
             if self.running:
                 raise InstabilityError(
-                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller time_step, or no "
-                    "time_step "
-                    "for an automatic step"
+                    f"time_step = {fixed!r} {what}",
+                    time=self.time,
+                    cure="a smaller time_step, or no time_step for an automatic step",
                 )
             refuse("time_step", fixed, what, "use a smaller value, or leave out 'time_step' for an automatic step")
         self._estimated = True
@@ -354,7 +355,7 @@ class Stepper:
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
-        """Advance this scene alone until the simulated time reaches `until` [s], to within one step."""
+        """Advance this scene alone to the end of the step that reaches `until` [s]: up to one step later than that."""
         drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:
@@ -371,8 +372,9 @@ class Stepper:
         if failed < 0:
             wall = self.model.walls[-1 - failed].name
             return InstabilityError(
-                f"t = {self.time:.6g} s: driven wall {wall!r} moves faster than {SPEED_LIMIT:g} m/s; usual cures: "
-                "more mass or damping of the wall, a smaller time step"
+                f"driven wall {wall!r} moves faster than {SPEED_LIMIT:g} m/s",
+                time=self.time,
+                cure="more mass or damping of the wall, a smaller time step",
             )
         if failed:
             return failed_body(self.model, self.state, failed - 1)

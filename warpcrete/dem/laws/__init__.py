@@ -5,7 +5,7 @@ on with `linear`. A user can write another law anywhere, as a class like those h
 or in `contacts`.
 """
 
-from .base import ContactLaw, damping_ratio
+from .base import ContactLaw, damping_ratio, own_laws
 from .choice import OWN_LAW, OWN_WALL_LAW, LawChoice, WallLawChoice
 from .hertz_mindlin import HertzMindlin
 from .linear import Contact
@@ -27,4 +27,5 @@ __all__ = [
     "RollingResistance",
     "WallLawChoice",
     "damping_ratio",
+    "own_laws",
 ]

@@ -3,7 +3,7 @@
 import functools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -13,6 +13,8 @@ import warp as wp
 from ...core.errors import between
 from ...core.inputs.parameters import Declared, Field, OneOf, declared_fields
 
+PACKAGE = __name__.rpartition(".")[0]
+"""Name of the package that contains the contact laws of warpcrete."""
 RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
 """Names of the parameters of all contact laws that determine the resistance to sliding and rolling."""
 
@@ -56,7 +58,8 @@ class ContactLaw(Declared, ABC):
           estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows. For a
           normal force k d^n with n > 1 at the overlap d, return the tangent stiffness n k D^(n - 1) at the deepest
           overlap D of an impact with the present closing speed v: D^(n + 1) = d^(n + 1) + (n + 1) m v^2 / (2 k), with
-          the reduced mass m.
+          the reduced mass m. Numbers must not be negative: leave out the negative slope of a pull that fades across a
+          gap, because the stiffnesses of a body's contacts are added up and it would hide others.
         - `energy(p, touch, history)` returns the energy that the force stores [J].
 
         A law that `rolls` has two more functions:
@@ -126,6 +129,16 @@ class ContactLaw(Declared, ABC):
             else:
                 values[place.name] = place.of(value)
         return values
+
+
+def own_laws(laws: Iterable[ContactLaw]) -> str:
+    """Return the names of the classes of `laws`, and of laws inside them, that come from outside of this package."""
+    found: list[str] = []
+    for law in laws:
+        nested = [value for name in declared_fields(type(law)) if isinstance(value := getattr(law, name), ContactLaw)]
+        own = "" if type(law).__module__.startswith(f"{PACKAGE}.") else type(law).__name__
+        found += [name for name in (own, own_laws(nested)) if name]
+    return " and ".join(dict.fromkeys(found))
 
 
 @functools.cache

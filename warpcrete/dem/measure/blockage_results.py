@@ -15,18 +15,30 @@ def _of(name: str) -> Callable[[Any], float | None]:
     return lambda known: known.blockage.found.get(name) if known.blockage is not None else None
 
 
+BLOCKED = "the pipe was blocked"
+
 QUANTITIES = (
     Quantity("blocked", "1", lambda known: None if known.blockage is None else float(bool(known.blockage.found)),
-             compared=True, rare=True),
-    Quantity("blockage_window", "m", lambda known: None if known.blockage is None else known.blockage.window),
-    Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest)),
-    Quantity("blocked_at", "m", _of("at")),
-    Quantity("blocked_time", "s", _of("time")),
-    Quantity("blocked_from_travel", "m", _of("travel")),
-    Quantity("blocked_pressure", "Pa", _of("pressure")),
-    Quantity("blocked_pressure_before", "Pa", _of("pressure_before")),
-    Quantity("blocked_solid_fraction", "1", _of("solid_fraction")),
-    Quantity("blocked_chains", "1", _of("chains")),
+             compared=True, rare=True,
+             meaning="1 if the pipe was blocked, otherwise 0"),
+    Quantity("blockage_window", "m", lambda known: None if known.blockage is None else known.blockage.window,
+             meaning="Travel of the piston during which a part of the concrete must stand still to count as blocked"),
+    Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest),
+             meaning="Advance of the slowest part of the concrete at the last check, divided by that of the piston"),
+    Quantity("blocked_at", "m", _of("at"),
+             meaning="Arc length of the blockage along the axis of the pipe", only_if=BLOCKED),
+    Quantity("blocked_time", "s", _of("time"),
+             meaning="Time at which the blockage was detected", only_if=BLOCKED),
+    Quantity("blocked_from_travel", "m", _of("travel"),
+             meaning="Travel of the piston at which a part of the concrete stopped", only_if=BLOCKED),
+    Quantity("blocked_pressure", "Pa", _of("pressure"),
+             meaning="Pressure on the piston when the blockage was detected", only_if=BLOCKED),
+    Quantity("blocked_pressure_before", "Pa", _of("pressure_before"),
+             meaning="Pressure on the piston when that part of the concrete stopped", only_if=BLOCKED),
+    Quantity("blocked_solid_fraction", "1", _of("solid_fraction"),
+             meaning="Solid fraction at the blockage", only_if=BLOCKED),
+    Quantity("blocked_chains", "1", _of("chains"),
+             meaning="Number of networks of strong contacts that span the pipe at the blockage", only_if=BLOCKED),
 )  # fmt: skip
 """Quantities of a blocked pipe.
 
@@ -70,9 +82,10 @@ def blocked_words(run: Any) -> str:
     found = {name: number(run.result[f"blocked_{name}"]) for name in
              ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
     spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"
+    travel = found["from_travel"]
+    since = f"a piston travel of {travel:.3g} m" if travel > 0 else "the piston began to move"
     return (
-        f"at {found['at']:.3g} m along the pipe: part of the concrete has stood still since "
-        f"{found['from_travel']:.3g} m of travel, while the pressure rose from {found['pressure_before'] / 1e3:.3g} "
-        f"to {found['pressure'] / 1e3:.3g} kPa; {spans} the section there, at a solid fraction of "
-        f"{found['solid_fraction']:.2f}"
+        f"at {found['at']:.3g} m along the pipe: part of the concrete has stood still since {since}, while "
+        f"the pressure rose from {found['pressure_before'] / 1e3:.3g} to {found['pressure'] / 1e3:.3g} kPa; {spans} "
+        f"the section there, at a solid fraction of {found['solid_fraction']:.2f}"
     )

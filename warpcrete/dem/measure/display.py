@@ -358,8 +358,8 @@ class ElementDisplay(Display):
             colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        # If the scene has no hydrated bonds, kind 2 stands for other bonds, for example those inside a body group. Draw
-        # all bonds alike.
+        # Only in a scene with hydration is kind 2 that of hydrated bonds. Elsewhere it is that of other bonds, such as
+        # those inside a body group, so all bonds are drawn with the same colour.
         if not self.simulation.scene.hydration:
             return {"contacts": lines(touching & (kinds <= 0)), "bonds": lines(kinds > 0)}
         hydrated = kinds == int(HYDRATED)

@@ -17,17 +17,18 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
     wall stress [Pa]. For a pipe with a bend or taper in its middle, the function returns both losses for the straight
     section upstream of the middle and for the section downstream of it. Each loss follows from a straight line that is
     fitted to the stresses in its section. The fit leaves out a length of one pipe radius at each end of the section. A
-    pipe with a middle has three more results:
+    pipe with a middle has four more results:
 
     - `middle_loss` [Pa] is the loss of axial stress in the middle, from the end of the upstream line to the beginning
       of the downstream line.
     - `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length. Friction rises with
       pressure. The gradient of this straight pipe is therefore the logarithmic mean of 4 tau / d at both ends of the
       middle, with the wall stress tau and the diameter d. This mean is exact if friction rises linearly with pressure.
+    - `middle_excess` [Pa] is the difference of these two losses.
     - `flux_ratio` is the downstream solid volume flux divided by the upstream flux.
 
-    A result is left out if concrete fills too few of the slices that it needs. The result `middle_ratio` is also left
-    out if the wall stress at an end of the middle is not positive.
+    A result is left out if concrete fills too few of the slices that it needs. The results `middle_ratio` and
+    `middle_excess` are also left out if the wall stress at an end of the middle is not positive.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -59,7 +60,8 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
                  for line, place in ((before, begin), (behind, end))]  # fmt: skip
         result |= {"middle_loss": loss, "flux_ratio": behind.flux / before.flux}
         if min(there) > 0:
-            result["middle_ratio"] = loss / (_logarithmic_mean(*map(float, there)) * (end - begin))
+            straight = _logarithmic_mean(*map(float, there)) * (end - begin)
+            result |= {"middle_ratio": loss / straight, "middle_excess": loss - straight}
     return result
 
 

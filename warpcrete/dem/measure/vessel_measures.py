@@ -81,8 +81,18 @@ def outcome(known: Any) -> Outcome | None:
 
 
 def _own(test: StandardTest) -> tuple[Quantity, ...]:
-    rest = Quantity("rest_speed", "m/s", lambda k: k.last("fastest"))
-    return rest, Quantity("strays", "1", lambda k: None if test.outflow else 1 - k.last("main_body"))
+    rest = Quantity(
+        "rest_speed",
+        "m/s",
+        lambda k: k.last("fastest"),
+        meaning="Largest speed in the main body of the concrete in a vessel at the end",
+    )
+    return rest, Quantity(
+        "strays",
+        "1",
+        lambda k: None if test.outflow else 1 - k.last("main_body"),
+        meaning="Fraction of the spheres in a vessel that are not in the main body at the end",
+    )
 
 
 def quantities() -> list[Quantity]:

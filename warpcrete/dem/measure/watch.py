@@ -68,6 +68,7 @@ class Watch:
                 f"(watch.overlap = {limits.overlap:g})",
                 "stiffer contacts, bodies that do not overlap at the start, slower walls, or a higher watch.overlap "
                 "(the scene's parameter 'overlap_limit')",
+                self.model.scene,
             )
         resolution = self._resolution(row)
         if resolution > MAX_ROUNDING:
@@ -91,6 +92,7 @@ class Watch:
                 f"energy grew by {free - self.least:.3g} J without work of a wall or drive, "
                 f"{(free - self.least) / max(self.scale, 1e-300):.2g} of all energy in the scene "
                 f"(watch.energy = {limits.energy:g})",
+                scene=self.model.scene,
             )
 
 

@@ -59,6 +59,7 @@ class CourseParameters:
         "angle",
         "outlet_diameter",
         "wall",
+        "wall_scale",
         "line",
     )
 

@@ -7,7 +7,7 @@ import warnings
 
 from ...core.run.checks import with_cures
 from ...core.run.run import Run
-from ..laws import BinghamMortar, ContactLaw
+from ..laws import BinghamMortar, own_laws
 from .scene import Scene
 
 LARGEST_ENERGY_ERROR = 0.01
@@ -32,7 +32,11 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
         return {}
     passed = abs(error) < LARGEST_ENERGY_ERROR
     found = f"error {100 * error:.3g} % of the energy"
-    return {"energy balance": (passed, found if passed else f"{found}; usual cure: {_finer(run.scene, abs(error))}")}
+    if not passed:
+        found += f"; usual cure: {_finer(run.scene, abs(error))}"
+        if own := own_laws(run.scene.laws()):
+            found += f", or energy() and the losses of {own} do not fit its force()"
+    return {"energy balance": (passed, found)}
 
 
 def _finer(scene: Scene, error: float) -> str:
@@ -53,8 +57,8 @@ def overlap_words(scene: Scene, overlap: float) -> str:
     words, law = f"largest overlap {overlap:.3g} of the smaller radius", scene.contact
     if isinstance(law, BinghamMortar):
         return f"{words}, of which shells of mortar are {2 * law.shell_fraction:.2g} in spheres of equal size"
-    own = not type(law).__module__.startswith(ContactLaw.__module__.rpartition(".")[0])
-    return f"{words}, including coats that {type(law).__name__} may have" if own else words
+    own = own_laws([law])
+    return f"{words}, including coats that {own} may have" if own else words
 
 
 @with_cures(CURES)
@@ -75,7 +79,10 @@ def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def warn_of_coarse_step(run: Run) -> None:
-    """Warn if the energy balance shows that the time step is too coarse for the impacts in a run."""
+    """Warn if the energy balance shows that the time step is too coarse for a run, or its contact law wrong."""
     for passed, found in energy_check(run).values():
         if not passed:
-            warnings.warn(f"the time step is coarse for the impacts in this run: energy balance, {found}", stacklevel=2)
+            own = ", or its contact law is wrong" if own_laws(run.scene.laws()) else ""
+            warnings.warn(
+                f"the time step is coarse for the impacts in this run{own}: energy balance, {found}", stacklevel=2
+            )

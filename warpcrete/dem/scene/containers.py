@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...core.errors import positive, refuse
+from ...core.inputs.field_help import help_on_fields
 from ...geometry.axis import Axis
 from ...geometry.bores import Bores
 from ...geometry.meshes import load_closed, signed_distance
@@ -142,6 +143,7 @@ class MeshContainer:
             wanted *= 2
 
 
+@help_on_fields
 @dataclass(frozen=True, kw_only=True)
 class Fill:
     """Aggregates and the container into which they are packed.
@@ -150,8 +152,13 @@ class Fill:
     """
 
     container: PipeContainer | MeshContainer
+    """Volume that the bodies fill."""
     sizes: Sizes = field(default_factory=Gaussian)
+    """Distribution of the bodies' sizes: `Gaussian`, `Uniform` or `SieveCurve` of :mod:`warpcrete.dem.scene.sizes`. The
+    default is `Gaussian()`, from 5 to 20 mm."""
     templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
+    """Shapes of the bodies. The default is the four clumps of :func:`warpcrete.dem.scene.clumps.reference`, with two to
+    four spheres each. For single spheres write `templates=(warpcrete.dem.scene.clumps.sphere(),)`."""
     fractions: tuple[float, ...] | None = None
     """Fraction of the solid volume that bodies of each shape (template) make up; None means equal fractions. The sum is
     scaled to 1."""
@@ -163,6 +170,7 @@ class Fill:
     The bodies then also carry the mass of the mortar between them.
     """
     material: str = "aggregate"
+    """Name of the bodies' material, which selects the contact law in `Scene.contacts`."""
     solid_fraction: float | None = None
     """Ratio of solid volume to container volume, from 0.01 to 0.8; an alternative to `pressure`."""
     pressure: float | None = None
@@ -191,8 +199,9 @@ class Fill:
             refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
         if self.pressure is not None:
             positive("packing pressure", self.pressure, "Pa")
-        if not self.templates:
-            refuse("templates", self.templates, "must contain at least one template")
+        if isinstance(self.templates, ClumpTemplate) or not self.templates:
+            refuse("templates", self.templates, "must be a tuple of at least one template",
+                   "for single spheres: (warpcrete.dem.scene.clumps.sphere(),)")  # fmt: skip
         given = np.ones(len(self.templates)) if self.fractions is None else np.asarray(self.fractions, float)
         wrong = given.shape != (len(self.templates),) or not np.all(np.isfinite(given)) or np.any(given < 0)
         if wrong or not given.sum() > 0:

@@ -259,6 +259,10 @@ class Scene(Parametrised):
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the scene function that created this scene, by name; empty if no scene function created it."""
 
+    def laws(self) -> tuple[ContactLaw, ...]:
+        """Return all contact laws of the scene: `contact` first, then those of `contacts`."""
+        return (self.contact, *self.contacts.values())
+
     @property
     def caption(self) -> str:
         """Scene, diameter, concrete (or contact law) and flow in words, for titles of figures and recordings.

@@ -38,7 +38,8 @@ class Stations:
     middle: tuple[float, float] | None = None
     """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
     each_row: bool = True
-    """True to measure the slices in every row of the series, False to measure them only when a recording draws them."""
+    """Whether each row of the time series contains the values of all slices. If False, the slices are measured only for
+    pictures and recordings."""
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):

@@ -30,7 +30,7 @@ class FlowRun(Simulation):
     """Name of the entry of a run's result that states whether the flow became steady or came to rest."""
     method: ClassVar[str] = "mps"
     """Name of the simulation method in the run's result."""
-    cure: ClassVar[str] = "use a smaller 'time_step'"
+    cure: ClassVar[str] = "a smaller 'time_step'"
     """Advice for the user if a value of the time series is not finite."""
 
     def set_up(self) -> None:
@@ -87,7 +87,13 @@ class FlowRun(Simulation):
         """Raise :class:`InstabilityError` if a value in a `row` of the time series is not finite."""
         for name, value in row.items():
             if not math.isfinite(value):
-                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; {self.cure}")
+                raise InstabilityError(f"{name} is not a finite number", time=row["time"], cure=self.cure)
+
+    def why_ended(self) -> tuple[str, str]:
+        """Return why a complete run has ended: a reason and a sentence."""
+        if self.steady and self.may_end_early:
+            return "steady", f"the flow became steady at t = {self.flow.time:.4g} s"
+        return super().why_ended()
 
     def measure(self) -> dict[str, float]:
         """Measure the flow, append the values to the time series as a row, and return this row."""
@@ -127,6 +133,7 @@ class FlowRun(Simulation):
             "scene": scene.name,
             "method": self.method,
             "finished": finished,
+            "ended": None,
             self.goal: self.steady,
             "simulated_time": quantity(flow.time, "s"),
             "steps": flow.steps,
@@ -137,7 +144,7 @@ class FlowRun(Simulation):
         result |= outcome
         result["speed"] = self.speed()
         result["state_hash"] = arrays_hash(flow.state_arrays())
-        result["provenance"] = provenance(self.device, self.precision, scene.seed)
+        result["provenance"] = provenance(self.device, self.precision, scene.seed, self.threads)
         return Run(scene, series, {name: self.unit(name) for name in series}, result, finished, tables=tables)
 
     def speed(self) -> dict[str, Any]:

@@ -173,8 +173,9 @@ class Stepping(ABC):
     def _fail(self, what: int) -> None:
         if what == LOST:
             raise InstabilityError(
-                f"t = {self.time:.6g} s: a particle left the vessel, or its position is not a number; usual cure: a "
-                "smaller 'time_step'"
+                "a particle left the vessel, or its position is not a number",
+                time=self.time,
+                cure="a smaller 'time_step'",
             )
         solve = self.solves()[what]
         outcome = solve.outcome.numpy()

@@ -73,7 +73,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     outflow = scene.test.outflow if scene.test else None
     estimate = expected(scene).get(outflow.time) if outflow else None
     if outflow and estimate is None:
-        return Course(scene.duration, scene.time_step, ["the yield stress may hold the concrete in the funnel"])
+        note = "no closed form tells when the vessel is empty; the yield stress may hold the concrete back"
+        return Course(scene.duration, scene.time_step, [note])
     # Bars are thinner than the cells of the coarser copy, which would otherwise be as fine as the scene itself.
     across = *np.ptp(scene.extent, axis=0), *(x for name, x in scene.dimensions.items() if name != "bar_diameter")
     spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)

@@ -67,8 +67,9 @@ class FreeSimulation(FlowRun):
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
-                f"t = {row['time']:.6g} s: the concrete has reached the edge of the plate, {self.scene.width:g} m from "
-                "its middle; use a larger plate ('plate_radius')"
+                f"the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle",
+                time=row["time"],
+                cure="a larger plate ('plate_radius')",
             )
 
     @property
@@ -83,6 +84,15 @@ class FreeSimulation(FlowRun):
             return True
         self.steady = is_at_rest(self._rows, self.lift_end + STARTS, self.scene.rest_speed)
         return self.steady
+
+    def why_ended(self) -> tuple[str, str]:
+        """Return why a complete run has ended: a reason and a sentence."""
+        time = self.flow.time
+        if self.scene.test and self.scene.test.is_over(self._rows[-1]):
+            return "empty", f"the concrete had flowed out at t = {time:.4g} s"
+        if self.steady:
+            return "rest", f"the concrete came to rest at t = {time:.4g} s"
+        return super().why_ended()
 
     def sizes(self) -> dict[str, Any]:
         """Return sizes of the model, such as the number of cells, for the run's result."""

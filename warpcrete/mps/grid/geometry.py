@@ -84,6 +84,7 @@ class Geometry:
     part: np.ndarray
     shut: np.ndarray
     surface: np.ndarray
+    swept: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -139,11 +140,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         shift = [0.5] * axes
         shift[axis] = 0.0
         distance, own = nearest(room.places(shift))
-        others = [b for b in range(axes) if b != axis]
-        lowest = np.take(corners, range(depth.shape[axis]), axis)
-        share = _open_fraction(_corner_values(lowest, others), axes - 1)
-        below = np.roll(solid, 1, axis)
-        closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
+        share, below = _open_part(corners, solid != NONE, axis), np.roll(solid, 1, axis)
+        closed = share == 0.0
         # At a closed face that lies on a wall parallel to it, the velocity normal to the face is that of the wall. Near
         # an inclined wall, the velocity normal to a closed face is an unknown of the solve.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
@@ -158,7 +156,7 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
                 on_side = closed & (index[axis] == at)
                 stops, own = stops | on_side, np.where(on_side, PLATE, own)
         gap.append(np.minimum(distance, far))
-        part.append(np.where(closed, 0.0, np.where(share > 1 - MIN_OPEN_FRACTION, 1.0, share)))
+        part.append(share)
         shut.append(np.where(stops, int(FIXED), int(INSIDE)))
         surface.append(np.where((solid == SMOOTH) | (below == SMOOTH), np.where(closed, SMOOTH, own), own))
     rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
@@ -175,7 +173,41 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         np.ascontiguousarray(quarter_fraction),
         _last_first(weighted_volume),
         *rest,
+        _swept_fractions(room, walls, rest[1], mirror | beyond),
     )
+
+
+def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
+    """Return the open fraction of the area of each face across an axis; 0 beside a wall cell (True in `wall`).
+
+    `corners` holds the distances of the wall at the corners of cells [m].
+    """
+    others = [b for b in range(wall.ndim) if b != axis]
+    lowest = np.take(corners, range(wall.shape[axis]), axis)
+    share = _open_fraction(_corner_values(lowest, others), wall.ndim - 1)
+    closed = (share < MIN_OPEN_FRACTION) | wall | np.roll(wall, 1, axis)
+    return np.where(closed, 0.0, np.where(share > 1 - MIN_OPEN_FRACTION, 1.0, share))
+
+
+def _swept_fractions(
+    room: Room, walls: Sequence[tuple[Distance, int]], part: Sequence[np.ndarray], sides: np.ndarray
+) -> np.ndarray:
+    """Return the fraction of each face that moving walls close and no standing wall, shape (axes, *shape).
+
+    `part` holds the open fractions of faces, one array for each axis, and `sides` is the mask of the cells beyond walls
+    and mirrors on sides of the box. The result is empty if no wall moves.
+
+    A moving wall displaces concrete through these parts of the faces. If the parts that a standing wall closes counted
+    as well, small cells in which both walls meet would get much more concrete than the moving wall displaces.
+    """
+    standing = [wall for wall in walls if wall[1] <= ROUGH]
+    if len(standing) == len(walls):
+        return np.zeros(0)
+    far = 2.0 * float(np.max(np.array(room.cells) * room.width))
+    axes = range(len(room.cells))
+    corners = np.minimum(nearest_wall(room, standing, sides=False)(room.places([0.0] * len(axes), 1))[0], far)
+    wall = sides | (_open_fraction(_corner_values(corners, axes), len(axes)) < MIN_OPEN_FRACTION)
+    return np.stack([_last_first(_open_part(corners, wall, axis)) - part[axis] for axis in axes])
 
 
 def _quarter_fractions(ends: np.ndarray) -> np.ndarray:

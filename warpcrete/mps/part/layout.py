@@ -173,7 +173,7 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     total = 0.0
     for axis in range(3):
         area = room.width[0] ** 2
-        closed_area = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
+        closed_area = geometry.swept[axis] * area * way[axis]
         # Arrays of cells store the axes in reverse order, so grid axis `axis` is the array axis 2 - axis.
         above = np.roll(liquid, 1, 2 - axis)
         total += float(np.sum(closed_area * liquid) - np.sum(closed_area * above))

@@ -32,7 +32,7 @@ class PartSimulation(FlowRun):
 
     scene_type = PartScene
     scene: PartScene
-    cure = "use a smaller time step, or longer straight pipes at the two ends ('straight')"
+    cure = "a smaller time step, or longer straight pipes at the two ends ('straight')"
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""

@@ -50,9 +50,9 @@ class Stretch:
     end: float | None
     """Distance of the second gauge from the pump [m]; None for the end of the line."""
     measured: float
-    """Friction between the gauges according to their readings [Pa/m]."""
+    """Friction loss per length between two gauges according to their readings [Pa/m]."""
     fitted: float
-    """Friction between the gauges according to the fit [Pa/m]."""
+    """Friction loss per length between two gauges according to the fit [Pa/m]."""
 
 
 @dataclass(frozen=True)

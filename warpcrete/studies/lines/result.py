@@ -78,7 +78,7 @@ class LineResult(LinePressures):
         """Return the parts and the pressure along the line as an xarray Dataset in SI units.
 
         The losses of the parts have the dimension `number`. The pressure and the ends of its band have the dimension
-        `place`, the distance of the parts' ends from the start of the line [m]. Each variable has its unit in
+        `place`, the distance of the parts' ends from the start of the line [m]. Variables with a unit have it in
         `attrs["units"]`; the attributes of the Dataset are the line's name and, as JSON texts, the constants of the
         concrete and the quantities of the whole line. Raises :class:`WarpcreteError` if xarray is not installed.
         """

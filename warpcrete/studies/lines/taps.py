@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.errors import between, positive, refuse
+from ...core.errors import at_least_and_below, positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.limits import check_limit, check_velocity
 from ...core.inputs.text_files import read_columns
@@ -69,8 +69,10 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
                 refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
             values["place"] = float(starts[int(values["part"]) - 1])
         field = f"{path.name}, line {row}: place"
-        between(field, values["place"], 0.0, float(np.nextafter(starts[-1], 0.0)), "m",
-                "'place' is the distance from the pump along the line, and must lie before the open end")  # fmt: skip
+        at_least_and_below(
+            field, values["place"], 0.0, float(starts[-1]), "m",
+            "'place' is the distance from the pump along the line, and must lie before the open end",
+        )  # fmt: skip
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
         found.append(Tap(values["place"], values["pressure"], values["flow"], row))
     return tuple(found)

@@ -25,7 +25,9 @@ STRETCHES = 400
 
 
 def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Aggregates, Entrance]:
-    """Return randomly placed aggregates in the part and behind the plane of its start, and this plane.
+    """Place aggregates at random in the part and outside, behind the plane through which they will enter it.
+
+    Returns the aggregates and this plane.
 
     Raises :class:`warpcrete.SceneError` if not all aggregates find a place.
     """

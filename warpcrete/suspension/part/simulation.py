@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.method import results_of
+from ...core.run.run_loop import Simulation
 from ...core.run.tables import Table
 from ...mps.grid.state import GridState, check_memory
 from ...mps.part.layout import part_layout, part_room
@@ -79,6 +80,13 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
             now, before = pressure[last].mean(), pressure[third].mean()
             self.steady = bool(abs(now - before) <= STEADINESS * abs(now))
         return len(rows) > 1 and is_blocked(scene, rows)
+
+    def why_ended(self) -> tuple[str, str]:
+        """Return why a complete run has ended: a reason and a sentence."""
+        if len(self._rows) > 1 and is_blocked(self.scene, self._rows):
+            return "blocked", f"the part was blocked at t = {self.flow.time:.4g} s"
+        # The run lasts as long as the scene states, even if the flow is steady.
+        return Simulation.why_ended(self)
 
     @property
     def fraction(self) -> float:

@@ -89,20 +89,35 @@ def _migration_words(run: Run) -> str:
 
 
 QUANTITIES = (
-    Quantity("pressure", "Pa", _fixed(lambda k: _pressure(k, k.mean("gradient"))), "pressure", _pressure_words, True),
-    Quantity("pressure_theory", "Pa", _fixed(lambda k: _pressure(k, k.scene.gradient))),
-    Quantity("gradient", "Pa/m", _fixed(lambda k: k.mean("gradient")), "friction", _gradient_words, True),
-    Quantity("gradient_theory", "Pa/m", _fixed(lambda k: k.scene.gradient)),
-    Quantity("flow", "m3/s", lambda k: k.mean("flow"), "flow", _flow_words, True),
-    Quantity("flow_alone", "m3/s", lambda k: k.scene.mortar_alone.flow),
-    Quantity("wall_stress", "Pa", lambda k: k.mean("wall_stress"), "wall's stress", _stress_words, True),
-    Quantity("wall_stress_theory", "Pa", lambda k: k.wall_stress),
+    Quantity("pressure", "Pa", _fixed(lambda k: _pressure(k, k.mean("gradient"))), "pressure", _pressure_words, True,
+             meaning="Pressure difference over the stretch with the weight of the concrete in it; only at a "
+                     "constant flow"),
+    Quantity("pressure_theory", "Pa", _fixed(lambda k: _pressure(k, k.scene.gradient)),
+             meaning="Pressure of the mortar without aggregates by theory, with the same weight"),
+    Quantity("gradient", "Pa/m", _fixed(lambda k: k.mean("gradient")), "friction", _gradient_words, True,
+             meaning="Friction per length, without weight; only at a constant flow"),
+    Quantity("gradient_theory", "Pa/m", _fixed(lambda k: k.scene.gradient),
+             meaning="Friction per length of the mortar without aggregates by theory"),
+    Quantity("flow", "m3/s", lambda k: k.mean("flow"), "flow", _flow_words, True,
+             meaning="Volume flow, as a mean over the last half of the run"),
+    Quantity("flow_alone", "m3/s", lambda k: k.scene.mortar_alone.flow,
+             meaning="Volume flow of the mortar without aggregates by theory"),
+    Quantity("wall_stress", "Pa", lambda k: k.mean("wall_stress"), "wall's stress", _stress_words, True,
+             meaning="Mean shear stress on the wall"),
+    Quantity("wall_stress_theory", "Pa", lambda k: k.wall_stress,
+             meaning="Shear stress on the wall that balances the pressure gradient"),
     Quantity("relative_viscosity", "1", lambda k: k.mean("relative_viscosity"), "viscosity in the core",
-             lambda run: f"{run.result['relative_viscosity']:.3g} times that of the mortar", True),
-    Quantity("slip_velocity", "m/s", lambda k: k.mean("slip_velocity"), "apparent slip", _slip_words, True),
-    Quantity("aggregate_velocity", "m/s", lambda k: k.mean("aggregate_velocity"), "speed of aggregates", None, True),
-    Quantity("migration", "1", lambda k: k.change("aggregate_radius"), "distance from axis", _migration_words, True),
-    Quantity("smallest_gap", "1", lambda k: float(k.series["smallest_gap"][1:].min())),
+             lambda run: f"{run.result['relative_viscosity']:.3g} times that of the mortar", True,
+             meaning="Apparent viscosity of the core, divided by that of the mortar"),
+    Quantity("slip_velocity", "m/s", lambda k: k.mean("slip_velocity"), "apparent slip", _slip_words, True,
+             meaning="Apparent slip velocity, which a layer of mortar at the wall causes"),
+    Quantity("aggregate_velocity", "m/s", lambda k: k.mean("aggregate_velocity"), "speed of aggregates", None, True,
+             meaning="Mean velocity of the aggregates along the pipe"),
+    Quantity("migration", "1", lambda k: k.change("aggregate_radius"), "distance from axis", _migration_words, True,
+             meaning="Change of the mean distance of the aggregates from the axis during the run, divided by the "
+                     "radius of the pipe"),
+    Quantity("smallest_gap", "1", lambda k: float(k.series["smallest_gap"][1:].min()),
+             meaning="Smallest gap between aggregates, or between aggregate and wall, during the run"),
 )  # fmt: skip
 """Results of a stretch of pipe; velocities are means over the last half of the run."""
 

@@ -26,7 +26,7 @@ class StretchSimulation(AggregateRun):
 
     scene_type = StretchScene
     scene: StretchScene
-    cure = "use a smaller 'courant'"
+    cure = "a smaller 'courant'"
 
     @property
     def may_end_early(self) -> bool:

@@ -1,0 +1,183 @@
+"""The entry `ended` of a run's result, for every way in which a run ends."""
+
+import errno
+import json
+import pickle
+import signal
+import subprocess
+import sys
+
+import pytest
+from pumping import INTERRUPTIBLE, TINY, command, small_options, small_run, wait_until
+
+import warpcrete
+from warpcrete import ConvergenceError, InstabilityError, Simulation, scenes
+from warpcrete.core.run.ending import REASONS, Ending
+from warpcrete.core.run.recorder import Recorder
+
+CPU = dict(device="cpu", threads=1)
+FLOW = dict(spacing=10e-3)
+FAST = dict(diameter=0.1, length=0.15, settle=0.1, ramp=0.02, travel=0.04)
+
+
+def ended(folder):
+    """Return the contents of result.json and its entry `ended`."""
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    return result, Ending.of(result)
+
+
+class At(Recorder):
+    """Does something at the second row."""
+
+    def __init__(self, act):
+        self.act = act
+
+    def sample(self, simulation, row):
+        if len(simulation.rows) == 2:
+            self.act(simulation)
+
+
+def fails_with(error):
+    def act(simulation):
+        raise error
+
+    return act
+
+
+def test_a_pump_run_ends_with_the_travel_of_its_piston():
+    run = small_run("cpu")
+    assert run.ended.reason == "travel" and run.ended.time == run["simulated_time"]
+    assert run.ended.message == str(run.ended) == f"the piston completed its travel at t = {run.ended.time:.4g} s"
+    assert "finished (travel)" in repr(run)
+
+
+def test_a_flow_ends_steady_or_after_its_duration(tmp_path):
+    run = Simulation(scenes.channel(**FLOW), **CPU).run()
+    run.save(tmp_path / "run")
+    assert run.ended.reason == "steady" and ended(tmp_path / "run")[1] == run.ended
+    assert warpcrete.load(tmp_path / "run").ended == run.ended
+    # A flow whose duration is stated lasts as long, even if it becomes steady before.
+    for duration, steady in ((0.01, False), (2 * run.ended.time, True)):
+        timed = Simulation(scenes.channel(**FLOW, duration=duration), **CPU).run()
+        assert timed.ended.reason == "duration" and timed.result["steady"] == steady
+        assert timed.ended.message == f"the run has reached its duration of {duration:.4g} s"
+
+
+def test_a_slump_ends_at_rest_and_a_funnel_empty():
+    slump = scenes.slump(yield_stress=600.0, viscosity=60.0, spacing=0.02)
+    assert Simulation(slump, **CPU).run().ended.reason == "rest"
+    short = Simulation(scenes.slump(yield_stress=600.0, viscosity=60.0, spacing=0.02, duration=0.1), **CPU).run()
+    assert short.ended.reason == "duration" and not short.result["at_rest"]
+    with pytest.raises(KeyError, match="no quantity 't500': a run has it only if the spread grows to 500 mm"):
+        short["t500"]
+    with pytest.raises(KeyError, match=r"no quantity .spred.; similar names are .*spread"):
+        short["spred"]
+    funnel = Simulation(scenes.funnel(yield_stress=20.0, viscosity=5.0, spacing=0.016), **CPU).run()
+    assert funnel.ended.reason == "empty" and "funnel_time" in funnel.result
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (InstabilityError("burst", time=0.5, body=3), "unstable"),
+        (ConvergenceError(0.5, "pressure", 2, [1.0, 0.5], 0.1, 2), "unconverged"),
+        (RuntimeError("broken"), "failed"),
+        (OSError(errno.ENOSPC, "no space"), "disk full"),
+    ],
+)
+def test_a_run_that_an_error_ends_says_so(tmp_path, error, reason):
+    with pytest.raises(Exception, match=r"burst|converge|broken|no space"):
+        Simulation(scenes.channel(**FLOW), **CPU, out=tmp_path / "run", recorders=[At(fails_with(error))]).run()
+    result, why = ended(tmp_path / "run")
+    assert not result["finished"] and result["steps"] > 0
+    assert why.reason == reason in REASONS and 0 < why.time == result["simulated_time"]["value"]
+    assert why.message == (str(error) if reason.startswith("un") else repr(error))
+
+
+def test_interruptions_and_requests_to_stop(tmp_path):
+    def request(simulation):
+        simulation.stop_requested = True
+
+    for name, act in (("stopped", request), ("interrupted", fails_with(KeyboardInterrupt()))):
+        run = Simulation(scenes.channel(**FLOW), **CPU, out=tmp_path / name, recorders=[At(act)]).run()
+        assert run.ended == ended(tmp_path / name)[1] and run.ended.reason == "interrupted"
+        assert run.ended.message == f"interrupted at t = {run.ended.time:.3f} s" and "not finished (int" in repr(run)
+    # A run that goes on ends as any other.
+    assert Simulation(scenes.channel(**FLOW), **CPU, out=tmp_path / "stopped").run().ended.reason == "steady"
+    assert ended(tmp_path / "stopped")[1].reason == "steady"
+
+
+def test_a_recorder_that_fails_at_the_end_is_the_reason(tmp_path):
+    class Broken(Recorder):
+        def finish(self, simulation, run):
+            raise RuntimeError("broken")
+
+    for words, every in (("kept", 60), ("none", 0)):
+        with pytest.raises(RuntimeError, match="broken"):
+            settings = dict(out=tmp_path / words, recorders=[Broken()], checkpoint_every=every)
+            Simulation(scenes.channel(**FLOW), **CPU, **settings).run()
+        result, why = ended(tmp_path / words)
+        assert not result["finished"] and why.reason == "failed" and "broken" in why.message
+
+
+def test_a_pump_run_that_bursts_before_its_first_row_leaves_a_result(tmp_path):
+    """Its body group settles with a time step that is too large; the error has the fields that its message states."""
+    words = [word for name, value in FAST.items() for word in (f"--{name}", value)]
+    done = command("run", "pipe", *words, "--safety", 4, "--device", "cpu", "--quiet", "--out", tmp_path / "run")
+    result, why = ended(tmp_path / "run")
+    assert done.returncode == 1 and not result["finished"] and "steps" not in result
+    assert why.reason == "unstable" and why.time == 0.0 and f"error: {why.message}\n" in done.stderr
+    assert warpcrete.load(tmp_path / "run").ended == why
+    with pytest.raises(InstabilityError) as caught:
+        Simulation(scenes.pipe(**FAST, safety=4), **CPU).run()
+    error = caught.value
+    assert (
+        str(error)
+        == why.message
+        == f"t = {error.time:.6g} s, body {error.body}: {error.what}; usual cures: " + (error.cure)
+    )
+    assert error.time > 0 and error.body >= 0 and "time_step below" in error.cure
+
+
+@pytest.mark.parametrize("checkpoint_every", [0, 60])
+def test_every_run_of_a_batch_that_bursts_leaves_a_result(tmp_path, checkpoint_every):
+    from warpcrete.dem.batch_run import run_batch
+
+    made = [
+        Simulation(scenes.pipe(**FAST, safety=safety), **CPU, out=tmp_path / name, checkpoint_every=checkpoint_every)
+        for name, safety in (("good", 0.8), ("bad", 4))
+    ]
+    good, bad = run_batch(made)
+    assert good.ended.reason == "travel" and isinstance(bad, InstabilityError)
+    assert ended(tmp_path / "bad")[1].message == str(bad)
+
+
+@pytest.mark.posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_concrete_settles_leaves_a_result(tmp_path, number):
+    words = small_options(**TINY | {"settle": 100.0})
+    process = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTIBLE, "run", "pipe", *words, "--device", "cpu", "--quiet", "--out",
+         str(tmp_path / "run")], stderr=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8",
+    )  # fmt: skip
+    assert wait_until(lambda: (tmp_path / "run" / "checkpoint.npz").exists(), 300)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=240)
+    assert process.returncode == 130, errors
+    result, why = ended(tmp_path / "run")
+    assert why == Ending("interrupted", "interrupted at t = 0.000 s", 0.0) and not result["finished"]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [InstabilityError("burst", time=0.5, body=3, cure="a, b"), ConvergenceError(0.5, "flow", 2, [1.0, 0.5], 0.1, 2)],
+)
+def test_errors_keep_their_fields_between_processes(error):
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error) and vars(copy) == vars(error) and type(copy) is type(error)
+
+
+def test_an_error_states_what_is_known():
+    assert str(InstabilityError("burst")) == "burst"
+    assert str(InstabilityError("burst", time=0.5, cure="glue")) == "t = 0.5 s: burst; usual cure: glue"
+    assert str(InstabilityError("burst", body=0, cure="a, b")) == "body 0: burst; usual cures: a, b"

@@ -1,0 +1,72 @@
+"""Reason why a run ended, as result.json and :class:`Run` state it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+from ..errors import ConvergenceError, InstabilityError, WarpcreteError, one_line
+from ..narrowing import is_dict
+from ..units import number, quantity
+from .files import is_full
+
+REASONS = {
+    "travel": "the piston has completed its travel",
+    "duration": "the run has reached the simulated time that the scene states",
+    "steady": "the flow became steady",
+    "rest": "the concrete came to rest",
+    "empty": "the concrete has flowed out",
+    "blocked": "the pipe is blocked, and the scene ends blocked runs",
+    "interrupted": "Ctrl-C, SIGTERM or a program stopped the run",
+    "unstable": "the state lost its physical meaning (InstabilityError)",
+    "unconverged": "an iterative solve did not converge (ConvergenceError)",
+    "disk full": "a file could not be written because the disk was full",
+    "failed": "any other error",
+}
+"""Meaning of each reason for which a run may end."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """Reason why a run ended, with a sentence about it and the simulated time."""
+
+    reason: str
+    """One of the keys of :data:`REASONS`, such as "steady"."""
+    message: str
+    """Sentence that the command prints."""
+    time: float
+    """Simulated time at which the run ended [s]; 0 if it ended while the concrete was packed or settled."""
+
+    def __str__(self) -> str:
+        return self.message
+
+    def entry(self) -> dict[str, Any]:
+        """Return the entry `ended` of result.json."""
+        return {"reason": self.reason, "message": self.message, "time": quantity(self.time, "s")}
+
+    @classmethod
+    def of(cls, result: Mapping[str, Any]) -> Ending | None:
+        """Return the ending that the contents of a result.json state, or None if they state none."""
+        entry = result.get("ended")
+        if not is_dict(entry):
+            return None
+        return cls(str(entry["reason"]), str(entry["message"]), number(cast(Any, entry["time"])))
+
+
+def failure(error: BaseException, time: float) -> Ending:
+    """Return the ending of a run that an `error` or an interruption ended at the simulated time `time` [s]."""
+    if not isinstance(error, Exception):
+        return interruption(time)
+    if isinstance(error, ConvergenceError):
+        reason = "unconverged"
+    elif isinstance(error, InstabilityError):
+        reason = "unstable"
+    else:
+        reason = "disk full" if is_full(error) else "failed"
+    return Ending(reason, one_line(str(error) if isinstance(error, WarpcreteError) else repr(error)), time)
+
+
+def interruption(time: float) -> Ending:
+    """Return the ending of a run that was interrupted at the simulated time `time` [s]."""
+    return Ending("interrupted", f"interrupted at t = {time:.3f} s", time)
