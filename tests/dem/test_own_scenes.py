@@ -206,11 +206,11 @@ def test_an_unstable_run_names_a_law_from_outside_of_the_package():
 def test_a_packing_with_the_wrong_sign_of_the_force_says_what_may_be_wrong(dense):
     axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.1),))
     fill = Fill(container=PipeContainer(axis, 0.05, 0.1), sizes=Uniform(0.012, 0.016), templates=(sphere(),), **dense)
-    goal = "packing to a pressure of 500 Pa failed while the bodies grew, at most to a solid fraction of 0.75: t = "
+    goal = "packing to a pressure of 500 Pa failed while the bodies grew, at most to a solid fraction of 0.75: a speed"
     with pytest.raises(InstabilityError, match=r"another sign in force\(\) of Pulling") as error:
         pack(fill, contact=Pulling(effective_modulus=1e6), device="cpu")
-    assert str(error.value).startswith(
-        goal if "pressure" in dense else "packing to a solid fraction of 0.6 failed: t = "
+    assert error.value.what.startswith(
+        goal if "pressure" in dense else "packing to a solid fraction of 0.6 failed: a speed"
     )
 
 
