@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from warpcrete import Simulation, scenes
+from warpcrete.core.drawing.style import legend_beside
 from warpcrete.core.run.run import Run
 from warpcrete.dem.scene.scene import Published
 
@@ -80,7 +81,9 @@ def figure(rows: list[dict]):
     """Pressure against travel of all units, with the figures that the paper's text gives."""
     from matplotlib.figure import Figure
 
-    drawing = Figure(figsize=(7.5, 4.4), layout="constrained")
+    pipe = scenes.pipe(concrete="zhan-table1").pipe
+    flow = 3600 * np.pi * pipe.radius**2 * pipe.velocity
+    drawing = Figure(figsize=(8.5, 4.2), layout="constrained")
     axes = drawing.add_subplot()
     for row in rows:
         if row["seed"]:
@@ -96,9 +99,10 @@ def figure(rows: list[dict]):
             axes.axhline(paper.plateau / 1e3, color=line.get_color(), linestyle=":", linewidth=1)
     axes.plot([], [], "k+", markersize=9, label="peak in the paper's text")
     axes.plot([], [], "k:", linewidth=1, label="plateau in the paper's text")
-    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None))
+    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None),
+             title=f"pipe units, diameter {2e3 * pipe.radius:g} mm, concrete zhan-table1, {flow:.3g} m3/h")  # fmt: skip
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8, ncols=2)
+    legend_beside(axes)
     return drawing
 
 
