@@ -65,10 +65,11 @@ class SimulationBase:
 
     def __new__(cls: type[S], scene: object, **settings: object) -> S:
         kind: Any = cls
+        kinds = SimulationBase.kinds
         if not hasattr(cls, "scene_type"):
             # Search the simulation classes that were defined last first. Their scene types may be subclasses of the
             # scene types of earlier classes, which would also match the scene.
-            kinds = [kind for kind in SimulationBase.kinds if issubclass(kind, cls)]
+            kinds = [kind for kind in kinds if issubclass(kind, cls)]
             kind = next((kind for kind in reversed(kinds) if isinstance(scene, kind.scene_type)), cls)
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.device.interrupts import defer_interrupts
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
@@ -171,7 +172,9 @@ def posterior(
     begin = np.clip(spread[order[:walkers]] + random.normal(0, 1e-3, (walkers, free)), 1e-6, 1 - 1e-6)
     sampler = emcee.EnsembleSampler(walkers, free, likelihood, vectorize=True)
     state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
-    sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
+    # If an interruption arrives inside the likelihood, emcee prints a traceback before it passes the exception on.
+    with defer_interrupts():
+        sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
     samples = np.asarray(sampler.get_chain(discard=DISCARDED_STEPS, flat=True, thin=4))
     chances = np.asarray(sampler.get_log_prob(discard=DISCARDED_STEPS, flat=True, thin=4))
     start = samples[np.argmax(chances)]
