@@ -4,7 +4,6 @@ The cases lie on both sides of a limit. A case that is allowed has the word "acc
 its function if this is a text.
 """
 
-import re
 import warnings
 from dataclasses import replace
 
@@ -28,15 +27,15 @@ from warpcrete.dem.scene.sizes import SieveCurve, Uniform
 from warpcrete.dem.scene.slices import Stations
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
-from warpcrete.geometry.lines import line_of, read_line
+from warpcrete.geometry.lines import line_of
 from warpcrete.geometry.pumps import pump_of
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Stops
-from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.mix.mix import mix_of
 from warpcrete.mix.stones import read_shape
 from warpcrete.mps.scene import Aggregates as Grains
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate
-from warpcrete.studies.calibration.targets import read_task, task_of
+from warpcrete.studies.calibration.targets import task_of
 from warpcrete.studies.cases import MAX_CASES, cases_of
 from warpcrete.studies.lines.elements import Elements
 from warpcrete.studies.lines.folder import check_known
@@ -387,74 +386,3 @@ def test_kept_refusals_of_meshes(tmp_path):
         "pushed with an outlet": lambda: pushed(diameter=0.1, outlet_diameter=0.08),
     }
     compare("meshes", cases, tmp_path)
-
-
-LINE = """\
-name: site
-source: data sheet
-recorded: 85 bar
-diameter: 125 mm
-flow: 30 m3/h
-concrete: no1
-largest_stone: 16 mm
-pump: 120 bar
-begin: level
-parts:
-- straight: 10 m
-- bend: {to: up, angle: 90, radius: 1 m}
-- straight: {length: 6 m, rise: 6 m, diameter: 125 mm}
-- bend: level
-- reducer: {to: 100 mm, length: 1 m}
-- hose: {length: 5 m, layer: 1.5}
-- valve: {length: 0.5 m, factor: 3}
-"""
-MIX = """\
-mix:
-  density: 2350 kg/m3
-  air: 2 %
-  aggregate: 40 %
-  aggregate_density: 2650 kg/m3
-  sizes: [4 mm, 16 mm]
-  slump: 200 mm
-  spread: 0.5 m
-  t500: 3 s
-  water_binder: 0.45
-  voids: 24 %
-  fine_sand: 15 %
-  thickener: false
-"""
-TARGETS = """\
-base: no1
-vary:
-  yield_stress: [20, 150]
-  viscosity: {low: 10, high: 100, scale: log}
-targets:
-- {scene: slump, quantity: spread, value: 500 mm, uncertainty: 5 %}
-- {scene: funnel, quantity: funnel_time, value: 8 s, uncertainty: 10 %, held_out: true}
-"""
-WRONG = re.compile(r"(?<=: )(?:[^\s\[{:,}][^,}\]\n:]*)(?=[,}\n])|\[[^\]]*\]")
-"""Values of a YAML text; each is replaced in turn."""
-
-
-def test_kept_refusals_of_each_entry_of_a_file(tmp_path):
-    """Put nonsense, tiny, negative and large values at each place of a file; the message names file and line."""
-    path = tmp_path / "own.yaml"
-    kinds = {
-        "line": (LINE, lambda: read_line(path)),
-        "mix": (MIX, lambda: read_mix(path)),
-        "targets": (TARGETS, lambda: read_task(path, modules())),
-    }
-    cases = {}
-    for kind, (text, read) in kinds.items():
-        places = [None, *WRONG.finditer(text)]
-        for place in places:
-            for value in ("[[x]]", "1e-9", "-3", "99", "0.9") if place else ("",):
-
-                def reading(text=text, place=place, value=value, read=read):
-                    changed = text[: place.start()] + value + text[place.end() :] if place else text
-                    path.write_text(changed, encoding="utf-8")
-                    read()
-
-                line = text[: place.start()].count("\n") + 1 if place else 0
-                cases[f"{kind} {line}, {place.group() if place else 'as it is'} -> {value}"] = reading
-    compare("places", cases, tmp_path)

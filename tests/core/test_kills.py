@@ -92,7 +92,7 @@ def test_a_child_ends_with_the_process_that_started_it(tmp_path):
 
 
 def test_a_run_that_was_killed_before_its_first_checkpoint_is_begun_again(tmp_path, monkeypatch):
-    """By the same command or by --resume; another scene is refused."""
+    """The same command and --resume both go on with the run; another scene is refused."""
     words = ["run", "channel", *(f"--{name}={value}" for name, value in FLOW.items()), "--device=cpu", "--threads=1",
              "--no-rerun", "--no-usd", "--quiet", f"--out={tmp_path / 'run'}"]  # fmt: skip
     folder = tmp_path / "run"

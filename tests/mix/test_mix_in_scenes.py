@@ -126,7 +126,7 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
 
 
 def test_theory_says_how_far_a_fit_is_off(tmp_path):
-    """Of a concrete that is not sheared, so that stress over mean velocity is the straight line."""
+    """The concrete is not sheared, so wall stress over mean velocity is the straight line of its slip layer."""
     flows, pressures = np.array([0.002, 0.005, 0.008]), np.array([1.0e5, 1.9e5, 3.1e5])
     points = tmp_path / "points.csv"
     own = ["--concrete", "own", "--density", "2300", "--viscosity", "50", "--yield-stress", "9e4"]

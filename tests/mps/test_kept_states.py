@@ -66,7 +66,7 @@ def comes_back(make, own):
     other = changed(stored, np.random.default_rng(1))
     second.load_state_dict(other)
     again = second.state_dict()
-    # What a checkpoint holds must not change with the state.
+    # The arrays of a checkpoint must not change when the state changes.
     second.load_state_dict(stored)
     assert set(again) == set(other)
     for name, array in other.items():
