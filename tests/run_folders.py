@@ -17,7 +17,7 @@ def flow(folder=None, *more, every=0.0, going_on=False):
 
 
 def same(folder, whole) -> bool:
-    """Whether a folder is as complete as that of an undisturbed run, with the same bits."""
+    """Return whether a folder holds the same files as that of an undisturbed run, with the same bits."""
     results = [json.loads((each / "result.json").read_text(encoding="utf-8")) for each in (folder, whole)]
     names = [sorted(path.name for path in each.iterdir()) for each in (folder, whole)]
     series = [(each / "series.csv").read_bytes() for each in (folder, whole)]

@@ -27,7 +27,7 @@ from warpcrete.record.run_folder import TableRecorder
 
 
 def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, undisturbed_folder, monkeypatch):
-    """Whether it comes before the joined file is in place, or when some parts are gone."""
+    """The run recovers from a kill before the joined file is in place, and from one after some parts are deleted."""
     folder = tmp_path / "run"
 
     def cut(parts, path):

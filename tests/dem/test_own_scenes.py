@@ -188,7 +188,7 @@ def test_an_energy_balance_that_fails_names_a_law_from_outside_of_the_package():
         ((passed, found),) = energy_check(done).values()
         assert not passed and "usual cure: --safety 0.32" in found and (words in found) is told
         with pytest.warns(
-            UserWarning, match="in this run, or its contact law is wrong: en" if told else "this run: en"
+            UserWarning, match="in this run, or the contact law is wrong: en" if told else "this run: en"
         ):
             warn_of_coarse_step(done)
     within = drop(contacts={("aggregate", "wall"): LubricationLayer(contact=Own())})
@@ -196,7 +196,7 @@ def test_an_energy_balance_that_fails_names_a_law_from_outside_of_the_package():
 
 
 def test_an_unstable_run_names_a_law_from_outside_of_the_package():
-    hint = "or another sign in force() of Own, if it pulls where it should push"
+    hint = "or the opposite sign in force() of Own, if that force pulls where it should push"
     for law, told in ((Own(), True), (Contact(), False)):
         assert (hint in str(unstable(0.1, 0, "a speed", scene=drop(contact=law)))) is told
 
@@ -207,7 +207,7 @@ def test_a_packing_with_the_wrong_sign_of_the_force_says_what_may_be_wrong(dense
     axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.1),))
     fill = Fill(container=PipeContainer(axis, 0.05, 0.1), sizes=Uniform(0.012, 0.016), templates=(sphere(),), **dense)
     goal = "packing to a pressure of 500 Pa failed while the bodies grew, at most to a solid fraction of 0.75: a speed"
-    with pytest.raises(InstabilityError, match=r"another sign in force\(\) of Pulling") as error:
+    with pytest.raises(InstabilityError, match=r"the opposite sign in force\(\) of Pulling") as error:
         pack(fill, contact=Pulling(effective_modulus=1e6), device="cpu")
     assert error.value.what.startswith(
         goal if "pressure" in dense else "packing to a solid fraction of 0.6 failed: a speed"

@@ -23,18 +23,10 @@ from warpcrete.mps.free import probes
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import volume
 from warpcrete.mps.free.simulation import FreeSimulation
+from warpcrete.mps.grid.distances import polygon_distance, wall_distance
 from warpcrete.mps.grid.filling import fill_cells
 from warpcrete.mps.grid.flow import GridFlow
-from warpcrete.mps.grid.geometry import (
-    OPEN_SIDE,
-    PLATE,
-    ROUGH,
-    Room,
-    geometry_of,
-    nearest_wall,
-    polygon_distance,
-    wall_distance,
-)
+from warpcrete.mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, Room, geometry_of, nearest_wall
 from warpcrete.mps.grid.layout import GridLayout
 from warpcrete.mps.grid.state import GridState
 from warpcrete.scenes import modules

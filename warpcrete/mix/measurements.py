@@ -19,8 +19,8 @@ LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "
 """Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to flow laws
 other than Bingham's."""
 LARGEST_UNCERTAINTY = 0.9
-"""Largest relative uncertainty of measured constants, whose band extends by this fraction to both sides. The band of a
-layer from a pipe extends by a factor instead, and may have any width."""
+"""Largest relative uncertainty of a measured constant. Its band extends by this fraction of the value to both
+sides. The band of a layer from a pipe extends by a factor instead, and may have any width."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip

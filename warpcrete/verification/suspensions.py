@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.device.device import find_device
 from ..kernels.mps.grid.cells import GridKind
+from ..mps.grid.distances import Distance
 from ..mps.grid.filling import fill_cells
 from ..mps.grid.flow import GridFlow
 from ..mps.grid.geometry import (
@@ -23,7 +24,6 @@ from ..mps.grid.geometry import (
     PLATE,
     ROUGH,
     WALL,
-    Distance,
     Room,
     geometry_of,
     nearest_wall,

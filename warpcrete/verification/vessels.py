@@ -12,9 +12,10 @@ from ..geometry.walls import PipeWall
 from ..kernels.mps.grid.cells import LAST_FORCE, LIQUID, GridKind
 from ..mps.free.scene import FreeScene
 from ..mps.free.simulation import FreeSimulation
+from ..mps.grid.distances import Distance, wall_distance
 from ..mps.grid.filling import fill_cells
 from ..mps.grid.flow import GridFlow
-from ..mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall, wall_distance
+from ..mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, WALL, Room, geometry_of, nearest_wall
 from ..mps.grid.layout import GridLayout, Motion
 from ..mps.grid.state import NO_SLIP_VISCOSITY, GridState
 from ..theory.pipe import Concrete

@@ -166,7 +166,7 @@ class SimulationBase:
         return "duration", f"the run has reached its duration of {self.duration:.4g} s"
 
     def reaching(self, time: float) -> Coroutine:
-        """Take the run to the simulated time `time` [s], as a generator of requests to its caller.
+        """Advance the run to the simulated time `time` [s], as a generator of requests to its caller.
 
         Each :class:`Until` request states the time up to which the caller must step the run next. Subclasses override
         the method to act at times before `time`, for example to let the concrete rest.

@@ -83,7 +83,7 @@ def _unit_attribute(unit: str) -> dict[str, str]:
 
 
 def unstacked(found: Any, names: Sequence[str]) -> Any:
-    """Return an xarray Dataset of one dimension with the dimensions `names` instead, which are variables of it.
+    """Return a one-dimensional xarray Dataset with its dimension replaced by its variables `names`.
 
     No two rows may have the same values of `names`. Where no row exists, numbers are NaN and texts are empty.
     """

@@ -19,7 +19,7 @@ def unstable(time: float, body: int, what: str, cures: str = "", scene: Scene | 
     """
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
     if scene is not None and (own := own_laws(scene.laws())):
-        cures += f", or another sign in force() of {own}, if it pulls where it should push"
+        cures += f", or the opposite sign in force() of {own}, if that force pulls where it should push"
     return InstabilityError(what, time=time, body=body, cure=cures)
 
 

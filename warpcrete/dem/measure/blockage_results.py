@@ -22,7 +22,7 @@ QUANTITIES = (
              compared=True, rare=True,
              meaning="1 if the pipe was blocked, otherwise 0"),
     Quantity("blockage_window", "m", lambda known: None if known.blockage is None else known.blockage.window,
-             meaning="Travel of the piston during which a part of the concrete must stand still to count as blocked"),
+             meaning="Piston travel during which part of the concrete stands still before the pipe counts as blocked"),
     Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest),
              meaning="Advance of the slowest part of the concrete at the last check, divided by that of the piston"),
     Quantity("blocked_at", "m", _of("at"),

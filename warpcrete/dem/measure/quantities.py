@@ -309,7 +309,7 @@ ON_PLATEAU = (
 QUANTITIES = (
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
              _peak_words, True,
-             meaning="Largest pressure on the piston; it contains the weight that the piston lifts"),
+             meaning="Largest pressure on the piston, including the weight of the concrete that it lifts"),
     Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak]),
              meaning="Travel of the piston at the largest pressure"),
     Quantity("plateau_pressure", "Pa", _level(lambda k: k.series["pressure"][k.window].mean()), "plateau pressure",

@@ -79,10 +79,10 @@ def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def warn_of_coarse_step(run: Run) -> None:
-    """Warn if the energy balance shows that the time step is too coarse for a run, or its contact law wrong."""
+    """Warn if the energy balance shows that the time step of a run is too coarse, or its contact law is wrong."""
     for passed, found in energy_check(run).values():
         if not passed:
-            own = ", or its contact law is wrong" if own_laws(run.scene.laws()) else ""
+            own = ", or the contact law is wrong" if own_laws(run.scene.laws()) else ""
             warnings.warn(
                 f"the time step is coarse for the impacts in this run{own}: energy balance, {found}", stacklevel=2
             )

@@ -38,7 +38,7 @@ class Stations:
     middle: tuple[float, float] | None = None
     """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
     each_row: bool = True
-    """Whether each row of the time series contains the values of all slices. If False, the slices are measured only for
+    """True if each row of the time series contains the values of all slices. If False, the slices are measured only for
     pictures and recordings."""
 
     def __post_init__(self) -> None:

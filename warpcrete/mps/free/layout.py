@@ -7,21 +7,9 @@ import numpy as np
 from ...core.errors import refuse
 from ...kernels.mps.flow_laws import BINGHAM
 from ...kernels.mps.grid.cells import GridKind
+from ..grid.distances import Distance, polygon_distance, wall_distance
 from ..grid.filling import fill_cells
-from ..grid.geometry import (
-    GATE,
-    MIRROR,
-    OPEN_SIDE,
-    ROUGH,
-    WALL,
-    Distance,
-    Geometry,
-    Room,
-    geometry_of,
-    nearest_wall,
-    polygon_distance,
-    wall_distance,
-)
+from ..grid.geometry import GATE, MIRROR, OPEN_SIDE, ROUGH, WALL, Geometry, Room, geometry_of, nearest_wall
 from ..grid.layout import GridLayout
 from ..grid.state import NO_SLIP_VISCOSITY
 from .scene import SIDES, FreeScene, Points

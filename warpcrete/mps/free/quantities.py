@@ -14,7 +14,8 @@ from ...geometry.sections import section_area
 from ...standards import Outcome, StandardTest
 from ...standards.standard_test import FASTEST, MOST, quantities_of_tests, report_unrest
 from ..common.run import largest
-from ..grid.geometry import MIRROR, polygon_distance, wall_distance
+from ..grid.distances import polygon_distance, wall_distance
+from ..grid.geometry import MIRROR
 from .scene import FreeScene, Points
 
 SAMPLES = 30

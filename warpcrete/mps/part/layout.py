@@ -12,8 +12,9 @@ import math
 import numpy as np
 
 from ...kernels.mps.grid.cells import GridKind
+from ..grid.distances import Distance
 from ..grid.filling import fill_cells
-from ..grid.geometry import MIRROR, OPEN_SIDE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall
+from ..grid.geometry import MIRROR, OPEN_SIDE, PLATE, ROUGH, WALL, Room, geometry_of, nearest_wall
 from ..grid.layout import GridLayout, Motion
 from .scene import PartScene
 
