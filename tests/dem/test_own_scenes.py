@@ -223,3 +223,12 @@ def test_a_report_tells_the_time_that_the_run_does_not_account_for(capsys):
         report(done, took=took)
         (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("time "))
         assert line.endswith(f"10 s for 400 steps on cpu (50 per second without preparation){words}")
+
+
+def test_a_warning_that_is_an_error_keeps_the_results(tmp_path):
+    folder = tmp_path / "run"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match="coarse for the impacts"):
+            run(drop(time_step=TimeStep()), out=folder)
+    assert warpcrete.load(folder).finished and not (folder / ".lock").exists()

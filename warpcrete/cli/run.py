@@ -116,8 +116,8 @@ def run(
         except KeyboardInterrupt:
             if there:
                 raise RunFolderError(
-                    f"resume = '{folder}': was interrupted before the run continued; no file has changed, so use the "
-                    "same command again"
+                    f"resume = '{folder}': was interrupted before the run continued; no results were lost, so use "
+                    "the same command again"
                 ) from None
             raise
         with StopAtSample([simulation]):

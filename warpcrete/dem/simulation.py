@@ -305,6 +305,14 @@ class ElementSimulation(Simulation):
             return True
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
+    def running(self) -> Coroutine:
+        """Run to the end as the base class does; then warn of a time step that is too coarse."""
+        run: Run = yield from super().running()
+        # All results are on the disk by now, so they remain even if the user turns warnings into errors.
+        if run.finished and self._ended_run is None:
+            warn_of_coarse_step(run)
+        return run
+
     def why_ended(self) -> tuple[str, str]:
         """Return why a complete run has ended: a reason and a sentence."""
         vessel, blockage, time = self.scene.vessel, self.scene.blockage, self.stepper.time
@@ -314,7 +322,7 @@ class ElementSimulation(Simulation):
             if at_rest(vessel, self.rows):
                 return "rest", f"the concrete came to rest at t = {time:.4g} s"
             return "empty", f"the concrete had flowed out at t = {time:.4g} s"
-        if self.scene.pipe is not None:
+        if self.scene.pipe is not None and self.rows[-1].get("travel", 0.0) > 0.999 * self.scene.pipe.travel:
             return "travel", f"the piston completed its travel at t = {time:.4g} s"
         return super().why_ended()
 
@@ -370,10 +378,7 @@ class ElementSimulation(Simulation):
         result["state_hash"] = state_hash(state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed, self.threads)
         units = {name: self.unit(name) for name in series}
-        run = ElementRun(
+        return ElementRun(
             self.scene, series, units, result, finished, tables=tables, packing=self.packing, bodies=state.table(),
             wear=self.sampler.wear,
         )  # fmt: skip
-        if finished:
-            warn_of_coarse_step(run)
-        return run

@@ -84,7 +84,7 @@ def _beside_theory(name: str):
         ours, theory = (number(run.result[key]) * factor for key in (name, f"{name}_theory"))
         error = 100 * run.result[f"{name}_error"]
         weight = run.scene.weight * factor if name == "pressure" else 0.0
-        with_weight = f" with {weight:.2g} {unit} of weight" if weight else ""
+        with_weight = f" with {weight:.4g} {unit} of weight" if weight else ""
         return f"{ours:.4g} {unit}{with_weight}   (theory, {run.result['theory']}: {theory:.4g}; {error:+.2f} %)"
 
     return words

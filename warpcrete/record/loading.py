@@ -30,7 +30,7 @@ class LoadedRun(Run):
     """Run that was read from a run folder."""
 
     def __getattr__(self, name: str) -> NoReturn:
-        if name != "bodies":
+        if name != "bodies" or self.result.get("method") != "dem":
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         files = [str(path) for path in map(Path(self.folder or "").joinpath, DRAWN) if path.is_file()]
         there = f"their recorded frames are in {' and '.join(files)}" if files else "this one has no recording of them"

@@ -28,7 +28,7 @@ LABEL_WIDTH = 34
 ACROSS = 3  # maximum number of panels in a row of the figure
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
-THEORY_POINTS = 41  # number of points of a curve by theory
+THEORY_POINTS = 21  # number of points of a curve by theory
 MARKS = (("failed", "a case failed", "x", 0.04), ("suspect", "a check failed", "1", 0.1))
 """Marks at the bottom of a panel: column that counts them, label, marker and height as a fraction of the panel."""
 
@@ -59,8 +59,13 @@ def draw(
         one_of("quantity", quantity, [each.name for each in compared])
         compared = [each for each in compared if each.name in (quantity, f"{quantity}_theory")]
     else:
-        # A deviation from theory shows beside the theory, which needs no panel of its own.
-        compared = [each for each in compared if not each.name.endswith("_error")] or compared
+        # A deviation from theory needs no panel of its own where the theory itself is drawn.
+        drawn = {each.name for each in compared}
+        compared = [
+            each
+            for each in compared
+            if not each.name.endswith("_error") or f"{each.name.removesuffix('_error')}_theory" not in drawn
+        ]
     if unit is not None and len(names) > 1:
         refuse("unit", unit, "needs 'x', because several parameters are varied", f"add, for example, x={names[0]!r}")
     scales = {name: _scale("unit", unit, study.units.get(name, ""), _unit(study, name)) for name in names}
@@ -218,10 +223,11 @@ def _theory_between(
     """Return values of a parameter from the smallest to the largest of some rows, and what theory gives for them.
 
     The rows differ in this parameter only. The result is None if there is no closed form between the cases, as for a
-    parameter of whole numbers.
+    parameter without a unit whose values are whole numbers.
     """
     module, values = modules().get(study.scene), [row[name] for row in part if name in row]
-    if module is None or len(set(values)) < 2 or not any(isinstance(value, float) for value in values):
+    continuous = bool(study.units.get(name)) or any(isinstance(value, float) for value in values)
+    if module is None or len(set(values)) < 2 or not continuous:
         return None
     given = next(case.parameters | case.varied for case in study.cases
                  if all(part[0].get(k) == v for k, v in case.varied.items()))  # fmt: skip

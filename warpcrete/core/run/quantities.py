@@ -44,8 +44,9 @@ class Amount(float):
 
         Raises :class:`SceneError` for a unit of another kind.
         """
-        kinds = (factors for factors in UNITS.values() if self.unit in factors)
-        factors = UNITS.get(self.unit) or next(kinds, {self.unit: 1.0})
+        kinds = [factors for factors in UNITS.values() if self.unit in factors] or [{self.unit: 1.0}]
+        kinds = [UNITS[self.unit]] if self.unit in UNITS else kinds
+        factors = next((kind for kind in kinds if unit in kind), kinds[0])
         one_of("unit", unit, tuple(factors))
         return Amount(float(self) * factors[self.unit] / factors[unit], unit)
 

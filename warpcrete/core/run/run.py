@@ -83,15 +83,15 @@ class Run:
     def __getitem__(self, name: str) -> float:
         """Return a quantity of the whole run in SI units, with its unit in the attribute `unit` if it has one.
 
-        Raises :class:`KeyError` if the run does not have the quantity. The message says on which condition a run has
-        it, if there is one, and otherwise suggests similar names.
+        Raises :class:`KeyError` if the run does not have the quantity. The message suggests similar names, and
+        says on which condition a run has it if there is one.
         """
         quantities = self.quantities
-        if name in CONDITIONS and name not in quantities:
-            raise KeyError(f"the run has no quantity {name!r}: a run has it only if {CONDITIONS[name]}")
         if name not in quantities:
             similar = difflib.get_close_matches(name, quantities, 3)
             what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
+            if name in CONDITIONS:
+                what = f": runs that measure it have it only if {CONDITIONS[name]}{what}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
         return quantities[name]
 

@@ -277,6 +277,8 @@ class Simulation(SimulationBase):
     def running(self) -> Coroutine:
         """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
         self._has_run = True
+        if self._ended_run is None:
+            self.ending = None  # The interruption of an earlier call of `begin` is over.
         self._recording = Recording(self, self.recorders)
         self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ...core.device.interrupts import StopAtSample
 from ...core.errors import between
 from ...core.run.files import check_new, read_json
 from ...core.units import number
@@ -117,7 +118,8 @@ def run_line(
                 progress=report_progress,
             )  # fmt: skip
             simulation.begin(checkpoint)
-            run = simulation.run()
+            with StopAtSample([simulation]):
+                run = simulation.run()
             if not run.finished:
                 raise KeyboardInterrupt
             result = run.result

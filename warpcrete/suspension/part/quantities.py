@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,8 +70,14 @@ def _counts(run: Run) -> str:
     return f"{entered} entered, {left} left, {present} inside"
 
 
+BLOCKED = "the part was blocked"
+
 QUANTITIES = (
-    *PART_QUANTITIES,
+    *(
+        replace(each, meaning=each.meaning.replace("by theory", "by theory, of the mortar without aggregates"))
+        for each in PART_QUANTITIES
+        if each.name != "middle_excess"
+    ),
     Quantity("pressure_error", "Pa", lambda k: k.error("pressure"), "error of pressure",
              lambda run: f"{number(run.result['pressure_error']) / 1e3:.2g} kPa, standard error of the mean",
              meaning="Standard error of the mean pressure"),
@@ -86,11 +92,11 @@ QUANTITIES = (
     Quantity("blocked", "1", lambda k: float(k.blocked), rare=True, compared=True,
              meaning="1 if the aggregates blocked the part, otherwise 0"),
     Quantity("blocked_at", "m", lambda k: k.if_blocked(k.place),
-             meaning="Arc length along the part of the steepest loss of pressure at the blockage"),
+             meaning="Arc length along the part of the steepest loss of pressure at the blockage", only_if=BLOCKED),
     Quantity("blocked_time", "s", lambda k: k.if_blocked(k.at_end("time")),
-             meaning="Simulated time at which the run ended with a blockage"),
+             meaning="Simulated time at which the run ended with a blockage", only_if=BLOCKED),
     Quantity("blocked_pressure", "Pa", lambda k: k.if_blocked(k.at_end("pressure")),
-             meaning="Pressure at the inlet at the end of a blocked run"),
+             meaning="Pressure at the inlet at the end of a blocked run", only_if=BLOCKED),
 )  # fmt: skip
 """Results of a part with aggregates. Pressures and losses are means over the last half of the run, and the theory is
 that of the mortar alone. Names of blockages are those of discrete elements."""
