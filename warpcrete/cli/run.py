@@ -202,7 +202,8 @@ def report(run: Run, more: Iterable[tuple[str, str]] = (), took: float = 0.0) ->
     """Print the main results of a run.
 
     `more` holds pairs of label and text. They are printed below the results of the simulation method. `took` is the
-    time of the whole command [s]; what the run itself does not account for is printed if it is a second or more.
+    wall time of the whole command [s]. The time that the command spent outside the run, for example to compile
+    kernels, is also printed if it is at least one second.
     """
     result = run.result
 

@@ -35,7 +35,7 @@ BLOCK = 64
 """Threads per CUDA block of a stage (kernel launch). Blocks of 64 threads occupy all multiprocessors even if a scene is
 small. In a scene of a million spheres, a step takes 95 % of the time that it takes with blocks of 256 threads."""
 Size: TypeAlias = int | tuple[int, ...]
-"""Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
+"""Number of parallel tasks of a kernel launch, as one integer or as a tuple of several dimensions."""
 
 
 Arguments: TypeAlias = dict[str, Any]
@@ -43,7 +43,7 @@ Arguments: TypeAlias = dict[str, Any]
 
 
 def tasks_of(dim: Size) -> int:
-    """Return the number of tasks of a launch with dimensions `dim`, which is the product of the dimensions."""
+    """Return the number of tasks of a kernel launch with dimensions `dim`, which is the product of the dimensions."""
     return dim if isinstance(dim, int) else math.prod(dim)
 
 
@@ -124,7 +124,7 @@ class Stage:
         return self.kernel.func.__name__
 
     def is_due(self, turn: int, size: int) -> bool:
-        """Return whether this launch is part of the step number `turn`, from 0, in a launch graph of `size` steps."""
+        """Return whether this launch is part of step `turn` of a launch graph; its `size` steps are numbered from 0."""
         return turn % self.every == 0 and 2 * size >= self.every
 
     def record(self) -> None:
@@ -210,7 +210,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
+    """Sort modules, each with its block size: those that compile longest, with the most kernel parameters, go first."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
@@ -256,7 +256,8 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[wp.Graph]] = {}
         self._periodic_launch: Callable[[], None] | None = None
-        # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
+        # Periodic stages are kernel launches that run once in several steps (`every` > 1). The attribute
+        # `_steps_without_periodic` is the number of steps since they last ran.
         self._steps_without_periodic = 0
         self.gate = zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another; GATE is the number of counters."""
@@ -342,7 +343,7 @@ class Launcher:
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch stages that do not depend on one another, such as one for each of several groups of bodies.
+        """Launch stages (kernel launches) that do not depend on one another, for example one per group of bodies.
 
         Each stage gets a thread of its own. During core contention, one thread launches all stages.
         """

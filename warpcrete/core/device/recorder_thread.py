@@ -16,7 +16,7 @@ jobs, the run itself waits, so that no job is lost and memory stays bounded."""
 
 
 class RecorderThread:
-    """Queue that runs jobs of recorders one after the other, in a thread of its own if `in_thread` is set.
+    """Queue of jobs that write a run's output, which run one after the other; with `in_thread`, in their own thread.
 
     Without `in_thread`, the caller runs each job at once. After a job fails, every call raises the job's error, and no
     other job runs. With `yields_to_run`, the thread lets the run use Python's interpreter first: see

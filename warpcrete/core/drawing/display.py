@@ -39,7 +39,7 @@ class DrawnWall:
 
 @dataclass(frozen=True)
 class Prototype:
-    """Shape of rigid bodies as a clump of spheres, to be multiplied by a body's size; several bodies share a shape."""
+    """Shape of a rigid body of unit size, as a clump of spheres; bodies of different sizes may share one shape."""
 
     name: str
     offsets: np.ndarray
@@ -133,8 +133,8 @@ class Lines:
 class Display(ABC):
     """View of a simulation that gives recorders the data to draw; the quantity `colouring` colours the bodies.
 
-    `colouring` is one of `colourings`; None selects the attribute `preferred`. Raises :class:`SceneError` for another
-    value.
+    `colouring` is one of the names in the attribute `colourings`; None selects the default, the attribute `preferred`.
+    Raises :class:`SceneError` for another value.
     """
 
     colourings: ClassVar[tuple[str, ...]]

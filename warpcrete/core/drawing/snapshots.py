@@ -1,4 +1,4 @@
-"""Snapshots of a run for drawing: all recorders share one read of each value, and a GPU keeps stepping meanwhile."""
+"""Copies of a run's state for drawing (snapshots): recorders share each copied value, and a GPU keeps stepping."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ _latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
 
 
 def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
-    """Return a snapshot of a simulation with the results of calling the functions in `sources`, by name.
+    """Return a snapshot of a simulation: the result of each function in `sources`, by the function's key.
 
     If several displays request the same name at the same step, its function is called only once.
     """

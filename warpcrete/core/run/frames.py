@@ -12,7 +12,7 @@ frame interval."""
 
 
 class Frames:
-    """Schedule of frames: every `interval` seconds of simulated time, or by default about 25 frames per second.
+    """Schedule of frames: every `interval` seconds of simulated time, or by default at least 25 per second.
 
     With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
     expected, the time between frames grows. A frame is taken at the first sample (row of the time series) after the

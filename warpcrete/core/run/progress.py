@@ -26,7 +26,7 @@ while), the fraction done, and a few current values by name, such as the pressur
 
 @contextmanager
 def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
-    """Provide a progress bar as a callback, or None if `quiet`, and close the bar at the end."""
+    """Yield a progress bar as a callback, or None if `quiet`, and close the bar at the end of the `with` block."""
     bar = ProgressBar()
     try:
         yield None if quiet else bar
@@ -67,7 +67,8 @@ class ProgressBar:
         if not due and since < LONGEST_LINE_INTERVAL:
             return
         elapsed = now - self._start
-        # The pace may change during a run, for example when concrete begins to flow, so use that since the last line.
+        # The pace may change during a run, for example when concrete begins to flow, so use the pace since the last
+        # line.
         spent, done = since, fraction - self._last
         if done <= 0:
             spent, done = elapsed, fraction - self._first
@@ -103,9 +104,9 @@ _announced = False
 
 
 def announce_compiling(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-    """Print one line on standard error when this process first compiles kernels; the callback of runs without progress.
+    """Print one line on standard error when this process compiles kernels for the first time; ignore other progress.
 
-    Compiling may take minutes, in which a run without a progress bar would seem to hang.
+    Runs without a progress bar use this callback. Compiling may take minutes, and they would seem to hang meanwhile.
     """
     global _announced
     if phase == "compiling" and not _announced:
@@ -116,7 +117,7 @@ def announce_compiling(phase: str, fraction: float, figures: Mapping[str, float]
 
 
 def no_progress(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-    """Show nothing; the callback of a quiet command."""
+    """Ignore the progress of a run; commands use this callback if the user wants no progress display."""
 
 
 def _texts(figures: Mapping[str, float]) -> dict[str, str]:

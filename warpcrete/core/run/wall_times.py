@@ -58,7 +58,7 @@ class WallTimes:
         """Return the mean number of time steps per second of wall time, in this process.
 
         The mean leaves out the time up to the first new row of the time series, which contains preparation and
-        compilation. If this process has added only one row, the mean is that of all `steps`.
+        compilation. If this process has added fewer than two rows, return the mean over all `steps` of the run.
         """
         if self._rows is not None and self.has_pace:
             (first, begun), (last, ended) = self._rows
