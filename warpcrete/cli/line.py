@@ -121,7 +121,7 @@ def _check_rest(stated: str | None) -> None:
 
 
 def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:
-    """Return lines of text with the pressure of a pump line, and its band, at usual flows.
+    """Return lines of text with the pressure of a pump line, and its uncertainty, at usual flows.
 
     `layer` contains the keyword arguments of :func:`.line_by_theory` for the uncertainty of the concrete.
     """

@@ -45,7 +45,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
             f"resume = '{folder}': the run is already finished; start a new run with another folder for --out"
         )
     settings = dict(record.get("command", {}))
-    # Recorders that the interrupted run did not use must stay off, even if they are on by default.
+    # Output (recorders) that the interrupted run did not write must stay off, even if it is on by default.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(SETTINGS):
         raise RunFolderError(

@@ -248,8 +248,8 @@ def merge_thread_stages(step: Step) -> Step:
 class Launcher:
     """Launcher of time steps, which replays launch graphs of several steps each.
 
-    A step consists of one list of stages for each thread, and each thread replays graphs of its own list. During core
-    contention, one thread does the work of all threads; :mod:`.cores` explains why this is faster.
+    A step consists of one list of stages (kernel launches) for each thread, and each thread replays graphs of its own
+    list. While other processes use the cores, one thread does all the work; :mod:`.cores` explains why this is faster.
     """
 
     def __init__(self, threads: int, device: wp.Device) -> None:
@@ -274,7 +274,7 @@ class Launcher:
         return [Stage(kernel, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Discard all launch graphs, because their arrays or the division of work among the threads have changed."""
+        """Discard all recorded graphs of steps, because their arrays or the division of work have changed."""
         self._graphs.clear()
         self._periodic_launch = None
 
@@ -286,7 +286,7 @@ class Launcher:
         ended: Callable[[], bool],
         appended: GraphLaunch | None = None,
     ) -> None:
-        """Replay one launch graph for each entry of `sizes`, which is the number of steps in the graph.
+        """Replay one recorded graph of steps for each entry of `sizes`, which is the number of steps in the graph.
 
         `step` contains the kernel launches of each thread in one step. `single_thread_step` returns the same step for
         one thread that does all the work. The launches in `appended`, which only a GPU uses, are added at the end of
@@ -315,7 +315,7 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Between two launch graphs, run the periodic kernel launches that are due and not part of the graphs.
+        """Between two recorded graphs of steps, run the periodic kernel launches that are due and not in the graphs.
 
         A kernel launch (stage) with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain
         it. `sizes` are the numbers of steps in the graphs that have just been replayed.
@@ -345,11 +345,11 @@ class Launcher:
     def apart(self, stages: list[Stage]) -> None:
         """Launch stages (kernel launches) that do not depend on one another, for example one per group of bodies.
 
-        Each stage gets a thread of its own. During core contention, one thread launches all stages.
+        Each stage gets a thread of its own. While other processes use the cores, one thread launches all stages.
         """
         for stage in stages:
             stage.record()
-        if self.contention.contended:  # During core contention, one thread does all work.
+        if self.contention.contended:  # While other processes use the cores, one thread does all work.
             self._together([lambda: [stage() for stage in stages]])
         else:
             self._together(stages)

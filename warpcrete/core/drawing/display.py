@@ -176,7 +176,7 @@ class Display(ABC):
         return on_host(source())
 
     def derived(self, name: Hashable, work: Callable[[], T]) -> T:
-        """Return the result of the function `work`, which processes values of the snapshot that is drawn.
+        """Return the result of the function `work`, which processes values of the drawn snapshot (copy of the state).
 
         The snapshot stores the result under `name`, so that `work` runs only once for all displays of the simulation.
         The caller must not modify the result.
@@ -197,7 +197,7 @@ class Display(ABC):
         """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
 
         The first job runs at once, and the display notes which values the job reads. For each later job, this
-        method reads the same values into a snapshot, and the recorder thread `later` runs the job.
+        method copies the same values, and the thread `later` runs the job while the simulation goes on.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.in_thread or not self._complete:

@@ -131,7 +131,7 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
 
 
 def check_whole(field: str, value: int) -> None:
-    """Refuse an integer that is too large for a counter or a seed."""
+    """Refuse an integer that is too large for a counter or for the seed of random numbers."""
     most = LARGEST_SEED if field == "seed" else LARGEST_INTEGER
     if abs(value) > most:
         refuse(field, value, f"must be at most {most}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
-"""Callback for progress, which is called with the name of a phase and the fraction done."""
+"""Callback for progress, which is called with the name of a phase, such as "packing", and the fraction done."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 REDRAW_INTERVAL = 0.2
 """Shortest time between two updates of a progress bar [s]."""
 LINES_PER_PHASE = 10
-"""Number of lines that report one phase of the work in a log file. A very short phase has fewer lines, and a very long
-phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two lines."""
+"""Number of lines that report one phase of a run, such as packing, in a log file. A very short phase has fewer lines,
+and a very long phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two
+lines."""
 SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
 """Shortest and longest time between two lines that report progress in a log file [s]."""
 Progress = Callable[[str, float, dict[str, float]], None]
@@ -47,7 +48,7 @@ class ProgressBar:
         self._as_lines = not (sys.stderr.isatty() or _in_notebook())
 
     def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-        """Show the fraction of a phase that is done, and current figures such as the pressure."""
+        """Show the fraction of a phase, such as packing, that is done, and current figures such as the pressure."""
         now = time.monotonic()
         if phase != self._phase:
             self.close()

@@ -210,7 +210,7 @@ class Simulation(SimulationBase):
             self.ending = failure(error, 0.0)
 
     def claim(self) -> None:
-        """Let recorders take exclusive resources, such as the run folder."""
+        """Let the recorders, which write the run's output, take exclusive resources, such as the run folder."""
         for recorder in self.recorders:
             recorder.claim(self)
 
@@ -452,5 +452,5 @@ class Simulation(SimulationBase):
         return self.wall_times.pace(self.stepper.steps)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:
-        """Pass the current phase, its completed fraction and current figures to the callback `progress`."""
+        """Pass the phase (such as "running"), its completed fraction and current figures to the callback `progress`."""
         self._progress(phase, fraction, figures)
