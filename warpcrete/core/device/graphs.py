@@ -109,7 +109,7 @@ class GraphLaunch:
     """
 
     def __init__(self, stages: Sequence[Recordable], device: wp.Device) -> None:
-        self.stages = tuple(stages)  # Keep the stages, because they hold references to the arrays that the graph uses.
+        self.stages = tuple(stages)  # Keep them, because they hold references to the arrays of the graph.
         self._graph: wp.Graph | None = None
         if device.is_cuda:
             for stage in self.stages:
