@@ -65,7 +65,7 @@ class SeedResult:
     density: float
     """Bulk density of the elements that fill the pipe [kg/m3]."""
     blocked: Mapping[tuple[Any, ...], bool] = field(default_factory=dict)
-    """True for each kind of part whose simulation was blocked."""
+    """Result of the check for blockage, by kind of part: True if the simulation of such a part was blocked."""
 
     def is_blocked(self, part: Part) -> bool:
         """Return whether the simulation of the part was blocked.
@@ -123,7 +123,7 @@ class ElementLine:
     elapsed: float = 0.0
     """Wall time in which all new simulations together were packed and run [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Failed checks of the simulations with their findings, by folder name."""
+    """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
 
     def __repr__(self) -> str:
         return f"<ElementLine of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
