@@ -163,9 +163,10 @@ def _stated(given: Measured, key: str, unit: str, way: str) -> Iterator[Figure]:
 
 
 def _against_heaps(own: Figure) -> Figure:
-    """Return a rheometer's yield stress of concrete with a band that reaches at least to that of a heap.
+    """Return a rheometer's yield stress, with a band wide enough for the yield stress at which concrete comes to rest.
 
-    The lower end of the band is at most the yield stress over :data:`RHEOMETER_OVER_HEAP`.
+    Concrete in a slump test comes to rest at a lower yield stress than a rheometer measures. The lower end of the band
+    is therefore at most the rheometer's value divided by :data:`RHEOMETER_OVER_HEAP`.
     """
     low = own.value / RHEOMETER_OVER_HEAP
     if own.low <= low:
