@@ -34,7 +34,8 @@ RHEOMETER_OVER_HEAP = 5.0
 
 For some 80 concretes in the rheometer BTRHEOM, Ferraris & de Larrard (1998) found a yield stress of density (300 mm -
 slump) / 347 mm + 212 Pa, with a mean deviation of 162 Pa. By the theories of heaps and tall cones, the same slumps have
-a yield stress that is lower by a factor of 2.3 (median) to 5.4 (90th percentile). The factor 5 holds 89 % of them.
+a yield stress that is lower by a factor of 2.3 (median) to 5.4 (90th percentile). For 89 % of the slumps, this factor
+is at most 5.
 """
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]. For comparison, EN 12350-2 and -8 state a

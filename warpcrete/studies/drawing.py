@@ -261,7 +261,7 @@ def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
 
 
 def _set_height(axes: Any) -> None:
-    """Leave room for markers at the top and for marks at the bottom; begin at zero if no value is negative."""
+    """Set the range of the vertical axis: leave room for markers, and begin at zero if all values are positive."""
     lower, upper = axes.dataLim.intervaly
     if not np.isfinite(lower + upper):
         return

@@ -72,7 +72,7 @@ class Study:
 
     @property
     def suspect(self) -> dict[str, list[str]]:
-        """Names of failed checks, by the name of the finished case."""
+        """Names of the plausibility checks that a finished case failed, by the name of the case."""
         found = {name: failed_checks(result) for name, result in self.results.items()}
         return {name: checks for name, checks in found.items() if checks}
 

@@ -127,7 +127,7 @@ class RestartMargin:
     """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band. The value
     is None if the pump restarts it in this sense after the present stop, or not even after a short one."""
     customary: bool = False
-    """True if the sentence gives customary US units beside metric units."""
+    """True if the text for the user gives customary US units beside metric units."""
 
     @property
     def verdict(self) -> str:
@@ -162,7 +162,7 @@ class PumpMargin:
     flow: float
     """Flow that the pump must deliver into the line [m3/s]."""
     customary: bool = False
-    """True if the sentence gives customary US units beside metric units."""
+    """True if the text for the user gives customary US units beside metric units."""
 
     @property
     def factor(self) -> float:

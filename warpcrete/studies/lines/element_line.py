@@ -56,7 +56,7 @@ class WallLaw:
 
 @dataclass(frozen=True)
 class SeedResult:
-    """Results of all simulated parts for one seed."""
+    """Results of the discrete element simulations of all parts of a line with one random seed."""
 
     laws: Mapping[float, WallLaw]
     """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
@@ -115,7 +115,7 @@ class ElementLine:
     flow: float
     """Flow rate for which the pressure of the line is calculated [m3/s]."""
     packed: list[SeedResult]
-    """Results of the simulated parts, one entry for each seed."""
+    """Results of the simulated parts, one entry for each random seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
     """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same

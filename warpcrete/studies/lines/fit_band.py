@@ -122,9 +122,9 @@ def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[floa
 
 
 def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:
-    """Return the two stretches of a trial line at one flow whose gauges contradict each other most.
+    """Return the two stretches of a trial line at one flow whose measured frictions disagree most.
 
-    Returns None if no flow was measured at two places.
+    The friction of a stretch is compared with that of the fit. Returns None if no flow was measured at two places.
     """
     weights = concrete.density * GRAVITY * np.array(TapModel(line, concrete, fit.taps).rises)
     by_flow: dict[float, dict[float, tuple[float, float]]] = {}

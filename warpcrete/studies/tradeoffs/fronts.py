@@ -40,7 +40,7 @@ class Error:
 
     @property
     def within_scatter(self) -> bool:
-        """True if the scatter between seeds alone can explain the difference."""
+        """True if the scatter between random seeds alone can explain the error."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 
