@@ -16,8 +16,8 @@ from .probes import MIDDLE, Snapshot, over_radius
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
-"""Golden angle [rad]. Each particle of an axisymmetric flow is drawn turned about the axis by this angle from the one
-before it in the array."""
+"""Golden angle [rad]. In drawings of axisymmetric flows, each particle is turned about the axis by this angle relative
+to the previous particle, so that the particles do not lie in one plane."""
 
 
 class FlowDisplay(Display):

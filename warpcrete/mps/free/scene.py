@@ -112,7 +112,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def whole_concrete(self) -> Concrete:
-        """Concrete with everything in it, for closed forms; here the simulated fluid itself."""
+        """Concrete with its aggregates, as closed forms need it; in this class, the simulated fluid itself."""
         return self.concrete
 
     @property

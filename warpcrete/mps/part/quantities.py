@@ -27,7 +27,7 @@ class RunData:
 
     @property
     def has_middle(self) -> bool:
-        """True if the part is more than a straight pipe of constant bore."""
+        """True if the simulated part of the pump line has a bend, a taper or another change of the bore."""
         begin, end = self.scene.middle
         return end > begin
 
