@@ -39,7 +39,7 @@ AGGREGATE_REMARKS = (
 
 
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.007}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ TOUCHING = 0.00997 * RADIUS
 PRESS = 0.02
 """Force that presses the sphere onto the floor [N]."""
 LEVER = 1.005 * RADIUS
-"""Distance of the centre from the point at which friction acts [m]: half of the gap beyond the surface."""
+"""Distance [m] from the sphere's centre to the point at which friction acts, which lies in the middle of the gap."""
 FRICTION, STEPS = 0.3, 25
 
 
