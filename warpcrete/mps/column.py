@@ -371,12 +371,12 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return other flows for which settings are tested too, as changes of the parameters of a one-phase flow.
+    """Return other flows on which the settings of a trade-off are tested too, as changes of a flow's parameters.
 
-    The accuracy of these variants is measured against theory. They have other concretes, flow rates and pipes. With the
-    flow rate, the part of the flow that slip carries changes; the self-compacting concrete is sheared almost
-    everywhere. All variants have the same kind of ends (piston or periodic) as the flow itself, because the settings
-    found for the flow are applied to its variants.
+    The changes apply to a flow with one phase. The accuracy of these variants is measured against theory. They have
+    other concretes, flow rates and pipes. With the flow rate, the part of the flow that slip carries changes; the
+    self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends (piston or periodic)
+    as the flow itself, because the settings found for the flow are applied to its variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

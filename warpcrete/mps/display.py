@@ -159,7 +159,7 @@ class FlowDisplay(Display):
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
+        """Return the lowest and highest corner of the space that the concrete passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
         # The picture always shows the whole box between the lowest and the highest corner. For a short column, the box
         # is made higher than the column, so that the picture has room for the width of the pipe.

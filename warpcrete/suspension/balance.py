@@ -137,7 +137,7 @@ class PairForces:
 
     @property
     def force(self) -> np.ndarray:
-        """Force on the sphere [N], shape (n, 3)."""
+        """Sum of the forces of contact, friction and lubrication on the sphere [N], shape (n, 3)."""
         return self.rubbing - (self.lubrication + self.contact)[:, None] * self.normal
 
 

@@ -22,7 +22,7 @@ class _Packing:
         self.extent = np.maximum.reduceat(reach, self.parts.first[:-1])
 
     def spheres(self, centre: np.ndarray | None = None, turn: np.ndarray | None = None) -> np.ndarray:
-        """Return the centres of all spheres, shape (m, 3), for the present or other places of the clumps."""
+        """Return the centres of all spheres, shape (m, 3), for the present places of the clumps or for other ones."""
         return self.parts.centres(self.centre if centre is None else centre, self.turn if turn is None else turn)
 
     def any_of(self, spheres: np.ndarray) -> np.ndarray:

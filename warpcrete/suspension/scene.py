@@ -121,7 +121,7 @@ class SuspensionScene(SphereFields, FreeScene):
 
     @property
     def fluid(self) -> FreeScene:
-        """This scene with the mortar alone."""
+        """This scene with the mortar alone, without aggregates."""
         return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
     @property

@@ -50,7 +50,7 @@ def motion(flow: SuspensionFlow) -> tuple[float, float]:
 def friction_case(device: str, precision: str) -> list[Row]:
     """Check that a sphere that is pushed along a floor rolls below the limit of friction, and slides above it.
 
-    Friction that slides acts like a force mu N and its torque, where N is the normal force. The flow of the mortar is
+    Sliding friction acts like a force mu N and its torque, where N is the normal force. The flow of the mortar is
     linear, so a sphere without friction moves in the same way if both act on it as external loads.
     """
     velocity, spin = motion(pushed(FRICTION, 0.2 * PRESS, 0.0, device, precision))

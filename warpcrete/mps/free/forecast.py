@@ -93,8 +93,9 @@ def course_of(simulation: FreeSimulation) -> Course:
     if run is None:
         return Course(reached, scene.time_step, remarks)
     duration = min(DURATION_FACTOR * estimate, scene.duration) if estimate else reached
-    # The flow of the scene and its coarser copy adapt their steps to the same error. A step may also be no longer than
-    # the fastest concrete takes to cross a cell (Courant number), which is a shorter time in the scene's smaller cells.
+    # The flow of the scene and its coarser copy adapt their steps to the same error. In addition, a step must not be
+    # longer than the time in which the fastest concrete crosses a cell (Courant number). This time is shorter in the
+    # scene's smaller cells.
     steps = np.diff(run.series["steps"])
     if scene.step_error:
         steps = np.maximum(steps, np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing)

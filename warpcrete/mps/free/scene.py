@@ -240,7 +240,7 @@ class FreeScene(Parametrised, FreeSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class FreeConcrete(ConcreteParameters, FreeSettings):
-    """Parameters that all tests of fresh concrete share."""
+    """Parameters that the flow simulations of all standard tests of fresh concrete share."""
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""

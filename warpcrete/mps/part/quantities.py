@@ -22,7 +22,7 @@ class RunData:
     """Time series by column name; each column has two values or more."""
 
     def final(self, name: str) -> float:
-        """Return the value of a column of the time series that is the run's result, which is the last one."""
+        """Return the last value of a column of the time series, which is the result of the run."""
         return float(self.series[name][-1])
 
     @property

@@ -99,7 +99,8 @@ class Census:
         ends = np.sort(self.place[np.stack([own, other])], axis=0)
         middle = np.clip(ends.mean(0), 0, scene.axis.length)
         tangent = scene.axis.at(middle)[1] @ self.frame.axes.T
-        # The sign of the normal's component tells on which side of the cross-section the sphere lies.
+        # The sign of the normal's component along the pipe's axis tells on which side of the cross-section the sphere
+        # lies.
         upstream = np.sign(np.sum(found.normal[between] * tangent, 1))
         pushing = -upstream * np.sum(found.force[between] * tangent, 1)
         # Two aggregates that have both entered occur twice as a pair. A pair with an aggregate that is still entering

@@ -19,7 +19,7 @@ from .scene import PartSuspensionScene
 LATE = 0.5
 """Last fraction of the simulated time, over which results are averaged because the pressure fluctuates."""
 BLOCKS = 5
-"""Number of equal parts of the late time whose means give the standard error of a mean."""
+"""Number of equal parts of the last half of the run, whose means give the standard error of a mean over this half."""
 
 
 def late_rows(time: np.ndarray) -> np.ndarray:
@@ -36,11 +36,11 @@ class SuspensionData(RunData):
     """Arc length at which the frictional pressure falls most steeply at the end of the run [m]."""
 
     def final(self, name: str) -> float:
-        """Return the mean of a column of the time series over the late part of the run."""
+        """Return the mean of a column of the time series over the last half of the run."""
         return float(self.series[name][late_rows(self.series["time"])].mean())
 
     def error(self, name: str) -> float | None:
-        """Return the standard error of the mean of a column; None if the late part of the run has too few rows."""
+        """Return the standard error of the mean of a column; None if the last half of the run has too few rows."""
         values = self.series[name][late_rows(self.series["time"])]
         if len(values) < 2 * BLOCKS:
             return None
@@ -103,7 +103,7 @@ that of the mortar alone. Results of a blockage have the same names as in simula
 
 
 def report_part(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: those of a flow without aggregates, and whether the aggregates blocked it."""
+    """Yield further lines of the report: those of all pump lines, and whether aggregates blocked the pipe."""
     yield from report(run)
     yield from aggregate_lines(run)
     if run.result.get("blocked"):

@@ -11,7 +11,7 @@ from ...mps.part.scene import PartScene
 from ..scene import AggregateParameters, SphereFields
 
 MAX_PART = 0.9
-"""Largest diameter of an aggregate, divided by the width of the narrowest simulated bore."""
+"""Largest accepted diameter of an aggregate, divided by the width of the narrowest simulated bore."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -125,7 +125,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return result, tables | {"stations": with_fraction}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the flow, the rows so far, and what the next row and the results depend on."""
+        """Return the state of the flow, all rows of the time series and profiles, and the places of the aggregates."""
         return super().state_dict() | {"profiles": np.array(self._profiles), "places": self._places}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

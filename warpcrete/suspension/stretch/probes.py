@@ -43,7 +43,10 @@ def _points() -> np.ndarray:
 
 
 def _columns(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance of each column of cells from the axis [m] and the number of its ring, shape (ny, nx)."""
+    """Return the distance of each column of cells from the axis [m] and the number of its ring around the axis.
+
+    Both arrays have the shape (ny, nx).
+    """
     room = flow.state.layout.room
     x, y = (o + (np.arange(n) + 0.5) * h for o, n, h in zip(room.origin, room.cells[:2], room.width, strict=False))
     radius = flow.scene.aside(x, y[:, None])

@@ -25,7 +25,7 @@ class RunData:
     series: dict[str, np.ndarray]
 
     def mean(self, name: str) -> float | None:
-        """Return the mean of a column over the late part of the run, or None if there is no such column."""
+        """Return the mean of a column over the last half of the run, or None if there is no such column."""
         if name not in self.series:
             return None
         time = self.series["time"]
