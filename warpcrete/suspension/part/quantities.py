@@ -103,7 +103,7 @@ that of the mortar alone. Results of a blockage have the same names as in simula
 
 
 def report_part(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: those of all pump lines, and whether aggregates blocked the pipe."""
+    """Yield further lines of the report: the loss of each section, and whether aggregates blocked the pipe."""
     yield from report(run)
     yield from aggregate_lines(run)
     if run.result.get("blocked"):
