@@ -188,7 +188,7 @@ class CoupledSolve:
             )
 
     def mean_velocity(self) -> np.ndarray:
-        """Return the mean velocities of mortar and aggregates across all faces [m/s], shape (3, *shape)."""
+        """Return the velocity across each face [m/s], averaged over mortar and aggregates in it, shape (3, *shape)."""
         self._launch(self.forces.blend, self.count, x=self._present(), flow=self.product.faces)
         return self.product.faces.numpy().astype(float).reshape(3, *self.flow.state.shape)
 
