@@ -66,7 +66,7 @@ def scene_struct(scalar):
         mesh_skin: scalar  # margin of the candidate lists: triangles with a smaller gap to a sphere are listed [m]
 
         # Distance that spheres may move before the candidate lists of triangles are rebuilt. Meshes may move by the
-        # rest of the mesh skin [m].
+        # rest of `mesh_skin`, the margin of these lists [m].
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth during packing stops
@@ -187,14 +187,14 @@ def array_structs(scalar) -> SimpleNamespace:
     class Slots:
         # bit mask of the planes and pipes that each sphere touched in the last step, shape (spheres,)
         touching: wp.array(dtype=wp.int32)
-        # Contact history of each slot, for spring laws the shear force [N], shape (spheres, slots). Slots for planes
-        # and pipes come first, then those for meshes.
+        # Contact history of each wall contact, for spring laws the shear force [N], shape (spheres, slots). A slot is a
+        # storage place for one contact. A sphere's slots for planes and pipes come first, then those for meshes.
         history: wp.array2d(dtype=t.vec3)
         # moment of the rolling-resistance spring of each wall contact [N m], shape (spheres, slots)
         rolling: wp.array2d(dtype=t.vec3)
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, shape (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], shape (spheres, slots)
-        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, shape (spheres, slots)
+        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: no contact, shape (spheres, slots)
 
         # `worn` holds the wear of each wall by each sphere since the last measurement, shape (spheres, walls). Each
         # entry has three values: the work of sliding [J], the energy loss of impacts [J], and the integral of the
