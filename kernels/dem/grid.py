@@ -59,7 +59,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     def along(v: scalar) -> wp.int32:
         """Return the index along one axis of the cell that contains `v`, a coordinate divided by the cell width."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # The comparison is false for NaN, which thus becomes -far.
+        place = wp.where(v > -far, v, -far)  # The comparison is false for a NaN, so a NaN becomes -far.
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func

@@ -114,7 +114,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def pairs(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Sum each particle's matrix coefficients with particles of its own cube and of each adjacent cube."""
+        """Sum each particle's matrix coefficients over its own cube of the coarse grid, and over each adjacent cube."""
         if flags[HALTED] != 0:
             return
         i = wp.tid()
@@ -140,7 +140,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Add up the results of `pairs` over all particles of a cube, which gives one entry of the coarse matrix."""
+        """Compute one entry of the coarse matrix: the sum of the results of `pairs` over the particles of a cube."""
         if flags[HALTED] != 0:
             return
         entry = wp.tid()

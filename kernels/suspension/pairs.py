@@ -265,7 +265,7 @@ def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
 
     @wp.func
     def after(bodies: Bodies, change: Vector, s: wp.int32) -> vec:
-        """Return the velocity of a sphere's centre at the end of the step, if the aggregates' velocities `change`."""
+        """Return the velocity of a sphere's centre after the aggregates' velocities have changed by `change`."""
         before = shape.velocity(bodies, bodies.velocity, bodies.spin, 0, s)
         return before + shape.velocity(bodies, change.linear, change.angular, 0, s)
 
