@@ -27,10 +27,13 @@ from .bodies import FULL, body_structs
 from .vectors import range_functions, share_functions, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Factor of the viscosity in the weight of a cell's net inflow, which makes this inflow comparable with forces in the
-norm of residuals. The weight is (density width^2 / dt + COMPRESSION viscosity) / volume."""
+"""Factor of the viscosity in the weight of a cell's net inflow.
+
+The norm of the residual contains forces and net inflows, and the weight makes an inflow comparable with a force. The
+weight is (density width^2 / dt + COMPRESSION viscosity) / volume.
+"""
 YIELDING = wp.constant(0.4)
-"""Factor of the part of a cell's pressure, in the preconditioner, that depends on the net inflow of this cell alone.
+"""Factor in that part of the preconditioner's pressure in a cell which depends on the net inflow of this cell alone.
 This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal
 of the viscous matrix. The factor was chosen by the number of iterations in eight flows."""
 

@@ -15,6 +15,7 @@ from ..common.types import types
 RZ = wp.constant(0)  # Index of the inner product of residual and preconditioned residual.
 PQ = wp.constant(1)  # Index of the inner product of the search direction p and the product A p, with the matrix A.
 RZ_AFTER = wp.constant(2)  # Index of the inner product of residual and preconditioned residual after the iteration.
+
 # Index of the inner product of residual and preconditioned residual at the start of the solve.
 RZ_FIRST = wp.constant(3)
 SUMS = 4
