@@ -164,6 +164,11 @@ LANES = """
     return 1;
 #endif
 """
+WAIT = """
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+"""
 SUMMED = """
 #if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step /= 2)
@@ -176,6 +181,12 @@ SUMMED = """
 @wp.func_native(LANES)
 def lanes() -> wp.int32:
     """Return the number of threads that work together: 32 (a warp) on a GPU, 1 on a CPU."""
+    ...
+
+
+@wp.func_native(WAIT)
+def wait_for_lanes():
+    """Wait until all lanes (threads) of a warp have come here; all of them then see what each has written before."""
     ...
 
 
