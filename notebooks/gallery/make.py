@@ -211,7 +211,7 @@ ENTRIES = (
           "the wall is sheared.",
           "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
-    Entry("validation", "Predicted against measured", "Ratios of predicted to measured values, each with its likely "
+    Entry("validation", "Predicted against measured", "Predicted values over measured ones, each with its likely "
           "range. Filled points are measurements that are never used for a fit.",
           "warpcrete validate --quick --out OUT", image("validation.png")),
     Entry("strokes", "Two strokes with a stop", "Pressure on a piston that stops and starts again.",
