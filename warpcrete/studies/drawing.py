@@ -25,7 +25,7 @@ TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
 """Names of scene parameters that the title of a study's figure states if they are the same in all cases."""
 LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
-ACROSS = 3  # maximum number of panels in a row of the figure
+WIDTH, HEIGHT = 7.6, 3.0  # size of a panel with its legend [inch]
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
 THEORY_POINTS = 21  # number of points of a theoretical curve
@@ -73,19 +73,18 @@ def draw(
         refuse("unit", unit, "needs 'x', because several parameters are varied", f"add, for example, x={names[0]!r}")
     scales = {name: _scale("unit", unit, study.units.get(name, ""), _unit(study, name)) for name in names}
     units = list(dict.fromkeys(each.unit for each in compared))
-    across = min(len(names), ACROSS)
-    down = len(units) * -(-len(names) // ACROSS)
-    figure = Figure(figsize=(5.6 * across + 0.6, 3.4 * down), layout="constrained")
-    grid = figure.subplots(down, across, squeeze=False)
+    # Panels stand below each other, because the text of panels side by side is too small on a page.
+    count = len(units) * len(names)
+    figure = Figure(figsize=(WIDTH, HEIGHT * count), layout="constrained")
+    panels = iter(figure.subplots(count, 1, squeeze=False)[:, 0])
     rows = study.rows()
-    for block, each_unit in enumerate(units):
+    for each_unit in units:
         drawn = [each for each in compared if each.unit == each_unit]
         y_scale = _scale("y_unit", y_unit, each_unit, shown(each_unit))
-        for place, name in enumerate(names):
-            axes = grid[block * (down // len(units)) + place // ACROSS, place % ACROSS]
+        for name in names:
+            axes = next(panels)
             _panel(axes, study, rows, name, drawn, scales[name], y_scale)
-    for axes in grid.ravel():
-        axes.set_visible(bool(axes.lines or axes.containers))
+            axes.set_visible(bool(axes.lines or axes.containers))
     figure.suptitle(", ".join([study.scene, *_common(study)]), fontsize=10)
     return figure
 
