@@ -99,7 +99,7 @@ def by_method(name: str, method: str) -> str:
 
 
 def suspended(name: str) -> dict[str, Any]:
-    """Return the parameters with which scene `name`, or what simulates it by this method, becomes a suspension."""
+    """Return the parameters of the suspension that simulates the same test as scene `name` (see `by_method`)."""
     target = by_method(name, "suspension")
     return {**(PIPE_AS_PART if name == "pipe" else {}), **modules()[target].suspension}
 
@@ -115,7 +115,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _listing() -> str:
-    """Return one line for each scene, with the name of its function and its title."""
+    """Return one line of text for each scene: the name of its function and its title."""
     return "\n".join(f"    {name.replace('-', '_'):12s} {title}" for name, title in _TITLES.items())
 
 

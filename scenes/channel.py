@@ -14,7 +14,7 @@ PAPER = {"no1": {"pressure": 9.40e3, "slip_velocity": 0.186}}
 Each entry contains the pressure [Pa] and the slip velocity at the wall [m/s].
 """
 suspension = {"aggregate_fraction": 0.2}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @scene_function(ColumnWithAggregates)

@@ -24,8 +24,8 @@ VOLUME = 0.04
 In test runs of this scene the errors reached 0.021.
 """
 MAX_PART = 0.9
-"""Largest diameter of an aggregate divided by the width of the simulated outlet. Only a quarter of the V-funnel is
-simulated, so this width is half the smaller side of the V-funnel's outlet."""
+"""Largest accepted diameter of an aggregate, divided by the width of the simulated outlet. Only a quarter of the
+V-funnel is simulated, so this width is half the smaller side of the V-funnel's outlet."""
 REMARKS = (
     "a quarter of the funnel is simulated, between its planes of symmetry",
     "concrete is removed at the outlet, so the weight of what has flowed out does not pull on the rest",
@@ -39,7 +39,7 @@ AGGREGATE_REMARKS = (
 
 
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.007}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class FunnelParameters(FreeConcrete, AggregateParameters):
 
 @scene_function(FunnelParameters)
 def scene(parameters: FunnelParameters) -> FreeScene:
-    """Model a V-funnel full of concrete that opens below at once, and measure the time until light shines through.
+    """Model a V-funnel full of concrete whose lower end opens at once; measure the time until light shines through.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -75,7 +75,7 @@ class Ring:
 
 
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.005, "precision": "float64"}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)

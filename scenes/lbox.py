@@ -37,7 +37,7 @@ In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 
 
 suspension = {"aggregate_fraction": 0.2}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +58,9 @@ class BoxParameters(FreeConcrete, AggregateParameters):
     spacing: Annotated[
         float, "Edge length of the cells [m]; bars need at least three cells for two diameters", Above()
     ] = 0.0125
-    # Most of the concrete has the same threshold as the fastest grain in the box of discrete elements. Below it, the
-    # surface still fluctuates by the arrangement of the particles.
+    # The concrete is at rest when 90 % of it is slower than this speed. The scene `lbox-dem` has the same threshold for
+    # the speed of the fastest grain. Even at rest, the surface moves slightly because the arrangement of the particles
+    # changes, so a lower threshold might never be reached.
     rest_speed: Annotated[float, REST_SPEED, Above()] = 1e-3
 
 

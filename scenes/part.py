@@ -1,4 +1,4 @@
-"""Flow of concrete pumped through a part of a line or a whole line: straights, bends, reducers, hoses, mesh bores."""
+"""Flow of concrete pumped through one or all parts of a pump line: straights, bends, reducers, hoses, mesh bores."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ AGGREGATE_REMARKS = (
 
 
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
 """Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
@@ -73,7 +73,7 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the parameter values that follow from the file of a line, a concrete or a mesh."""
+        """Return the parameter values that follow from the file of a pump line, a concrete or a mesh."""
         said = {**parameters_from_line(values), **parameters_from_mesh(values)}
         return {**said, **super().implied({**said, **values})}
 
@@ -104,13 +104,13 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
 
 
 NARROW_CELLS = 11
-"""Number of cells across the narrowest section from which the friction there deviates by little from theory. In a cone
-from 100 to 80 mm it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
+"""Minimum number of cells across the narrowest section for which the computed friction there deviates little from
+theory. In a cone from 100 to 80 mm it deviated by 3.4 % with 8 cells, and by 1.2 % with 11."""
 
 
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
-    """Model concrete that is pumped through a part of a line or a whole line at a given volume flow.
+    """Model concrete that is pumped at a given volume flow through a part of a pump line or a whole pump line.
 
     The results are the pressure at the inlet and the pressure loss of each part. Aggregates are spheres that move in
     the mortar, enter with it and leave with it. With aggregates, the results are also their fraction along the axis,
@@ -198,7 +198,7 @@ def _check_wall(given: PartParameters) -> None:
 
 
 def _mesh(given: PartParameters) -> _PipeCourse:
-    """Return the course of a pipe that consists of the bore of a mesh file between two straight pipes."""
+    """Return axis, inner radii and wall of a pipe: the bore of a mesh file between two straight pipes."""
     if given.wall is None:
         refuse(
             "unit", given.unit, "needs a mesh file", "set 'wall' to the path of the mesh file, or choose another 'unit'"
@@ -237,7 +237,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
 
 
 def _line(given: PartParameters) -> _PipeCourse:
-    """Return the course of the pipe for a whole line, which is given by the name of the line or by its file."""
+    """Return axis, inner radii and wall of the pipe for a whole pump line, which is stated by its name or its file."""
     assert given.line is not None
     line = read_line(given.line)
     check_straight_ends(line, given.line)

@@ -1,4 +1,4 @@
-"""Aggregates that a piston pushes through a part of a line, or through several in a row, by discrete elements."""
+"""Aggregates that a piston pushes through one part of a pump line, or several in a row, by discrete elements."""
 
 from __future__ import annotations
 

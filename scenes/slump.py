@@ -28,8 +28,8 @@ RELEASED = "the friction of the mould is neglected: concrete is released from be
 QUARTER = "a quarter of the cone is simulated, between two planes of symmetry"
 QUARTER_OF_AGGREGATES = "a quarter of the cone is simulated, and no aggregate crosses its planes of symmetry"
 MAX_PART = 0.7
-"""Largest diameter of an aggregate divided by the radius of the mould's top. A quarter of the cone is simulated, and at
-the top this quarter is as wide as that radius."""
+"""Largest accepted diameter of an aggregate, divided by the radius of the mould's top. A quarter of the cone is
+simulated, and at the top this quarter is as wide as that radius."""
 SHELL, ABOVE = 3, 3
 """Thickness of the slump cone's mould, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
@@ -42,7 +42,7 @@ fail the check.
 
 
 suspension = {"aggregate_fraction": 0.2, "precision": "float64"}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from warpcrete.suspension.stretch.columns import ColumnWithAggregates, check_col
 from warpcrete.suspension.stretch.scene import StretchScene
 
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
-"""Parameters that `--method suspension` sets unless they are given."""
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)

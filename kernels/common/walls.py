@@ -49,10 +49,12 @@ def wall_struct(scalar):
         motion: wp.int32
         start_time: wp.float64  # Time at which the wall starts to move from rest [s].
         ramp_time: wp.float64  # Time in which the speed of a prescribed motion rises linearly to its final value [s].
+
         # Number of strokes from rest to rest, each followed by a pause, before the wall moves steadily.
         stops: wp.float64
         stroke_time: wp.float64  # Duration of a stroke from rest to rest, including a speed ramp at both ends [s].
         pause: wp.float64  # Pause after each stroke [s].
+
         # If the motion of the wall is prescribed: velocity of the steady motion, after the ramp and all strokes [m/s].
         # If the wall is driven by a force: a vector in the direction of motion.
         velocity: wp.vec3d

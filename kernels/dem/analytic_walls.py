@@ -89,9 +89,9 @@ def warp_force_function(scalar):
     add_to_wall = wall_force_function(scalar)
 
     @wp.func_native(LEADER)
-    # Among the threads that now test the same wall of their scene's list, `leader` returns the number of the first one
-    # whose sphere touches a wall. It returns 32 if no sphere touches a wall, or -1 if the spheres touch different
-    # walls.
+    # `leader` returns the number of the first thread of a warp whose sphere touches a wall. It returns 32 if no sphere
+    # touches a wall, and -1 if spheres touch different walls. If `lanes` threads share a sphere, only those threads
+    # count whose numbers differ from that of the caller by a multiple of `lanes`.
     def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...
 
     @wp.func_native(WARP_TOTAL)

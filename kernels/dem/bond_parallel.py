@@ -62,10 +62,12 @@ def bond_functions(scalar):
         shear_to_normal: scalar  # shear stiffness of the bond divided by its normal stiffness
         tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
         cohesion: scalar  # shear strength at zero normal stress [Pa]
+
         # tangent of the friction angle: increase of the shear strength divided by the increase of the compressive
         # stress
         tan_friction_angle: scalar
         radius_multiplier: scalar  # bond radius divided by the radius of the smaller sphere
+
         # fraction of the stresses by bending and torsion that counts when the peak stresses are compared with the
         # strengths
         moment_factor: scalar

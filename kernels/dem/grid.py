@@ -25,9 +25,11 @@ def grid_struct(scalar):
         dims: wp.vec3i  # number of cells of the grid along each axis
         per_width: wp.array(dtype=scalar)  # inverse width of a cell [1/m], shape (1,)
         held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
+
         # index in `point` of each cell's first point, followed by the total number of points, shape (cells + 1,)
         start: wp.array(dtype=wp.int32)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
+
         # number of each point among the points of its cell, from 0, in the arbitrary order of counting, shape (points,)
         rank: wp.array(dtype=wp.int32)
         point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
@@ -57,7 +59,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     def along(v: scalar) -> wp.int32:
         """Return the index along one axis of the cell that contains `v`, a coordinate divided by the cell width."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # The comparison is false for NaN, which thus becomes -far.
+        place = wp.where(v > -far, v, -far)  # The comparison is false for a NaN, so a NaN becomes -far.
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func

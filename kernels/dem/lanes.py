@@ -139,9 +139,9 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
     ):  # fmt: skip
         """Copy the data of list entry k of sphere i into one vector lane.
 
-        A vector lane evaluates one contact. `row` is the first row of the contact parameters for the sphere's material,
-        `base` the index of the scene's first sphere, `first_bond` that of its first bond parameters, and `first_load`
-        that of its first bond force.
+        A vector lane evaluates one contact. `row` is the index of the first contact parameters for the material of
+        sphere i. The other indices are the first ones of the scene: `base` among all spheres, `first_bond` among all
+        bond parameters, and `first_load` among all bond forces.
         """
         entry = read_int(pairs.other, k)
         j = base + decode(entry)

@@ -249,10 +249,9 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            # This kernel clears the contact history of a pair when its state changes to APART. A stiff bond may break
-            # between two checks by this kernel, and the spheres may already be apart at the second check. The state of
-            # a pair with a stiff bond is therefore STIFF; with the state APART, the second check would see no change
-            # and keep the history.
+            # The contact history of a pair is cleared when its state changes to APART. A stiff bond may break, and its
+            # spheres separate, between two checks by this kernel. If the state were APART while the bond holds, the
+            # next check would see no change and keep the old history.
             after = STIFF
         if state != after:
             lost = scalar(0.0)

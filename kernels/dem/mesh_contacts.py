@@ -42,8 +42,8 @@ BEHIND = 2.0e-2
 ROUNDING = 0.99
 """Fraction of a margin: if sphere and meshes have together moved by this fraction, the triangles near the sphere are
 chosen again. The rest of the margin covers rounding errors."""
-# Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
-# contacts, the flag OVERFLOW is set.
+# Number of storage places (slots) of a sphere for its contacts with meshes; they follow its slots for planes and pipes.
+# If a sphere has more mesh contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 

@@ -21,16 +21,19 @@ from .structs import DT_PREVIOUS, array_structs
 # summed over the sphere's contacts.
 CONTACTS: int = wp.constant(0)  # column with the number of pairs in contact
 OVERLAP_SUM: int = wp.constant(1)  # column with the sum over pairs of the overlap divided by the smaller radius
+
 # OVERLAP_MAX is the column with the largest overlap divided by the smaller radius of the two spheres.
 OVERLAP_MAX: int = wp.constant(2)
 # ELASTIC_ENERGY is the column with the energy of contact springs, also at walls, at the middle of the last step [J].
 ELASTIC_ENERGY: int = wp.constant(3)
 BOND_ENERGY: int = wp.constant(4)  # column with the elastic energy of bonds [J]
 BONDED: int = wp.constant(5)  # column with the number of bonded pairs
+
 # VIRIAL is the column with the sum over pairs of the normal spring force times the distance of the centroids along the
 # normal [N m].
 VIRIAL: int = wp.constant(6)
 BONDED_HYDRATED: int = wp.constant(7)  # column with the number of pairs joined by stiff bonds (hydrated contacts)
+
 # DEPTH_MAX is the column with the largest ratio of an overlap to its permitted overlap. Between two spheres, the
 # permitted overlap is reached when the larger sphere contains the smaller one, or when the distance of the centres is
 # half that at first touch, whichever comes first. At a wall, the permitted overlap is the sphere's radius.
@@ -45,6 +48,7 @@ CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))
 # The next constants are the indices of columns in a table with a row for each body. The columns are summed over the
 # bodies.
 KINETIC: int = wp.constant(0)  # column with the kinetic energy at the middle of the last step [J]
+
 # POTENTIAL is the column with the potential energy of gravity, relative to the origin, at the middle of the last step
 # [J].
 POTENTIAL: int = wp.constant(1)

@@ -25,7 +25,9 @@ def estimate_struct(scalar):
 
     @wp.struct
     class Estimate:
-        sums: wp.array2d(dtype=vec6)  # stiffness and damping per sphere, shape (spheres, 4); zero between estimates
+        # Sums of stiffness and damping over each sphere's contacts, shape (spheres, 4). They are zero between two
+        # estimates of the stable step.
+        sums: wp.array2d(dtype=vec6)
         # Stiffness [mN/m] and damping [mN s/m] of all contacts of a wall, as integers. Each CPU thread stores the sums
         # over its contacts for each wall, shape (threads, walls, 2).
         wall_load: wp.array3d(dtype=wp.int64)

@@ -20,18 +20,22 @@ from ..common.walls import wall_struct
 # The next constants are columns of the double-precision array `clock`, which has one row per scene.
 TIME: int = wp.constant(0)  # column with the simulated time [s]
 DT: int = wp.constant(1)  # column with the coming time step [s]
+
 # DT_PREVIOUS is the column with the previous time step [s]. It is 0 at the start, so that the first velocity kick has
 # half the length.
 DT_PREVIOUS: int = wp.constant(2)
 SINCE_BUILD: int = wp.constant(3)  # column with the time since the neighbour lists were built [s]
+
 # FORCE_SCALE is the column with the number of integer units per newton in the fixed-point sums of wall forces [1/N].
 FORCE_SCALE: int = wp.constant(4)
 STABLE: int = wp.constant(5)  # column with the latest estimate of the stable step, without safety factor [s]
+
 # Number of columns of the array `clock`, whose rows belong to scenes.
 CLOCK = 8
 
 # The next constants are values of `links.state`. A link is a listed pair of spheres whose contact a GPU evaluates.
-APART: int = wp.constant(0)  # value for a link whose spheres do not touch
+APART: int = wp.constant(0)  # value of `links.state` if the two spheres of a link do not touch
+
 # TOUCHING: The spheres of the link touch or are bonded. In a list that was just rebuilt, the link may instead have
 # contact history from the old list.
 TOUCHING: int = wp.constant(1)
@@ -53,14 +57,16 @@ def scene_struct(scalar):
     @wp.struct
     class SceneRow:
         gravity: t.vec3  # acceleration of gravity [m/s2]
-        # coefficient of local damping (each force is changed by this fraction, against the motion); 0: off
+
+        # local damping: each force component is changed against the motion by this fraction of its magnitude; 0: off
         local_damping: scalar
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         mesh_speed: scalar  # largest speed of the mesh walls whose motion is prescribed [m/s]
         skin: scalar  # margin of the neighbour lists: pairs of spheres with a smaller gap are listed [m]
         mesh_skin: scalar  # margin of the candidate lists: triangles with a smaller gap to a sphere are listed [m]
+
         # Distance that spheres may move before the candidate lists of triangles are rebuilt. Meshes may move by the
-        # rest of the mesh skin [m].
+        # rest of `mesh_skin`, the margin of these lists [m].
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth during packing stops
@@ -70,10 +76,12 @@ def scene_struct(scalar):
         until: wp.float64  # time at which the scene halts [s]
         interval: wp.int32  # steps between two estimates of the stable step
         sort_every: wp.int32  # steps between two re-sortings of the bodies; 0: never
+
         # largest speed in the scene that is expected before the next stable step estimate [m/s]
         expected_speed: wp.float64
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
+
         # The following integers are the first indices of the scene in the arrays of bodies, spheres, pairs and so on,
         # which are joint arrays of all scenes of a batch. The integers named `..._count` are the numbers of entries
         # that belong to the scene.
@@ -117,6 +125,7 @@ def array_structs(scalar) -> SimpleNamespace:
         # module, such as TIME and DT, are the indices of the columns.
         clock: wp.array2d(dtype=wp.float64)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
+
         # mean velocity of each scene's spheres when its neighbour lists were built [m/s]
         reference_velocity: wp.array(dtype=t.vec3)
 
@@ -124,7 +133,8 @@ def array_structs(scalar) -> SimpleNamespace:
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
         scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch
-        # index of each body's shape in the table of clump templates, which is part of the state
+
+        # index of each body's shape in the list of clump templates, the shapes of all bodies
         shape: wp.array(dtype=wp.int32)
         group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
@@ -133,10 +143,12 @@ def array_structs(scalar) -> SimpleNamespace:
         position: wp.array(dtype=t.vec3)  # position of each body's centroid [m]
         rounding: wp.array(dtype=t.vec3)  # rounding error of each body's position, for compensated summation [m]
         velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid in the middle of the last step [m/s]
+
         # angular velocity of each body in space axes, in the middle of the last step [rad/s]
         spin: wp.array(dtype=t.vec3)
         orientation: wp.array(dtype=t.quat)  # rotation of each body from its body axes to space axes
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
+
         # Index of each body's first sphere. The indices of each scene end with the scene's total number of spheres.
         # Shape (bodies + scenes,).
         first: wp.array(dtype=wp.int32)
@@ -147,22 +159,27 @@ def array_structs(scalar) -> SimpleNamespace:
         scene: wp.array(dtype=wp.int32)  # index of each sphere's scene in the batch
         body: wp.array(dtype=wp.int32)  # index of each sphere's body in the scene
         material: wp.array(dtype=wp.int32)  # index of each sphere's material in the model
+
         # centre of each sphere in the body's frame, and its radius, both for a scale factor of 1 [m]
         offset: wp.array(dtype=t.vec4)
         position: wp.array(dtype=t.vec4)  # centre of each sphere in space, and its radius [m]
         velocity: wp.array(dtype=t.vec4)  # velocity of each sphere's centre [m/s], and mass of its body [kg]
+
         # angular velocity of each sphere's body [rad/s], padded to four numbers for fast access
         spin: wp.array(dtype=t.vec4)
         built: wp.array(dtype=t.vec4)  # position and radius of each sphere when the neighbour lists were built [m]
+
         # Centre of each sphere when its distance from fixed planes and pipes was last measured, and the distance from
         # the nearest of them, reduced by a margin for rounding errors [m].
         clear: wp.array(dtype=t.vec4)
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about each sphere's centre [N m]
+
         # Bit mask that marks neighbours of each sphere in contact in the last step. Bit k belongs to entry k of the
         # sphere's neighbour list; the mask covers the first BLOCK entries.
         touching: wp.array(dtype=wp.int32)
         dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start, recorded at each sphere [J]
+
         # number of bonds broken since the start in tension and in shear, recorded at each sphere
         broken: wp.array(dtype=wp.vec2i)
 
@@ -170,14 +187,15 @@ def array_structs(scalar) -> SimpleNamespace:
     class Slots:
         # bit mask of the planes and pipes that each sphere touched in the last step, shape (spheres,)
         touching: wp.array(dtype=wp.int32)
-        # Contact history of each slot, for spring laws the shear force [N], shape (spheres, slots). Slots for planes
-        # and pipes come first, then those for meshes.
+        # Contact history of each wall contact, for spring laws the shear force [N], shape (spheres, slots). A slot is a
+        # storage place for one contact. A sphere's slots for planes and pipes come first, then those for meshes.
         history: wp.array2d(dtype=t.vec3)
         # moment of the rolling-resistance spring of each wall contact [N m], shape (spheres, slots)
         rolling: wp.array2d(dtype=t.vec3)
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, shape (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], shape (spheres, slots)
-        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, shape (spheres, slots)
+        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: no contact, shape (spheres, slots)
+
         # `worn` holds the wear of each wall by each sphere since the last measurement, shape (spheres, walls). Each
         # entry has three values: the work of sliding [J], the energy loss of impacts [J], and the integral of the
         # load over the sliding distance [N m].
@@ -196,6 +214,7 @@ def array_structs(scalar) -> SimpleNamespace:
         # numbers.
         history: wp.array(dtype=t.vec4)
         rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
+
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
         # `load` holds the force and the moment of each bond, shape (rows,). The force consists of shear vector and
@@ -214,6 +233,7 @@ def array_structs(scalar) -> SimpleNamespace:
         # as in `face`
         near: wp.array(dtype=wp.int32)
         near_count: wp.array(dtype=wp.int32)  # number of near candidates of each sphere, shape (spheres,)
+
         # First three numbers: centre of each sphere when its near candidates were chosen [m]. Fourth number: the near
         # candidates contain all triangles that the sphere may touch while the sum of its radius, its displacement and
         # the displacement of meshes is below this number [m]. All are 0 before the first choice.
@@ -234,10 +254,12 @@ def array_structs(scalar) -> SimpleNamespace:
         force: wp.array(dtype=wp.vec3d)  # total contact force on the wall in the last step [N]
         moment: wp.array(dtype=wp.vec3d)  # total contact moment on the wall about the wall's position [N m]
         impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force on the wall since the start [N s]
+
         # time integral of the contact moment on the wall since the start [N m s]
         angular_impulse: wp.array(dtype=wp.vec3d)
         travel: wp.array(dtype=wp.float64)  # displacement along the wall's path since the start [m]
         work: wp.array(dtype=wp.float64)  # work done by the wall on the concrete since the start [J]
+
         # meshes only: largest possible displacement of a corner since the neighbour lists were built [m]
         moved: wp.array(dtype=wp.float64)
         # force and moment on each wall in this step, in fixed point, shape (threads, walls, 6)
@@ -264,6 +286,7 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
+
         # Bit masks that mark neighbours in contact, for the entries of a sphere's neighbour list after the first BLOCK
         # entries. Each sphere has EXTRA_MASKS integers.
         later_touching: wp.array(dtype=wp.int32)
@@ -313,6 +336,7 @@ def subcycled_struct(scalar):
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
         lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
         higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
+
         # Four indices of each pair: its two bodies in this struct, then the rows of `force` for the forces on these
         # bodies.
         ends: wp.array(dtype=wp.vec4i)
@@ -322,6 +346,7 @@ def subcycled_struct(scalar):
         higher_offset: wp.array(dtype=t.vec4)
         law: wp.array(dtype=wp.int32)  # index of the pair's contact parameters in `pair_parameters`
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
+
         # index of the pair's second entry in the neighbour list, or -1 if it has only one
         copy: wp.array(dtype=wp.int32)
         # contact history and bond of each pair; the last sub-cycling round of a step copies them to the neighbour list
@@ -330,10 +355,12 @@ def subcycled_struct(scalar):
         active: wp.array(dtype=wp.int32)
         # energy that each pair has lost in the sub-cycling rounds of this step so far [J]
         lost: wp.array(dtype=wp.float64)
-        outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
+        # 1 if the bond of a pair holds; the negative code of its failure mode if it broke in this step
+        outcome: wp.array(dtype=wp.int32)
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
         body_number: wp.array(dtype=wp.int32)  # permanent number of each body
         place: wp.array(dtype=wp.int32)  # current index of each body in the batch's arrays of bodies
+
         # index of each body's first row in `force`, followed by the number of rows, shape (bodies + 1,)
         start: wp.array(dtype=wp.int32)
         # For each row of `force`, the pair and the sphere to which it belongs: 2 p for the sphere of pair p with the
@@ -341,6 +368,7 @@ def subcycled_struct(scalar):
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # mass of each body [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia of each body [kg m2]
+
         # Position of each body's centroid in the middle of a time step [m]. The velocities in this struct belong to the
         # same time.
         position: wp.array(dtype=t.vec3)
@@ -349,9 +377,11 @@ def subcycled_struct(scalar):
         velocity: wp.array(dtype=t.vec3)  # velocity of each body's centroid [m/s]
         spin: wp.array(dtype=t.vec3)  # angular velocity of each body in space axes [rad/s]
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum of each body in space axes [kg m2/s]
+
         # all forces on each body other than those of pairs with stiff bonds, gravity included [N]
         other_force: wp.array(dtype=t.vec3)
         other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about each body's centroid [N m]
+
         # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)
         force: wp.array(dtype=t.vec3)
         # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)

@@ -26,10 +26,12 @@ def breakdown_kernel(scalar, law) -> wp.Kernel:
     def break_down_structure(
         # yield stress of the layer without its gain at rest [Pa], one value per entry of `wall_parameters`
         own_yield: wp.array(dtype=scalar),
-        gained: wp.array(dtype=wp.float64),  # yield stress gained at rest [Pa], one value per scene; 0 before a rest
+        # yield stress gained at rest [Pa], one value per scene; 0 before a rest
+        gained: wp.array(dtype=wp.float64),
         # slip distance after which the gained yield stress has fallen to 1/e [m], one value per scene
         breakdown: wp.array(dtype=wp.float64),
-        begun: wp.array(dtype=wp.float64),  # travel of the wall when slip began [m], one value per scene
+        # travel of the wall when slip began [m], one value per scene
+        begun: wp.array(dtype=wp.float64),
         # index in the batch of the wall whose travel counts as slip, one per scene
         slip_wall: wp.array(dtype=wp.int32),
         # The next arguments are arrays of the simulated state that this kernel only reads.

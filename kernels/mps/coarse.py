@@ -31,9 +31,10 @@ This interval extends from 2 / RATIO to 2."""
 def slot_function(scalar, dimensions: int):
     """Build `slot_of`, which numbers the position of the cube `other` relative to the cube `own`.
 
-    The two cubes must be adjacent or equal, so `other` is either `own` itself or one of the cubes around it. In d
-    dimensions these are 3^d positions, with numbers from 0 to 3^d - 1; `own` has the middle number. The cubes of
-    neighbouring particles are always adjacent or equal, because a cube is at least as wide as the reach of a particle.
+    Cubes are the cells of the coarse grid. The two cubes must be adjacent or equal, so `other` is either `own` itself
+    or one of the cubes around it. In d dimensions these are 3^d positions, with numbers from 0 to 3^d - 1; `own` has
+    the middle number. The cubes of neighbouring particles are always adjacent or equal, because a cube is at least as
+    wide as the reach of a particle.
     """
     Matrix = array_structs(scalar, dimensions).Matrix
 
@@ -55,9 +56,9 @@ def slot_function(scalar, dimensions: int):
 def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
     """Build the CPU kernel (one task) that forms the rows of the coarse matrix for cubes from `begin` to `end`.
 
-    In d dimensions each row has 3^d coefficients: one for each adjacent cube and, in the middle, one for the row's own
-    cube. The kernel stores the reciprocal of the middle coefficient in its place, or 0 if the cube contains no
-    unknowns.
+    Cubes are the cells of the coarse grid. In d dimensions each row has 3^d coefficients: one for each adjacent cube
+    and, in the middle, one for the row's own cube. The kernel stores the reciprocal of the middle coefficient in its
+    place, or 0 if the cube contains no unknowns.
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -101,8 +102,9 @@ def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
 def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     """Build the GPU kernels that form the coarse matrix.
 
-    First, `pairs` adds up the matrix coefficients between a particle and all particles of each cube around it (one task
-    per particle). Then `sums` adds up the results of all particles of a cube (one task per entry of the coarse matrix).
+    Cubes are the cells of the coarse grid. First, `pairs` adds up the matrix coefficients between a particle and all
+    particles of each cube around it (one task per particle). Then `sums` adds up the results of all particles of a cube
+    (one task per entry of the coarse matrix).
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -112,7 +114,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def pairs(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Sum each particle's matrix coefficients with particles of its own cube and of each adjacent cube."""
+        """Sum each particle's matrix coefficients over its own cube of the coarse grid, and over each adjacent cube."""
         if flags[HALTED] != 0:
             return
         i = wp.tid()
@@ -138,7 +140,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Add up the results of `pairs` over all particles of a cube, which gives one entry of the coarse matrix."""
+        """Compute one entry of the coarse matrix: the sum of the results of `pairs` over the particles of a cube."""
         if flags[HALTED] != 0:
             return
         entry = wp.tid()
@@ -162,6 +164,11 @@ LANES = """
     return 1;
 #endif
 """
+WAIT = """
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+"""
 SUMMED = """
 #if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step /= 2)
@@ -174,6 +181,12 @@ SUMMED = """
 @wp.func_native(LANES)
 def lanes() -> wp.int32:
     """Return the number of threads that work together: 32 (a warp) on a GPU, 1 on a CPU."""
+    ...
+
+
+@wp.func_native(WAIT)
+def wait_for_lanes():
+    """Wait until all lanes (threads) of a warp have come here; all of them then see what each has written before."""
     ...
 
 

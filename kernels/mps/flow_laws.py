@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import warp as wp
 
 BINGHAM, HERSCHEL_BULKLEY, MODIFIED_BINGHAM = "bingham", "herschel-bulkley", "modified-bingham"
-"""Names of the laws, as in `warpcrete.theory.laws`."""
+"""Names of the flow laws, as in `warpcrete.theory.laws`."""
 
 
 @functools.cache

@@ -95,6 +95,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         above: scalar  # Weighted sum over all neighbours, walls included, of the relative position along the pipe.
         slope: t.vec  # Weighted sum of (pressure difference) x (relative position) over the fluid neighbours.
         rise: scalar  # Weighted sum of the pressure differences from the particle to its fluid neighbours.
+
         # Viscous force per volume that the wall particles exert, divided by the wall stress, before calibration [1/m].
         wall: scalar
         inside: scalar  # Distance of the particle from the wall [m].

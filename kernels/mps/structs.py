@@ -59,6 +59,7 @@ def flow_struct(scalar):
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
         slip_index: scalar  # Flow index n of the slip layer's law.
         slip_quadratic: scalar  # Coefficient of the squared velocity of the slip layer [Pa s2/m2].
+
         # Fraction of the density error (relative excess of a particle's density sum) that one step removes.
         correction: scalar
         skin: scalar  # Skin of the neighbour lists [m].
@@ -79,6 +80,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Particles:
         position: wp.array(dtype=t.vec)  # Particle position relative to the piston's centre [m], shape (n,).
+
         # Rounding error of each particle's position, corrected in the next step [m], shape (n,).
         rounding: wp.array(dtype=t.vec)
         velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the pipe [m/s], shape (n,).
@@ -92,6 +94,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         far_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `far`.
         wall_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `wall`.
         near_count: wp.array(dtype=wp.int32)  # Number of each particle's entries in `near`, shape (n,).
+
         # Numbers of the fluid particles near each particle, within the reach of the operators, shape (n *
         # near_capacity,).
         near: wp.array(dtype=wp.int32)
@@ -122,11 +125,13 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # (1,).
         wall_scale: wp.array(dtype=wp.float64)
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
+
         # Velocity difference due to shear between particle and wall, divided by the wall stress [m/s/Pa], shape (n,).
         compliance: wp.array(dtype=scalar)
         predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
+
         # Potential whose negative gradient moves particles out of crowded regions [m2], shape (n,).
         potential: wp.array(dtype=scalar)
         # Displacement of each particle in this step that its velocity does not cause [m], shape (n,).
@@ -142,8 +147,9 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         first: wp.array(dtype=wp.int32)
         offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
-        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, corrected in the next step [m].
+        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of each grain's position [m].
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
+
         # Inverse inertia of a grain about `centre` if each of its particles has unit mass [1/m2].
         inverse_inertia: wp.array(dtype=mat33)
         # Velocity of each grain per unit force, computed from the diagonal of the matrix. It serves as a
@@ -159,18 +165,22 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Coarse:
         count: wp.int32  # Number of cubes of the coarse grid.
         wide: wp.int32  # Number of cubes of the coarse grid across the pipe, along each axis; at least 3.
-        of: wp.array(dtype=wp.int32)  # Index of the cube that contains each particle, shape (n,).
-        # Index of each cube's first particle in `member`, followed by the number of particles, shape (count + 1,).
+        of: wp.array(dtype=wp.int32)  # Index of the cube of the coarse grid in which each particle lies, shape (n,).
+
+        # Index in `member` of the first particle of each cube of the coarse grid, followed by the number of particles,
+        # shape (count + 1,).
         first: wp.array(dtype=wp.int32)
-        member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
+        member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube of the coarse grid, shape (n,).
+
         # Indices of the cubes around each cube of the coarse grid, -1 where there is none, shape (3^d * count,).
         neighbour: wp.array(dtype=wp.int32)
         # Coefficients of the coarse matrix between each cube of the coarse grid and the 3^d cubes centred on it, shape
         # (3^d * count,). The entry between a cube and itself holds 1 over the diagonal of the coarse matrix instead.
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
-        # Sum of the matrix coefficients of each particle with the particles of its own cube and of each adjacent cube,
-        # shape (3^d * n,); GPU only.
+
+        # Sum of the matrix coefficients of each particle with the particles of its own cube of the coarse grid, and of
+        # each adjacent cube, shape (3^d * n,); GPU only.
         pair: wp.array(dtype=scalar)
 
     @wp.struct
@@ -178,11 +188,13 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         near_capacity: wp.int32  # Maximum number of off-diagonal entries in a row of the matrix.
         near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row of the matrix, shape (n,).
         near: wp.array(dtype=wp.int32)  # Column of each off-diagonal entry of the matrix, shape (n * near_capacity,).
+
         # Value of each off-diagonal entry of the matrix times -1, shape (n * near_capacity,).
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix without the resistance of walls, shape (n,).
         drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
-        # 1 for a row whose unknown is held at 0, such as the pressure of a particle at the free surface.
+
+        # 1 for a matrix row whose unknown is held at 0, such as the pressure of a particle at the free surface.
         free: wp.array(dtype=wp.int32)
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
         grain_rows: wp.int32  # Number of matrix rows of particles in rigid grains; they precede the mortar's rows.
@@ -193,21 +205,24 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         @wp.struct
         class Solve:
             residual: wp.array(dtype=value)  # Residual of the linear equations, shape (n,).
+
             # Search direction, shape (n,); on a GPU the old and the new direction, shape (2n,).
             direction: wp.array(dtype=value)
             product: wp.array(dtype=value)  # Product of the matrix and the search direction, shape (n,).
             preconditioned: wp.array(dtype=value)  # Residual divided by the matrix's diagonal, shape (n,); GPU only.
             load: wp.array(dtype=value)  # Sum of the residual in each cube of the coarse grid, shape (cubes,).
-            lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
-            # Difference between the last two iterates of the coarse solution, shape (cubes,).
+            lift: wp.array(dtype=value)  # Solution on the coarse grid in two alternating buffers, shape (2 cubes,).
+
+            # Difference between the last two iterates of the solution on the coarse grid, shape (cubes,).
             change: wp.array(dtype=value)
-            # Product of the summed residual `load` and the coarse solution in each cube, shape (cubes,).
+            # Product of the summed residual `load` and the solution in each cube of the coarse grid, shape (cubes,).
             inner: wp.array(dtype=wp.float64)
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
+
             # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).
             outcome: wp.array(dtype=wp.float64)
-            history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
+            history: wp.array(dtype=wp.float64)  # Residual norm after each iteration of the solve.
 
         return Solve
 

@@ -26,7 +26,8 @@ def serial_correction(scalar, dimensions: int, vector: bool):
     """Build `correct`, which solves the coarse equations for the current residual on a CPU.
 
     It returns the index at which the coarse solution begins in the array `lift`. It also stores, in the array
-    `partial`, the inner product of residual and coarse solution over each chunk of cubes.
+    `partial`, the inner product of residual and coarse solution over each chunk of cubes, which are the cells of the
+    coarse grid.
     """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -180,9 +181,9 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
     """Build `correct`, which solves the coarse equations for the current residual on a GPU.
 
-    Each warp computes one cube at a time. `correct` returns the index at which the coarse solution begins in the array
-    `lift`. The caller must place a barrier between the computation of the residual and the call of `correct`, which
-    itself ends with a barrier.
+    Each warp computes one cube (cell of the coarse grid) at a time. `correct` returns the index at which the coarse
+    solution begins in the array `lift`. The caller must place a barrier between the computation of the residual and the
+    call of `correct`, which itself ends with a barrier.
     """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix

@@ -29,18 +29,19 @@ from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
 
 FULL = wp.constant(1 << 20)
-"""Integer that represents the fraction 1 of a sample or of a face.
+"""Integer that represents the fraction 1, of a face or of a sample (a cell or a cell edge).
 
-Tasks add the fractions of aggregates as integers, because a sum of integers does not depend on the order of additions.
+Tasks add the fractions that aggregates cover as integers, because a sum of integers does not depend on the order of
+additions.
 """
 
 SEARCH_LOOPS, COVER_LOOPS = {"max_unroll": 2}, {"max_unroll": 3}
-"""Module options for the kernels that search for walls and that cover samples: Warp writes out loops of at most so many
-turns, and keeps longer ones as loops.
+"""Warp options of the kernels that search for walls, and of those that find the parts of cells that aggregates cover.
 
-With Warp's default, 16, these kernels have up to 784 copies of their innermost function. NVIDIA's compiler takes two
-minutes for each of them. With these options it takes 1.5 s, or 11 s for covered samples of clumps. With two turns for
-the cover, a CPU would take five times as long to run it.
+Warp unrolls loops of at most `max_unroll` turns. With Warp's default, 16, these kernels have up to 784 copies of their
+innermost function. NVIDIA's compiler takes two minutes for each of them. With these options it takes 1.5 s, or 11 s for
+the parts of cells that clumps cover. If the second option were 2 as well, a CPU would take five times as long to run
+these kernels.
 """
 
 
@@ -70,12 +71,14 @@ def body_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=vec3)  # Angular velocity of each aggregate [rad/s], shape (n,).
         turn: wp.array(dtype=quat)  # Orientation of each aggregate, shape (n,).
         radius: wp.array(dtype=scalar)  # Radius of a sphere with the volume of each aggregate [m], shape (n,).
+
         # Mass of each aggregate minus that of an equal volume of mortar [kg], and moment of inertia of each aggregate
         # minus that of this mortar [kg m2], each of shape (n,).
         extra_mass: wp.array(dtype=scalar)
         extra_inertia: wp.array(dtype=scalar)
         force: wp.array(dtype=vec3)  # External force on each aggregate, such as weight minus buoyancy [N], shape (n,).
         torque: wp.array(dtype=vec3)  # External torque on each aggregate about its centre [N m], shape (n,).
+
         # Inverses of each aggregate's diagonal blocks in the reduced viscous matrix, for its velocity and for its spin,
         # each of shape (n,).
         mobility: wp.array(dtype=mat33)
@@ -85,6 +88,7 @@ def body_structs(scalar) -> SimpleNamespace:
         first: wp.array(dtype=wp.int32)  # Index of each aggregate's first sphere, shape (n + 1,).
         body: wp.array(dtype=wp.int32)  # Index of the aggregate to which each sphere belongs, shape (m,).
         size: wp.array(dtype=scalar)  # Radius of each sphere [m], shape (m,).
+
         # Volume of each sphere, without the parts that count as parts of overlapping spheres [m3], shape (m,).
         share: wp.array(dtype=scalar)
         # Vector from the centre of the aggregate to the centre of each sphere [m], shape (m,): `offset` along the
@@ -92,8 +96,11 @@ def body_structs(scalar) -> SimpleNamespace:
         offset: wp.array(dtype=vec3)
         arm: wp.array(dtype=vec3)
         moments: wp.array(dtype=vec3)  # Principal moments of inertia of each aggregate over its mass [m2], shape (n,).
-        tensor: wp.array(dtype=mat33)  # Tensor of `extra_inertia` along the axes of the grid [kg m2], shape (n,).
-        # Torque of each aggregate that keeps its angular momentum constant while its tensor turns [N m], shape (n,).
+        # Inertia tensor of each aggregate minus that of an equal volume of mortar, along the axes of the grid [kg m2],
+        # shape (n,).
+        tensor: wp.array(dtype=mat33)
+        # Torque that keeps the angular momentum of each aggregate constant while its inertia tensor turns [N m], shape
+        # (n,).
         gyration: wp.array(dtype=vec3)
 
     @wp.struct
@@ -121,6 +128,7 @@ def body_structs(scalar) -> SimpleNamespace:
         solid: wp.array(dtype=wp.int32)
         first: wp.array(dtype=wp.int32)  # Index in `faces` of each aggregate's first face, shape (n + 1,).
         count: wp.array(dtype=wp.int32)  # Number of the grid's faces that move with each aggregate, shape (n,).
+
         # Number of entries of each aggregate in `faces`, shape (n,).
         touched: wp.array(dtype=wp.int32)
         # Indices of the grid's faces that aggregates cover, sorted by aggregate. For each aggregate, the faces that
@@ -253,7 +261,7 @@ def shape_functions(scalar, kind: BodyKind) -> SimpleNamespace:
 
 @functools.cache
 def body_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build functions for an aggregate on the grid, such as its face velocities and the mortar fraction of samples."""
+    """Build functions for an aggregate on the grid, such as its face velocities and the mortar fraction of a cell."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
     Grid = grid_parameters_struct(scalar, 3)
@@ -312,7 +320,7 @@ def motion_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     - `carry` sets the velocities of the faces that move with an aggregate.
     - `move` moves and turns the aggregate by one time step.
-    - `hasten` changes its velocity as that of all mortar in a periodic pipe, so that the mean velocity stays constant.
+    - `hasten` adds to its velocity the correction that keeps the mean velocity along a periodic pipe constant.
     """
     vec, quat = mps_types(scalar, 3).vec, types(scalar).quat
     Grid = grid_parameters_struct(scalar, 3)

@@ -24,13 +24,16 @@ from ..mps.grid.levels import system_structs
 from ..mps.grid.places import grid_functions
 from ..mps.structs import row_place
 from .bodies import FULL, body_structs
-from .vectors import range_functions, share_functions, vector_struct
+from .vectors import range_functions, share_functions, share_of_body, store_function, vector_struct
 
 COMPRESSION = wp.constant(1.0)
-"""Factor of the viscosity in the weight of a cell's net inflow, which makes this inflow comparable with forces in the
-norm of residuals. The weight is (density width^2 / dt + COMPRESSION viscosity) / volume."""
+"""Factor of the viscosity in the weight of a cell's net inflow.
+
+The norm of the residual contains forces and net inflows, and the weight makes an inflow comparable with a force. The
+weight is (density width^2 / dt + COMPRESSION viscosity) / volume.
+"""
 YIELDING = wp.constant(0.4)
-"""Factor of the part of a cell's pressure, in the preconditioner, that depends on the net inflow of this cell alone.
+"""Factor in that part of the preconditioner's pressure in a cell which depends on the net inflow of this cell alone.
 This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal
 of the viscous matrix. The factor was chosen by the number of iterations in eight flows."""
 
@@ -77,9 +80,10 @@ def residual_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     inflow[c] = projection.residual[c] * scalar(mesh.clock[DT]) / g.density
                 residual.cells[c] = residual.cells[c] + inflow[c]
         else:
-            b = task - tasks
-            residual.linear[b] = bodies.force[b]
-            residual.angular[b] = bodies.torque[b]
+            b, lane = share_of_body(task, tasks)
+            if b < bodies.centre.shape[0] and lane == 0:
+                residual.linear[b] = bodies.force[b]
+                residual.angular[b] = bodies.torque[b]
 
     @wp.kernel(enable_backward=False, module="unique")
     def pressure_force(g: Grid, geometry: Geometry, mesh: Fields, pressure: wp.array(dtype=scalar),
@@ -216,18 +220,18 @@ def cell_weight_function(scalar, of: GridKind):
 def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that make search directions orthogonal to each other.
 
-    They run with `tasks` tasks for faces and cells and one more task for each aggregate. `many` holds `count` vectors
-    one after the other.
+    They run with `tasks` tasks for faces and cells, and further ones for the aggregates, which :func:`share_of_body`
+    distributes. `many` holds `count` vectors one after the other.
 
     - `weigh` multiplies a vector by the weights of the inner product of two vectors.
     - `products` computes partial sums of the inner products of a weighted vector and each vector of `many`. The partial
-      sums of the inner product number k begin at index k times the number of tasks.
+      sums of the inner product number k begin at index k times the number `partials` of partial sums.
     - `combine` subtracts a multiple of each vector of `many` from a vector.
     """
     Grid = grid_parameters_struct(scalar, 3)
     Bodies, Fields = body_structs(scalar).Bodies, grid_structs(scalar, 3).Fields
     Vector, cell_weight = vector_struct(scalar), cell_weight_function(scalar, of)
-    own, ranges = share_functions(serial), range_functions(scalar, serial)
+    own, ranges, store = share_functions(serial), range_functions(scalar, serial), store_function(serial)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def weigh(
@@ -242,22 +246,23 @@ def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 weighted.cells[c] = one.cells[c] * cell_weight(g, mesh, cut, c)
         else:
-            b = task - tasks
-            weighted.linear[b] = bodies.mobility[b] * one.linear[b]
-            weighted.angular[b] = bodies.spin_mobility[b] * one.angular[b]
+            b, lane = share_of_body(task, tasks)
+            if b < bodies.centre.shape[0] and lane == 0:
+                weighted.linear[b] = bodies.mobility[b] * one.linear[b]
+                weighted.angular[b] = bodies.spin_mobility[b] * one.angular[b]
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def products(
-        g: Grid, tasks: wp.int32, bodies: Bodies, count: wp.int32, slot: wp.int32, weighted: Vector, many: Vector,
-        partial: wp.array(dtype=wp.float64),
+        g: Grid, tasks: wp.int32, partials: wp.int32, bodies: Bodies, count: wp.int32, slot: wp.int32,
+        weighted: Vector, many: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
         rows = 3 * g.slots
         aggregates = bodies.centre.shape[0]
         for k in range(count):
-            place = (slot + k) * (tasks + aggregates) + task
+            sum = wp.float64(0.0)
             if task < tasks:
-                partial[place] = ranges.dot(
+                sum = ranges.dot(
                     weighted.faces, many.faces, k * rows, own.first(task, tasks, rows), own.end(task, tasks, rows),
                     tasks,
                 ) + ranges.dot(
@@ -265,10 +270,12 @@ def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     own.end(task, tasks, g.slots), tasks,
                 )  # fmt: skip
             else:
-                b = task - tasks
-                partial[place] = wp.float64(wp.dot(weighted.linear[b], many.linear[k * aggregates + b])) + wp.float64(
-                    wp.dot(weighted.angular[b], many.angular[k * aggregates + b])
-                )
+                b, lane = share_of_body(task, tasks)
+                if b < aggregates and lane == 0:
+                    sum = wp.float64(wp.dot(weighted.linear[b], many.linear[k * aggregates + b])) + wp.float64(
+                        wp.dot(weighted.angular[b], many.angular[k * aggregates + b])
+                    )
+            store(task, partial, (slot + k) * partials, sum)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def combine(
@@ -290,31 +297,35 @@ def product_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     own.end(task, tasks, g.slots), tasks,
                 )  # fmt: skip
             else:
-                b = task - tasks
-                result.linear[b] = result.linear[b] + factor * many.linear[k * aggregates + b]
-                result.angular[b] = result.angular[b] + factor * many.angular[k * aggregates + b]
+                b, lane = share_of_body(task, tasks)
+                if b < aggregates and lane == 0:
+                    result.linear[b] = result.linear[b] + factor * many.linear[k * aggregates + b]
+                    result.angular[b] = result.angular[b] + factor * many.angular[k * aggregates + b]
 
     return SimpleNamespace(weigh=weigh, products=products, combine=combine)
 
 
 @functools.cache
 def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that change the solution, with `tasks` tasks and one more task for each aggregate.
+    """Build the kernels that change the solution.
+
+    They run with `tasks` tasks for faces and cells, and further ones for the aggregates, which :func:`share_of_body`
+    distributes.
 
     - `advance` adds a search direction times `factor` to the solution, and subtracts the product of matrix and
       direction (`effect`) times `factor` from the residual. It then computes partial sums of two squared norms: that of
-      the residual, and that of the flow's momentum, with which the residual is compared.
+      the residual, and that of the flow's momentum, with which the residual is compared. Each has `partials` sums.
     - `finish` adds the solution to the velocities and pressures of the flow.
     """
     Grid = grid_parameters_struct(scalar, 3)
     Bodies, Fields = body_structs(scalar).Bodies, grid_structs(scalar, 3).Fields
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
-    own, cell_weight = share_functions(serial), cell_weight_function(scalar, of)
+    own, store, cell_weight = share_functions(serial), store_function(serial), cell_weight_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def advance(
-        g: Grid, tasks: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), matrix: Matrix, mesh: Fields,
-        cut: Fields, factor: scalar, change: Vector, effect: Vector, solution: Vector, residual: Vector,
+        g: Grid, tasks: wp.int32, partials: wp.int32, bodies: Bodies, inverse: wp.array(dtype=scalar), matrix: Matrix,
+        mesh: Fields, cut: Fields, factor: scalar, change: Vector, effect: Vector, solution: Vector, residual: Vector,
         partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         task = wp.tid()
@@ -337,17 +348,18 @@ def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                 residual.cells[c] = rest
                 left += wp.float64(rest * cell_weight(g, mesh, cut, c) * rest)
         else:
-            b = task - tasks
-            solution.linear[b] = solution.linear[b] + factor * change.linear[b]
-            solution.angular[b] = solution.angular[b] + factor * change.angular[b]
-            force = residual.linear[b] - factor * effect.linear[b]
-            torque = residual.angular[b] - factor * effect.angular[b]
-            residual.linear[b] = force
-            residual.angular[b] = torque
-            left = wp.float64(wp.dot(force, bodies.mobility[b] * force))
-            left += wp.float64(wp.dot(torque, bodies.spin_mobility[b] * torque))
-        partial[task] = left
-        partial[tasks + bodies.centre.shape[0] + task] = whole
+            b, lane = share_of_body(task, tasks)
+            if b < bodies.centre.shape[0] and lane == 0:
+                solution.linear[b] = solution.linear[b] + factor * change.linear[b]
+                solution.angular[b] = solution.angular[b] + factor * change.angular[b]
+                force = residual.linear[b] - factor * effect.linear[b]
+                torque = residual.angular[b] - factor * effect.angular[b]
+                residual.linear[b] = force
+                residual.angular[b] = torque
+                left = wp.float64(wp.dot(force, bodies.mobility[b] * force))
+                left += wp.float64(wp.dot(torque, bodies.spin_mobility[b] * torque))
+        store(task, partial, 0, left)
+        store(task, partial, partials, whole)
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(g: Grid, tasks: wp.int32, matrix: Matrix, solution: Vector, mesh: Fields, bodies: Bodies):
@@ -360,8 +372,9 @@ def advance_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             for c in range(own.first(task, tasks, g.slots), own.end(task, tasks, g.slots), own.stride(tasks)):
                 mesh.pressure[c] = wp.where(mesh.liquid[c] != 0, mesh.pressure[c] + solution.cells[c], scalar(0.0))
         else:
-            b = task - tasks
-            bodies.velocity[b] = bodies.velocity[b] + solution.linear[b]
-            bodies.spin[b] = bodies.spin[b] + solution.angular[b]
+            b, lane = share_of_body(task, tasks)
+            if b < bodies.centre.shape[0] and lane == 0:
+                bodies.velocity[b] = bodies.velocity[b] + solution.linear[b]
+                bodies.spin[b] = bodies.spin[b] + solution.angular[b]
 
     return SimpleNamespace(advance=advance, finish=finish)

@@ -1,4 +1,4 @@
-"""Faces and samples of the grid that aggregates cover, and faces in narrow gaps that they must not carry along."""
+"""Cells, cell edges and faces that aggregates cover, and faces in narrow gaps that must not move with aggregates."""
 
 import functools
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ from .bodies import COVER_LOOPS, FULL, BodyKind, body_functions, body_structs, s
 
 @functools.cache
 def cover_functions(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
-    """Build functions that return the cells near an aggregate, and the parts of samples and faces that it covers."""
+    """Build functions that return the cells near an aggregate, and the parts of cells and faces that it covers."""
     t = mps_types(scalar, 3)
     vec, whole = t.vec, t.whole
     Grid, Bodies = grid_parameters_struct(scalar, 3), body_structs(scalar).Bodies
@@ -97,7 +97,7 @@ def cover_functions(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
 
 @functools.cache
 def cover_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
-    """Build the kernels that find the faces and samples that aggregates cover.
+    """Build the kernels that find the faces and samples (cells and cell edges) that aggregates cover.
 
     - `clear` deletes the results of the previous step, with one task per sample.
     - `claim` marks covered faces and adds up the fractions of samples that aggregates fill, with one task per

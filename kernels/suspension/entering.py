@@ -27,10 +27,12 @@ def entrance_struct(scalar):
     @wp.struct
     class Entrance:
         start: wp.array(dtype=vec3)  # Centre of each aggregate at the time 0 [m], shape (n,).
-        # Time from which an aggregate is at least partly in the box [s], shape (n,). The aggregate is parked before.
+
+        # Time when an aggregate begins to enter the simulated box [s], shape (n,). Until then it is kept far away.
         appears: wp.array(dtype=wp.float64)
-        enters: wp.array(dtype=wp.float64)  # Time from which an aggregate is free [s], shape (n,).
-        velocity: vec3  # Velocity of the plane [m/s].
+        # Time when an aggregate has entered the pipe entirely and becomes free to move [s], shape (n,).
+        enters: wp.array(dtype=wp.float64)
+        velocity: vec3  # Velocity of the plane through which aggregates enter the pipe [m/s].
         gravity: vec3  # Gravitational acceleration in the coordinates of the grid [m/s2].
 
     return Entrance
@@ -43,7 +45,7 @@ def entering_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     - `guide` sets position and velocity of the aggregates that are not free yet.
     - `relax` marks cells cut by walls, with one task per cell, in which all faces move with aggregates. In pipes that
       are oblique to the grid, such a cell has a net inflow that depends on the accuracy of the geometry, and that no
-      motion of the aggregate along the wall makes zero. The kernel `release` of `bodies.py` makes the velocities of the
+      motion of the aggregate along the wall makes zero. The kernel `release` of `cover.py` makes the velocities of the
       marked cells' faces unknowns again.
     - `ignore` deletes their lists of neighbours, because they need no forces.
     - `fix` deletes their mobility, so that solves do not change their velocities. The inverse blocks of the

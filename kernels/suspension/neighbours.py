@@ -91,7 +91,8 @@ def wall_search_function(scalar, of: GridKind):
         e = start
         distance, slope, wall = wall_gap(g, geometry, x + radius * e)
         size = scalar(1.0)
-        # No point of the surface near the starting point is closer to a wall than this distance minus the radius.
+        # Points of the surface within one radius of the starting point are at least `distance` - `radius` away from a
+        # wall.
         if distance < radius + reach:
             for turn in range(wp.static(TURNS)):
                 to = e - size * (wp.normalize(slope) + e)

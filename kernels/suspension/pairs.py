@@ -47,24 +47,30 @@ def pair_struct(scalar):
     @wp.struct
     class Pairs:
         count: wp.array(dtype=wp.int32)  # Number of neighbours of each sphere, shape (m,).
+
         # The following arrays have one entry for each neighbour, shape (m * CAPACITY,).
         other: wp.array(dtype=wp.int32)  # Index of the neighbouring sphere, or WALL for a wall.
         normal: wp.array(dtype=vec3)  # Unit vector from the sphere towards the neighbour.
+
         # Gap between sphere and neighbour at the start of the step, negative for an overlap [m].
         gap: wp.array(dtype=scalar)
         rough: wp.array(dtype=scalar)  # Gap below which two neighbours count as touching [m].
         still: wp.array(dtype=scalar)  # Velocity of a wall along `normal` [m/s]; 0 if the neighbour is a sphere.
+
         # Lubrication force per speed of approach, in addition to the force that the grid resolves [N s/m].
         lubrication: wp.array(dtype=scalar)
         hold: wp.array(dtype=scalar)  # Contact force per speed of approach [N s/m].
+
         # 1 if sphere and neighbour touch in this step, NEW if the last coupled solve has found this contact,
         # otherwise 0.
         touching: wp.array(dtype=wp.int32)
         # The next arrays are empty without friction.
         grip: wp.array(dtype=scalar)  # Friction force per speed at which the surfaces slide [N s/m].
         drift: wp.array(dtype=vec3)  # Velocity of a wall along its surface [m/s]; 0 if the neighbour is a sphere.
-        # Contacts at the end of the last step: number of contacts of each sphere, shape (m,), and, for each contact,
-        # neighbour, unit vector towards it, and the normal force [N], shape (m * CAPACITY,).
+
+        # The next arrays describe the contacts at the end of the last step: the number of contacts of each sphere,
+        # shape (m,), and for each contact the neighbour, the unit vector towards it and the normal force [N], shape
+        # (m * CAPACITY,).
         last_count: wp.array(dtype=wp.int32)
         last_other: wp.array(dtype=wp.int32)
         last_normal: wp.array(dtype=vec3)
@@ -259,7 +265,7 @@ def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
 
     @wp.func
     def after(bodies: Bodies, change: Vector, s: wp.int32) -> vec:
-        """Return the velocity of a sphere's centre at the end of the step, if the aggregates' velocities `change`."""
+        """Return the velocity of a sphere's centre after the aggregates' velocities have changed by `change`."""
         before = shape.velocity(bodies, bodies.velocity, bodies.spin, 0, s)
         return before + shape.velocity(bodies, change.linear, change.angular, 0, s)
 

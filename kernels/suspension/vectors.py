@@ -8,13 +8,15 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.reductions import BLOCK, total
+from ..common.reductions import BLOCK, keep, total
 from ..common.types import types
+from ..mps.coarse import lanes
 
 # Indices into the array of inner products in a solve by conjugate gradients.
 RZ = wp.constant(0)  # Index of the inner product of residual and preconditioned residual.
 PQ = wp.constant(1)  # Index of the inner product of the search direction p and the product A p, with the matrix A.
 RZ_AFTER = wp.constant(2)  # Index of the inner product of residual and preconditioned residual after the iteration.
+
 # Index of the inner product of residual and preconditioned residual at the start of the solve.
 RZ_FIRST = wp.constant(3)
 SUMS = 4
@@ -59,6 +61,34 @@ def share_functions(serial: bool) -> SimpleNamespace:
         return wp.where(wp.static(serial), 1, tasks)
 
     return SimpleNamespace(first=first, end=end, stride=stride)
+
+
+@wp.func
+def share_of_body(task: wp.int32, tasks: wp.int32):
+    """Return the number of the aggregate that a task works on, and the lane of the task.
+
+    Tasks from number `tasks` on work on aggregates: one task on each aggregate on a CPU, and the 32 lanes (threads) of
+    a warp on a GPU. The number may exceed that of the last aggregate, because a GPU starts whole blocks.
+    """
+    return (task - tasks) / lanes(), (task - tasks) % lanes()
+
+
+@functools.cache
+def store_function(serial: bool):
+    """Build the function that stores a task's partial sum of an inner product in `partial`, from the index `first` on.
+
+    A CPU stores a sum for each task. A GPU stores one for each block of BLOCK tasks, all of which must call the
+    function together.
+    """
+
+    @wp.func
+    def store(task: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sum: wp.float64):
+        if wp.static(serial):
+            partial[first + task] = sum
+        else:
+            keep(task, partial, first, sum)
+
+    return store
 
 
 @functools.cache

@@ -12,14 +12,25 @@ import warp as wp
 
 from ..common.rows import entry_product, row_product
 from ..common.types import cpu_flags, types
+from ..mps.coarse import lane_sum, lanes, wait_for_lanes
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from .bodies import BodyKind, body_functions, body_structs, shape_functions
 from .pairs import pair_functions, pair_struct
-from .vectors import PQ, RZ, RZ_AFTER, RZ_FIRST, range_functions, share_functions, vector_struct
+from .vectors import (
+    PQ,
+    RZ,
+    RZ_AFTER,
+    RZ_FIRST,
+    range_functions,
+    share_functions,
+    share_of_body,
+    store_function,
+    vector_struct,
+)
 
 GIVE = """
-    for (int k = first; k < end; ++k) {
+    for (int k = first; k < end; k += by) {
         const int r = faces.data[k];
         const wp::vec_t<3, SCALAR> d = lever.data[k];
         result.data[r] = r < slots ? velocity[0] + spin[1] * d[2] - spin[2] * d[1]
@@ -29,7 +40,7 @@ GIVE = """
 """
 RESULTANT = """
     wp::vec_t<6, SCALAR> sum = {};
-    for (int k = first; k < end; ++k) {
+    for (int k = first; k < end; k += by) {
         const int r = faces.data[k];
         const SCALAR f = forces.data[r];
         const wp::vec_t<3, SCALAR> d = lever.data[k];
@@ -51,7 +62,8 @@ RESULTANT = """
 """
 """C++ sources of two functions for the faces that move with one aggregate. GIVE sets the velocities of the faces, and
 RESULTANT adds up the forces on them and their torques. The faces are the entries `first` to `end` - 1 of the list
-`faces`; the numbers of faces that are perpendicular to an axis begin at axis * slots."""
+`faces`, of which each of `by` threads takes every by-th one. The numbers of faces that are perpendicular to an axis
+begin at axis * slots."""
 
 
 @functools.cache
@@ -61,43 +73,47 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
     - `give` sets the velocities of the faces that move with an aggregate.
     - `resultant` adds up the forces on these faces.
     - `pair` returns an aggregate's contribution to the inner product of two vectors.
+
+    On a GPU, all lanes (threads) of a warp call `give` and `resultant` together and share the faces.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Cover = structs.Cover
     Vector = vector_struct(scalar)
     vec3, vec6 = types(scalar).vec3, wp.types.vector(6, scalar)
+    all_lanes = lane_sum(vec6)
     name = "double" if scalar is wp.float64 else "float"
 
     @wp.func_native(GIVE.replace("SCALAR", name))
     def give_range(
-        velocity: vec3, spin: vec3, slots: wp.int32, first: wp.int32, end: wp.int32, faces: wp.array(dtype=wp.int32),
-        lever: wp.array(dtype=vec3), result: wp.array(dtype=scalar),
+        velocity: vec3, spin: vec3, slots: wp.int32, first: wp.int32, end: wp.int32, by: wp.int32,
+        faces: wp.array(dtype=wp.int32), lever: wp.array(dtype=vec3), result: wp.array(dtype=scalar),
     ): ...  # fmt: skip
 
     @wp.func_native(RESULTANT.replace("SCALAR", name))
     def resultant_range(
-        slots: wp.int32, first: wp.int32, end: wp.int32, faces: wp.array(dtype=wp.int32), lever: wp.array(dtype=vec3),
-        forces: wp.array(dtype=scalar),
+        slots: wp.int32, first: wp.int32, end: wp.int32, by: wp.int32, faces: wp.array(dtype=wp.int32),
+        lever: wp.array(dtype=vec3), forces: wp.array(dtype=scalar),
     ) -> vec6: ...  # fmt: skip
 
     @wp.func
-    def give(g: Grid, cover: Cover, b: wp.int32, x: Vector):
-        """Set the face velocities in `x` that an aggregate determines, from the aggregate's velocity and spin in `x`.
-
-        The faces are those that move with the aggregate.
-        """
+    def give(
+        g: Grid, cover: Cover, b: wp.int32, lane: wp.int32, velocity: vec3, spin: vec3, faces: wp.array(dtype=scalar)
+    ):
+        """Set the velocities of the faces that move with an aggregate, from its velocity and spin."""
         first = cover.first[b]
-        give_range(x.linear[b], x.angular[b], g.slots, first, first + cover.count[b], cover.faces, cover.lever, x.faces)
+        end = first + cover.count[b]
+        give_range(velocity, spin, g.slots, first + lane, end, lanes(), cover.faces, cover.lever, faces)
 
     @wp.func
-    def resultant(g: Grid, cover: Cover, b: wp.int32, forces: wp.array(dtype=scalar)):
+    def resultant(g: Grid, cover: Cover, b: wp.int32, lane: wp.int32, forces: wp.array(dtype=scalar)):
         """Return force and torque on an aggregate from the forces on the faces that move with it.
 
         The torque is about the centre of the aggregate.
         """
         first = cover.first[b]
-        both = resultant_range(g.slots, first, first + cover.count[b], cover.faces, cover.lever, forces)
+        end = first + cover.count[b]
+        both = all_lanes(resultant_range(g.slots, first + lane, end, lanes(), cover.faces, cover.lever, forces))
         return vec3(both[0], both[1], both[2]), vec3(both[3], both[4], both[5])
 
     @wp.func
@@ -111,19 +127,21 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels that compute search directions and their products with the matrix.
 
-    Unless stated otherwise, the kernels run with `tasks` tasks for the faces and one more task for each aggregate:
+    Unless stated otherwise, the kernels run with `tasks` tasks for the faces, and further ones for the aggregates,
+    which :func:`share_of_body` distributes:
 
     - `begin` computes the first search direction.
     - `turn` computes the next search direction.
     - `multiply` computes the product of the viscous matrix A and a direction on all faces, with `tasks` tasks.
-    - `gather` computes the product for each aggregate, with one task per aggregate. It adds up the products on the
-      aggregate's faces, and adds the terms of its own inertia and of its neighbours.
+    - `gather` computes the product for each aggregate, without tasks for faces. It adds up the products on the
+      aggregate's faces, and adds the terms of its own inertia and of its neighbours. `first` is the number of partial
+      sums that `multiply` has stored.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
-    own, ranges = share_functions(serial), range_functions(scalar, serial)
+    own, ranges, store = share_functions(serial), range_functions(scalar, serial), store_function(serial)
     Fields = grid_structs(scalar, 3).Fields
     v = velocity_functions(scalar, of)
     Pairs, between = pair_struct(scalar), pair_functions(scalar, kind).between
@@ -147,14 +165,18 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
                     direction.faces[r] = z
                     sum += wp.float64(z * residual.faces[r])
         else:
-            b = task - tasks
-            solution.linear[b] = vec3()
-            solution.angular[b] = vec3()
-            direction.linear[b] = bodies.mobility[b] * residual.linear[b]
-            direction.angular[b] = bodies.spin_mobility[b] * residual.angular[b]
-            v.give(g, cover, b, direction)
-            sum = v.pair(direction, residual, b)
-        partial[task] = sum
+            b, lane = share_of_body(task, tasks)
+            if b < bodies.centre.shape[0]:
+                linear = bodies.mobility[b] * residual.linear[b]
+                angular = bodies.spin_mobility[b] * residual.angular[b]
+                v.give(g, cover, b, lane, linear, angular, direction.faces)
+                if lane == 0:
+                    solution.linear[b] = vec3()
+                    solution.angular[b] = vec3()
+                    direction.linear[b] = linear
+                    direction.angular[b] = angular
+                    sum = v.pair(direction, residual, b)
+        store(task, partial, 0, sum)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def turn(
@@ -172,10 +194,15 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
                 tasks,
             )  # fmt: skip
         else:
-            b = task - tasks
-            direction.linear[b] = result.linear[b] + beta * direction.linear[b]
-            direction.angular[b] = result.angular[b] + beta * direction.angular[b]
-            v.give(g, cover, b, direction)
+            b, lane = share_of_body(task, tasks)
+            if b < cover.first.shape[0]:
+                linear = result.linear[b] + beta * direction.linear[b]
+                angular = result.angular[b] + beta * direction.angular[b]
+                v.give(g, cover, b, lane, linear, angular, direction.faces)
+                wait_for_lanes()  # All lanes must have read the old direction before the first lane replaces it.
+                if lane == 0:
+                    direction.linear[b] = linear
+                    direction.angular[b] = angular
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def multiply(
@@ -186,40 +213,46 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
         rows = 3 * g.slots
         sum = wp.float64(0.0)
         for r in range(own.first(task, tasks, rows), own.end(task, tasks, rows), own.stride(tasks)):
-            if matrix.free[r] == 0:
+            # Read all of these before the branch, so that a GPU waits for memory only once.
+            free = matrix.free[r]
+            count = matrix.near_count[r]
+            diagonal = matrix.diagonal[r]
+            owner = cover.owner[r]
+            x = direction.faces[r]
+            q = scalar(0.0)
+            if free == 0:
                 other = scalar(0.0)
                 if wp.static(serial):
-                    other = product(
-                        matrix.near, matrix.coefficient, direction.faces, r * matrix.near_capacity, matrix.near_count[r]
-                    )
+                    other = product(matrix.near, matrix.coefficient, direction.faces, r * matrix.near_capacity, count)
                 else:
-                    other = product(
-                        matrix.near, matrix.coefficient, direction.faces, r, matrix.rows, matrix.near_count[r]
-                    )
-                q = matrix.diagonal[r] * direction.faces[r] - other
-                result.faces[r] = q
-                if cover.owner[r] == 0:
-                    sum += wp.float64(q * direction.faces[r])
-            else:
-                result.faces[r] = scalar(0.0)
-        partial[task] = sum
+                    other = product(matrix.near, matrix.coefficient, direction.faces, r, matrix.rows, count)
+                q = diagonal * x - other
+                if owner == 0:
+                    sum += wp.float64(q * x)
+            result.faces[r] = q
+        store(task, partial, 0, sum)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def gather(
-        g: Grid, tasks: wp.int32, mesh: Fields, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
+        g: Grid, first: wp.int32, mesh: Fields, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
         result: Vector, partial: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        b = wp.tid()
-        dt = scalar(mesh.clock[DT])
-        force, torque = v.resultant(g, cover, b, result.faces)
-        push, twist = between(bodies, pairs, direction.linear, direction.angular, b)
-        force += bodies.extra_mass[b] / dt * direction.linear[b] + push
-        torque += inertia(bodies, b) / dt * direction.angular[b]
-        if wp.static(kind.turning):
-            torque += twist
-        result.linear[b] = force
-        result.angular[b] = torque
-        partial[tasks + b] = v.pair(direction, result, b)
+        task = wp.tid()
+        b, lane = share_of_body(task, 0)
+        sum = wp.float64(0.0)
+        if b < bodies.centre.shape[0]:
+            force, torque = v.resultant(g, cover, b, lane, result.faces)
+            if lane == 0:
+                dt = scalar(mesh.clock[DT])
+                push, twist = between(bodies, pairs, direction.linear, direction.angular, b)
+                force += bodies.extra_mass[b] / dt * direction.linear[b] + push
+                torque += inertia(bodies, b) / dt * direction.angular[b]
+                if wp.static(kind.turning):
+                    torque += twist
+                result.linear[b] = force
+                result.angular[b] = torque
+                sum = v.pair(direction, result, b)
+        store(task, partial, first, sum)
 
     return SimpleNamespace(begin=begin, turn=turn, multiply=multiply, gather=gather)
 
@@ -234,7 +267,7 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     structs = body_structs(scalar)
     Bodies = structs.Bodies
     Vector = vector_struct(scalar)
-    own, ranges = share_functions(serial), range_functions(scalar, serial)
+    own, ranges, store = share_functions(serial), range_functions(scalar, serial), store_function(serial)
     v = velocity_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
@@ -255,15 +288,16 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             )  # fmt: skip
             sum = ranges.dot(result.faces, residual.faces, 0, first, end, tasks)
         else:
-            b = task - tasks
-            solution.linear[b] = solution.linear[b] + alpha * direction.linear[b]
-            solution.angular[b] = solution.angular[b] + alpha * direction.angular[b]
-            residual.linear[b] = residual.linear[b] - alpha * result.linear[b]
-            residual.angular[b] = residual.angular[b] - alpha * result.angular[b]
-            result.linear[b] = bodies.mobility[b] * residual.linear[b]
-            result.angular[b] = bodies.spin_mobility[b] * residual.angular[b]
-            sum = v.pair(result, residual, b)
-        partial[task] = sum
+            b, lane = share_of_body(task, tasks)
+            if b < bodies.centre.shape[0] and lane == 0:
+                solution.linear[b] = solution.linear[b] + alpha * direction.linear[b]
+                solution.angular[b] = solution.angular[b] + alpha * direction.angular[b]
+                residual.linear[b] = residual.linear[b] - alpha * result.linear[b]
+                residual.angular[b] = residual.angular[b] - alpha * result.angular[b]
+                result.linear[b] = bodies.mobility[b] * residual.linear[b]
+                result.angular[b] = bodies.spin_mobility[b] * residual.angular[b]
+                sum = v.pair(result, residual, b)
+        store(task, partial, 0, sum)
 
     @wp.kernel(enable_backward=False, module="unique")
     def shift(first: wp.int32, sums: wp.array(dtype=wp.float64)):
@@ -283,9 +317,8 @@ def update_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels for forces on aggregates and for the flow through faces that aggregates cover partly.
 
-    Each kernel runs with one task per aggregate:
+    The tasks of each kernel work on the aggregates, which :func:`share_of_body` distributes:
 
-    - `spread` sets the velocities of the faces that move with an aggregate.
     - `reduce` adds the forces on these faces to the force and torque on the aggregate.
     - `push` adds pressure forces to an aggregate, also those on faces that it covers partly.
     - `blend` computes mean velocities of faces that aggregates cover partly.
@@ -296,18 +329,17 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     Vector = vector_struct(scalar)
     body, v = body_functions(scalar, of), velocity_functions(scalar, of)
     vec3 = types(scalar).vec3
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def spread(g: Grid, cover: Cover, x: Vector):
-        v.give(g, cover, wp.tid(), x)
+    all_lanes = lane_sum(vec3)
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the forces on the faces that move with an aggregate to the aggregate's force and torque."""
-        b = wp.tid()
-        force, torque = v.resultant(g, cover, b, forces)
-        result.linear[b] = result.linear[b] + factor * force
-        result.angular[b] = result.angular[b] + factor * torque
+        b, lane = share_of_body(wp.tid(), 0)
+        if b < cover.first.shape[0]:
+            force, torque = v.resultant(g, cover, b, lane, forces)
+            if lane == 0:
+                result.linear[b] = result.linear[b] + factor * force
+                result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
     def push(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
@@ -315,22 +347,26 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
         The mortar bears only the force on the uncovered part of a face, so the kernel subtracts the covered part there.
         """
-        b = wp.tid()
-        force = vec3()
-        torque = vec3()
-        for k in range(cover.touched[b]):
-            place = cover.first[b] + k
-            r = cover.faces[place]
-            e = vec3()
-            e[r / g.slots] = cover.part[place] * forces[r]
-            force += e
-            torque += wp.cross(cover.lever[place], e)
-            if k >= cover.count[b]:
-                # The force on this face contains the pressure force on its whole area, so subtract that on the covered
-                # part.
-                result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
-        result.linear[b] = result.linear[b] + factor * force
-        result.angular[b] = result.angular[b] + factor * torque
+        b, lane = share_of_body(wp.tid(), 0)
+        if b < cover.first.shape[0]:
+            force = vec3()
+            torque = vec3()
+            for k in range(lane, cover.touched[b], lanes()):
+                place = cover.first[b] + k
+                r = cover.faces[place]
+                e = vec3()
+                e[r / g.slots] = cover.part[place] * forces[r]
+                force += e
+                torque += wp.cross(cover.lever[place], e)
+                if k >= cover.count[b]:
+                    # The force on this face contains the pressure force on its whole area, so subtract that on the
+                    # covered part.
+                    result.faces[r] = result.faces[r] - factor * cover.part[place] * forces[r]
+            force = all_lanes(force)
+            torque = all_lanes(torque)
+            if lane == 0:
+                result.linear[b] = result.linear[b] + factor * force
+                result.angular[b] = result.angular[b] + factor * torque
 
     @wp.kernel(enable_backward=False, module="unique")
     def blend(g: Grid, cover: Cover, x: Vector, flow: wp.array(dtype=scalar)):
@@ -338,11 +374,12 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
         The mean is that of mortar and aggregate, weighted with the fractions of the face's area that they cover.
         """
-        b = wp.tid()
-        for k in range(cover.count[b], cover.touched[b]):
-            place = cover.first[b] + k
-            r = cover.faces[place]
-            own = body.carried(x.linear[b], x.angular[b], cover.lever[place], r / g.slots)
-            flow[r] = flow[r] + cover.part[place] * (own - flow[r])
+        b, lane = share_of_body(wp.tid(), 0)
+        if b < cover.first.shape[0]:
+            for k in range(cover.count[b] + lane, cover.touched[b], lanes()):
+                place = cover.first[b] + k
+                r = cover.faces[place]
+                own = body.carried(x.linear[b], x.angular[b], cover.lever[place], r / g.slots)
+                flow[r] = flow[r] + cover.part[place] * (own - flow[r])
 
-    return SimpleNamespace(spread=spread, reduce=reduce, push=push, blend=blend)
+    return SimpleNamespace(reduce=reduce, push=push, blend=blend)

@@ -1,13 +1,13 @@
 """Pictures of the gallery: every entry runs its command or its lines of Python, and draws what they leave.
 
-python notebooks/gallery/make.py                  makes all pictures and the page, in some ten minutes on two idle cores
+python notebooks/gallery/make.py                  makes all pictures and the page, in seven minutes on two cores
 python notebooks/gallery/make.py slump line       makes two of them
 python notebooks/gallery/make.py --again          runs all commands anew, as after a change of the program
 python notebooks/gallery/make.py --list           lists their names
 
 Runs are kept in a folder for temporary files, so that entries with the same command share one run. Scenes are drawn by
-VTK from the USD scene or the VTKHDF files of a run, without a display. The screenshot of the viewer also needs Vulkan,
-in software if there is no GPU; Debian has it in the package mesa-vulkan-drivers.
+VTK from the USD scene or the VTKHDF files of a run, without a display, by EGL. The screenshot of the viewer needs
+Vulkan. Both work in software if there is no GPU. On Debian, install the packages libegl1 and mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
@@ -130,23 +130,23 @@ def _once_there(action: Callable[[], Any]) -> Any:
 
 
 REDUCER = """\
-import numpy as np, matplotlib.figure as drawing, warpcrete; figure = drawing.Figure((7.6, 2.2), layout="constrained")
+import numpy as np, matplotlib.figure as drawing, warpcrete; figure = drawing.Figure((7.6, 1.9), layout="constrained")
 scene = warpcrete.scenes.part(unit="horizontal", outlet_diameter=0.07, spacing=0.01)
 simulation = warpcrete.Simulation(scene, device="cpu"); simulation.run(); display = simulation.display("speed")
 half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np.all(y[half.faces] < 1e-6, axis=1)]
 axes = figure.add_subplot(aspect="equal", title=scene.caption, xlabel="x [m]", ylabel="z [m]")
-figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="[m/s]")"""
+figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="speed [m/s]", shrink=0.7)"""
 MIGRATION = """\
 import warpcrete; from matplotlib.figure import Figure; from warpcrete.core.drawing.style import legend_beside
 scene = warpcrete.scenes.channel(aggregates=True, spacing=0.005, duration=2.0, sample_interval=0.05)
 run = warpcrete.Simulation(scene, device="cpu").run(); figure = Figure((7.6, 3), layout="constrained")
-axes = figure.add_subplot(xlabel="time [s]", ylabel="change of share [points]", title=scene.caption)
+axes = figure.add_subplot(xlabel="time [s]", ylabel="change of share [% points]", title=scene.caption)
 for part, share in ((name, run.series[f"aggregate_{name}"]) for name in ("front", "rear", "inner", "outer")):
     axes.plot(run.series["time"], 100 * (share - share[0]), label=part); legend_beside(axes)"""
 RESTART = """\
 from matplotlib.figure import Figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
 figure, rests = Figure(figsize=(7.6, 3.6), layout="constrained"), range(0, 1801, 60)
-axes = figure.add_subplot(xlabel="rest [s]", ylabel="pressure [bar]", title="Restart of 100 m, no2, 20 m3/h")
+axes = figure.add_subplot(xlabel="rest [s]", ylabel="restart pressure [bar]", title="100 m, concrete no2, 20 m3/h")
 for rate in (0.1, 0.5, 1.7):
     peaks = [restart(CONCRETES["no2"], Line(length=100, rise=0), t, rate, 20 / 3600).pressure / 1e5 for t in rests]
     axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1])); axes.set_xlim(0, 2100)"""
@@ -211,7 +211,7 @@ ENTRIES = (
           "the wall is sheared.",
           "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
-    Entry("validation", "Predicted against measured", "Ratios of predicted to measured values, each with its likely "
+    Entry("validation", "Predicted against measured", "Predicted values over measured ones, each with its likely "
           "range. Filled points are measurements that are never used for a fit.",
           "warpcrete validate --quick --out OUT", image("validation.png")),
     Entry("strokes", "Two strokes with a stop", "Pressure on a piston that stops and starts again.",
@@ -236,8 +236,8 @@ ENTRIES = (
           "the wall, as theory predicts.",
           "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
-    Entry("study", "A parameter study", "Slump and spread, over the yield stress (left) and over the viscosity "
-          "(right). Each colour is a value of the other parameter. The two markers are slump and spread.",
+    Entry("study", "A parameter study", "Slump and spread, over the yield stress (top) and over the viscosity "
+          "(bottom). Each colour is a value of the other parameter. The two markers are slump and spread.",
           "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
           "    --spacing 0.0125 --out OUT", image("study.png")),
     Entry("restart", "Pressure after a rest", "Pressure that starts 100 m of pipe again after a rest, by theory. The "
@@ -302,7 +302,8 @@ def page() -> str:
     lines = ["# Gallery", "", "What does warpcrete show, and which command shows it?", ""]
     lines += [
         "`python notebooks/gallery/make.py` made every picture from the command or the lines of Python below it. The "
-        "runs are short and coarse. The whole gallery therefore takes only some ten minutes on two idle CPU cores.",
+        "runs are short and coarse. The whole gallery therefore takes only seven minutes on two CPU cores, and four if "
+        "all kernels have been compiled before.",
         "",
     ]
     for entry in ENTRIES:

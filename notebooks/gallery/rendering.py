@@ -376,5 +376,5 @@ def surface_file(folder: Path) -> Any:
     data.GetPointData().SetActiveNormals("Normals")
     upper = 1e3 * round(1e-3 * data.GetPointData().GetArray("pressure").GetRange()[1])
     items = [coloured(data, "pressure", upper, "viridis"), glass(last_step(folder / "walls.vtkhdf"), 0.15)]
-    words = f"Colours: pressure without weight [Pa] from 0 to {upper:g} and above, on viridis."
+    words = f"Colours: pressure without weight [kPa] from 0 to {1e-3 * upper:g} and above, on viridis."
     return composed([vtk_picture(items, (0.5, -1.0, 0.5))], [""], caption_of(folder), words)

@@ -121,11 +121,15 @@ def test_the_figure_of_a_run_is_kept(name):
 
 
 def test_figures_with_particles_are_kept():
-    """Draw the particles behind the middle, with a colour bar if the colours stand for numbers."""
+    """Draw the particles behind the middle, with a colour bar of numbers or a legend of materials."""
     run = with_tables(RUNS["tube"]().run())
     rng = np.random.default_rng(4)
     particles = rng.uniform(-0.05, 0.05, (30, 3)), rng.integers(0, 255, (30, 3)), 0.01
-    figures = {"scale": plot_flow(run, particles, ("speed [m/s]", 0.0, 0.3)), "words": plot_flow(run, particles, None)}
+    materials = {"stone": np.array([120, 90, 60]), "mortar": np.array([200, 200, 200])}
+    figures = {
+        "scale": plot_flow(run, particles, ("speed [m/s]", 0.0, 0.3)),
+        "words": plot_flow(run, particles, None, materials),
+    }
     assert [len(figure.axes) for figure in figures.values()] == [4, 3]
     kept.compare("figure-particles", {key: kept.drawn(each) for key, each in figures.items()})
 

@@ -1,6 +1,7 @@
 """Runs that are killed or interrupted, and how they go on."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -197,6 +198,27 @@ def test_sigterm_in_a_python_script_interrupts_the_run_and_says_so(tmp_path, cap
     again = Simulation(scenes.channel(**FLOW), **settings).run()
     uncut = json.loads((undisturbed_folder / "result.json").read_text(encoding="utf-8"))
     assert again.finished and again.result["state_hash"] == uncut["state_hash"]
+
+
+class TerminateAtTheEnd(Recorder):
+    """Send SIGTERM to this process while the results are written."""
+
+    def finish(self, simulation, run):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.posix
+def test_sigterm_while_results_are_written_ends_the_program_after_them(tmp_path, monkeypatch):
+    folder, before, raised = tmp_path / "run", signal.signal(signal.SIGTERM, signal.SIG_DFL), []
+    monkeypatch.setattr(signal, "raise_signal", raised.append)
+    try:
+        run = Simulation(
+            scenes.channel(**FLOW), device="cpu", threads=1, out=folder, recorders=[TerminateAtTheEnd()]
+        ).run()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert run.finished and raised == [signal.SIGTERM]
+    assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["state_hash"] == run.result["state_hash"]
 
 
 def test_a_handler_of_the_program_for_sigterm_stays_in_force(capsys):

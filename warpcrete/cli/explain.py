@@ -32,5 +32,5 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def _announce(text: str) -> None:
-    """Print a note for the user who waits, apart from the answer."""
+    """Print a note to standard error while the user waits; the answer goes to standard output."""
     click.echo(text, err=True)

@@ -1,4 +1,4 @@
-"""Help pages in two steps: `--help` shows the common options of a command, `--help-all` all of them, in groups."""
+"""Help pages: `--help` shows the common options of a command, and `--help-all` shows all options in groups."""
 
 from __future__ import annotations
 

@@ -45,8 +45,8 @@ FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options of `warpcrete line` that have no effect if nothing is simulated, with their default values."""
 
 SHORTEST_REST = 120.0
-"""Shortest time of rest [s] that is accepted without a unit. Shorter stops hardly matter, and their numbers are usual
-for stops in minutes."""
+"""Shortest time for which the concrete rests in the line [s] that is accepted without a unit. A smaller number is
+refused, because it probably means minutes: a stop of so few seconds hardly changes the pressure."""
 USUAL_FLOWS = {False: ("m3/h", (10, 20, 30, 45, 60)), True: ("yd3/h", (15, 25, 40, 60, 80))}
 """Flows for which the pressure of a line is printed if the user states none, with their unit. The keys say whether the
 other amounts have customary US units."""
@@ -124,7 +124,7 @@ def _check_rest(stated: str | None) -> None:
 
 
 def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:
-    """Return lines of text with the pressure of a pump line, and its band, at usual flows.
+    """Return lines of text with the pressure of a pump line, and its uncertainty, at usual flows.
 
     `layer` contains the keyword arguments of :func:`.line_by_theory` for the uncertainty of the concrete.
     """
@@ -200,9 +200,9 @@ def _gauge(stated: str | None, taps: Sequence[Tap]) -> float | None:
 
 
 def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete, Concrete] | None:
-    """Return the concrete with its slip layer at both ends of the band that was known before a fit, or None.
+    """Return the concrete twice, with its slip layer at each end of the uncertainty band before a fit, or None.
 
-    A layer that the mix states is left out, because it may come from an earlier fit to the same pressures.
+    Return None if the mix states the layer, because that layer may come from an earlier fit to the same pressures.
     """
     if given.mix is not None and given.mix.given.layer != Layer():
         return None
@@ -246,7 +246,7 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
 def _finish(
     said: Sequence[str], line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]
 ) -> None:
-    """Print the text `said` on a line, other estimates of the slip layer, and the verdicts of rules against blocking.
+    """Print the text `said` about a pump line, its other slip layers, and the verdicts of rules against blocking.
 
     All that is printed is first written to the file line.md in `folder`, so that it is complete even if nothing reads
     the output. With `--blocking`, the probability of a blockage is then simulated, printed and added to the file.
@@ -265,7 +265,7 @@ def _finish(
 
 
 def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
-    """Return lines of text with the pressure by theory for each other estimate of the slip layer."""
+    """Return lines of text that state, for each further estimate of the slip layer, the pressure by theory."""
     found = []
     for eta, tau in () if given.mix is None else given.mix.other_layers:
         assert given.flow is not None

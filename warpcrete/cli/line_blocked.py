@@ -13,7 +13,7 @@ from ..studies.lines.elements import Elements
 
 
 def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> list[str]:
-    """Simulate the line's narrowest part with many seeds, and return text on the probability of a blockage.
+    """Simulate the line's narrowest part with many random seeds, and return text on the probability of a blockage.
 
     `settings` are the command's options.
     """

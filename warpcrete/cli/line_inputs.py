@@ -134,8 +134,8 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 def _flow(settings: Mapping[str, Any], line: PipeLine, guessed: bool) -> float | None:
     """Return the volume flow [m3/s] that the option `--flow` states, or else the file of the line.
 
-    The result is None without a flow, which is refused unless taps are fitted or only slump or spread are known
-    (`guessed`).
+    Without a flow, return None if the slip layer is fitted to measured pressures, or if the user stated only the slump
+    or spread of the concrete (`guessed`). Raises `click.UsageError` in all other cases.
     """
     rate = _amount("flow", settings, "m3/s")
     if rate is None:

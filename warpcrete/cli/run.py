@@ -45,7 +45,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
             f"resume = '{folder}': the run is already finished; start a new run with another folder for --out"
         )
     settings = dict(record.get("command", {}))
-    # Recorders that the interrupted run did not use must stay off, even if they are on by default.
+    # Output (recorders) that the interrupted run did not write must stay off, even if it is on by default.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(SETTINGS):
         raise RunFolderError(
@@ -202,7 +202,8 @@ def report(run: Run, more: Iterable[tuple[str, str]] = (), took: float = 0.0) ->
     """Print the main results of a run.
 
     `more` holds pairs of label and text. They are printed below the results of the simulation method. `took` is the
-    time of the whole command [s]; what the run itself does not account for is printed if it is a second or more.
+    wall time of the whole command [s]. The time that the command spent outside the run, for example to compile
+    kernels, is also printed if it is at least one second.
     """
     result = run.result
 

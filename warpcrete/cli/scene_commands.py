@@ -35,7 +35,7 @@ def by_method(arguments: list[str]) -> list[str]:
     """Remove `--method NAME` from a command's words, and append the simulation method to the scene's name if necessary.
 
     For example, `slump --method dem` becomes `slump-dem`. `slump --method suspension` becomes `slump` with the
-    parameters of aggregates that the scene sets for this method, as far as they are not among the words.
+    parameters of aggregates that the scene sets for this method, unless the words state them.
     """
     left, method = [], None
     words = iter(arguments)

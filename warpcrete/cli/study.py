@@ -109,7 +109,7 @@ SIZES = (
     "grow in the paper of Zhan et al., so do not draw conclusions from this trend; see the page "
     "'validation/pumping.md' of the documentation"
 )
-"""Note for studies that vary the size of aggregates."""
+"""Warning that a study prints if it varies the largest size of aggregates and compares pressures."""
 
 
 def report(study: Study) -> None:

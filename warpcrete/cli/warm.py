@@ -47,7 +47,7 @@ def run(names: tuple[str, ...], modules: dict[str, Any], device: str | None) -> 
         # A forecast takes the first steps of a small copy of the scene, measures it and draws a frame, so it compiles
         # all kernels of a run.
         explain(scene, device=str(found), cache=False)
-        with suppress(OSError, RunFolderError):  # The kernels are ready even if the record cannot be written.
+        with suppress(OSError, RunFolderError):  # Ignore the error: the kernels are ready without a record.
             _write_record(record)
         click.echo(f"{name:12s} {method_of(scene).name:10s} {time.perf_counter() - started:5.1f} s")
     click.echo(f"kernels for {found} are ready; later runs of these scenes with their features start without compiling")

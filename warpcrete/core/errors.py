@@ -134,12 +134,12 @@ def warn_in_one_line() -> None:
 
 
 def at_least(value: float, digits: int = 3) -> str:
-    """Return a lower limit with few digits, rounded up, for messages: the written number satisfies the limit."""
+    """Return a lower limit as text with few digits; it is rounded up, so that the written number is also allowed."""
     return _rounded(value, digits, ROUND_CEILING)
 
 
 def at_most(value: float, digits: int = 3) -> str:
-    """Return an upper limit with few digits, rounded down, for messages: the written number satisfies the limit."""
+    """Return an upper limit as text with few digits; it is rounded down, so that the written number is also allowed."""
     return _rounded(value, digits, ROUND_FLOOR)
 
 

@@ -118,7 +118,7 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """Batch together with the simulations that it runs.
+    """Batch of simulations that advance together on one device.
 
     A simulation is identified by its index in the list of all simulations.
     """
@@ -137,9 +137,10 @@ class _BatchMember:
         self.stopped = False
         """True if Ctrl-C interrupted a run of this batch."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
-        """For each running simulation, by its index: the coroutine of its run and the stepper that advances it.
+        """Coroutine and :class:`Stepper` of each running simulation, by the index of the simulation.
 
-        `drive_batches` runs the coroutines.
+        The coroutine carries out the run and is executed by `drive_batches`. The stepper advances the simulation in
+        time.
         """
         self.stream = stream
         """CUDA stream of this batch while other batches run at the same time, otherwise None."""

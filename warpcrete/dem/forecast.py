@@ -48,11 +48,11 @@ STRAIGHT, BENT = 1.25, 0.5
 # Number of bonds in a settled packing divided by the number in an unsettled packing. In test runs this ratio was 1.2 to
 # 1.3.
 BONDS_AFTER_SETTLING = 1.2
-SETTLING_BUILDS = 1 / 40  # number of neighbour list rebuilds per step while a packing settles
+SETTLING_BUILDS = 1 / 40  # Number of neighbour list rebuilds per step while a packing settles.
 # The settling of a packing is assumed to take as long as a pressure wave needs for PASSAGES passages along the pipe,
 # plus the constant time SETTLING_OFFSET [s].
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
-IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
+IDLE_SPHERES = 40_000  # Number of spheres at which a GPU's step takes about twice as long as a step without spheres.
 
 
 def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -101,7 +101,8 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
 
 
 def _settling_time(scene: Scene) -> float:
-    """Return the simulated time until the packing is at rest [s], by a formula fitted to runs of Zhan's pipes."""
+    """Return the simulated time until the packing is at rest [s]. The formula was fitted to runs with Zhan's (2019)
+    pipes."""
     assert scene.settle is not None
     if scene.pipe is None or scene.fill is None:
         return scene.settle.duration
@@ -153,7 +154,7 @@ class _ShortenedCopy:
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # a fill with a given pressure packs twice: a trial and the real packing
+            taken /= 2  # A packing to a given pressure packs twice: a trial packing, then the real one.
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
@@ -171,7 +172,8 @@ class _ShortenedCopy:
         return tiled(table, container.axis, pilot.length, kept * pilot.length), report
 
     def _time(self) -> None:
-        """Measure the wall time of a step, of a neighbour list rebuild and of a sample [s], and the memory used [B]."""
+        """Measure the wall times [s] of a step, of a neighbour list rebuild and of one row of the time series, and the
+        memory used [B]."""
         simulation, stepper = self.simulation, self.stepper
         if self.spheres == 0:
             self.step = self.build = self.sample = 0.0
@@ -207,8 +209,8 @@ class _ShortenedCopy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # The time of the list rebuilds is subtracted from the measured time. It may be too long, because other
-            # programs may have slowed down its measurement. Make sure that a step still gets a positive time.
+            # The measured time includes list rebuilds, so subtract their time. Other programs may have slowed down the
+            # measurement of a rebuild, so that its time is too long. Make sure that a step still gets a positive time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
@@ -233,10 +235,10 @@ class _ShortenedCopy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """Return the time step [s] that parts of the scene alone would allow, and a text on what limits the step.
+        """Return stable time steps [s] by name, each for only some of the forces, and a text on what limits the step.
 
-        The parts are contacts without bonds, contacts with one kind of bond, contacts without dashpots, and sub-cycled
-        bonds.
+        The names stand for contacts without bonds, contacts with one kind of bond, contacts without dashpots,
+        sub-cycled bonds, and all forces together.
         """
         simulation, stepper, scene = self.simulation, self.stepper, self.scene
         fixed = scene.time_step.fixed

@@ -31,22 +31,22 @@ from .scene.bodies import BodyTable
 from .scene.containers import Fill, MeshContainer, PipeContainer
 from .scene.scene import Scene
 
-START_FRACTION = 0.10  # solid fraction at which small aggregates are placed before they grow
+START_FRACTION = 0.10  # Solid fraction at which small aggregates are placed before they grow.
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
-CHUNK = 50  # number of time steps between two evaluations of the pressure of a packing
+CHUNK = 50  # Number of time steps between two evaluations of the pressure of a packing.
 # Pressure of freshly placed aggregates, which overlap at first, divided by the contact modulus. This pressure vanishes
 # while the aggregates push each other apart. Only a higher pressure shows that the growth may end.
 TRANSIENT_LOOKS = 0.005
-CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
+CLOSE_FRACTION = 0.75  # Solid fraction that no packing of aggregates reaches at pressures of kilopascals.
 # The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
 # consecutive evaluations in which it was always too high, or always too low, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
-MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
+MOST_GAIN = 16.0  # Largest factor by which the adjustment of sizes to a wanted pressure is sped up.
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
 # error the relaxation may take twice as many steps.
 NEAR_TARGET = 0.15
-MOST_BODIES = 2**25  # maximum number of bodies, chosen so that their arrays fit the largest GPUs
+MOST_BODIES = 2**25  # Maximum number of bodies, chosen so that their arrays fit the largest GPUs.
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,8 @@ class _Growth:
             yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
         except InstabilityError as error:
             most = f"to a solid fraction of {self.fraction:.3g}"
-            # A packing to a pressure ends at a smaller fraction than the one towards which its bodies grow.
+            # In a packing to a given pressure, the bodies usually stop growing before they reach the solid fraction
+            # `fraction`, so the message calls it a maximum.
             goal = (
                 f"{most} failed"
                 if self.fill.pressure is None
@@ -283,7 +284,7 @@ class _Growth:
         gain, looks_off_target = (
             1.0,
             0,
-        )  # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low
+        )  # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low.
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:

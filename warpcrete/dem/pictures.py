@@ -19,8 +19,8 @@ from .simulation import ElementRun
 def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
     """Return a figure of pumping pressure [kPa] against piston travel [m], for one run or several runs by name.
 
-    The figure marks where the piston reaches its final speed and the published values for the scene of the first run.
-    For a single run it also marks the plateau.
+    The figure marks the travel at which the piston reaches its final speed, and the published pressures of the scene of
+    the first run. For a single run it also marks the plateau.
     """
     from matplotlib.figure import Figure
 

@@ -37,7 +37,7 @@ from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
 QUIET = 1e-5  # Ratio of kinetic to elastic energy below which a packing counts as settled before t = 0.
-SETTLING_PARTS = 50  # number of intervals into which settling is divided; after each, the motion is checked
+SETTLING_PARTS = 50  # Number of intervals into which settling is divided; after each, the motion is checked.
 
 
 @dataclass(repr=False)
@@ -141,7 +141,7 @@ class ElementSimulation(Simulation):
             first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
             for number, (group, bonds) in enumerate(scene.group_bonds.items()):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
-            self.stepper.choose_dt()  # raise the error for an unstable step before any file is written
+            self.stepper.choose_dt()  # Raise the error for an unstable step before any file is written.
 
         started = wall_clock.perf_counter() - self.wall_times.phases.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
@@ -314,7 +314,7 @@ class ElementSimulation(Simulation):
         return run
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a reason and a sentence."""
+        """Return why a complete run has ended, as a short key such as "blocked", and as a sentence."""
         vessel, blockage, time = self.scene.vessel, self.scene.blockage, self.stepper.time
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
             return "blocked", f"the pipe was blocked at t = {time:.4g} s, and the scene ends blocked runs"

@@ -52,7 +52,10 @@ class Part:
 
     @property
     def relative(self) -> float:
-        """Friction divided by that of straight pipe of its length: the stated `factor`, else `relative_loss`."""
+        """Friction of the pipeline part, divided by that of straight pipe of the same length.
+
+        The value is that of `factor` if it is stated, otherwise that of `relative_loss`.
+        """
         return self.relative_loss if self.factor is None else self.factor
 
     @property

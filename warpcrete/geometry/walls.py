@@ -227,7 +227,8 @@ class PipeWall(_Wall):
     """Exact inner surface of a round pipe, without facets, along an axis of lines and arcs.
 
     It continues beyond both ends of its axis without limit; for a tube that is lifted use MeshWall with
-    `axis.tube(radius)`. A :class:`PlausibilityWarning` tells if a prescribed motion only moves the wall within itself.
+    `axis.tube(radius)`. A :class:`PlausibilityWarning` is given if a prescribed motion leaves the surface where it is,
+    as a motion along a straight axis does.
     """
 
     name: str
@@ -252,7 +253,9 @@ class PipeWall(_Wall):
                 "ends without limit, so that the motion only changes friction and other shear forces at the wall; for "
                 "a tube that is lifted use MeshWall with axis.tube(radius)",
                 PlausibilityWarning,
-                stacklevel=3,  # the caller of the constructor that dataclass has written
+                # The warning names the line that creates the wall: skip this method and the constructor that
+                # `dataclass` has written.
+                stacklevel=3,
             )
 
     def _slides_within_itself(self) -> bool:

@@ -25,7 +25,7 @@ ANSWERS = {
     "risky": "perhaps, by rules of practice",
     "blocks": "yes, by rules of practice",
 }
-"""Answers to the question whether concrete will block a pump line. The keys are the worst verdict of all rules."""
+"""Answers to the question whether concrete will block a pump line, by the worst verdict of all rules of practice."""
 TOO_LITTLE = "not enough is known of the concrete to say"
 """Answer if most rules could not be applied, and no other rule says that the line blocks."""
 CRUSHED, ROUNDED = 1 / 3, 0.4

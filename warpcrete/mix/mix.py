@@ -38,8 +38,9 @@ If several constants have one cause, they are assumed to be at the lower ends of
 the upper ends.
 """
 BULK = ("viscosity of the bulk", "yield stress of the bulk")
-"""Causes of uncertainty that do not count if the slip layer was fitted to a trial line with this concrete. The layer
-was then found together with the bulk: with another bulk, the same pressures give another layer."""
+"""Causes of uncertainty that are left out if the slip layer was fitted to a trial line with this concrete. An error in
+the viscosity or the yield stress of the bulk is then compensated by the fitted layer, because both together give the
+measured pressures."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -291,7 +292,7 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
 
 
 def _named(key: str, value: Any) -> Figure:
-    """Return the property for a constant of the section `flow` of a concrete's file; its band has no width."""
+    """Return a constant that the section `flow` of a concrete's file states, as a property without uncertainty."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])

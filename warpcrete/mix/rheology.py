@@ -34,7 +34,8 @@ RHEOMETER_OVER_HEAP = 5.0
 
 For some 80 concretes in the rheometer BTRHEOM, Ferraris & de Larrard (1998) found a yield stress of density (300 mm -
 slump) / 347 mm + 212 Pa, with a mean deviation of 162 Pa. By the theories of heaps and tall cones, the same slumps have
-a yield stress that is lower by a factor of 2.3 (median) to 5.4 (90th percentile). The factor 5 holds 89 % of them.
+a yield stress that is lower by a factor of 2.3 (median) to 5.4 (90th percentile). For 89 % of the slumps, this factor
+is at most 5.
 """
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]. For comparison, EN 12350-2 and -8 state a
@@ -163,9 +164,10 @@ def _stated(given: Measured, key: str, unit: str, way: str) -> Iterator[Figure]:
 
 
 def _against_heaps(own: Figure) -> Figure:
-    """Return a rheometer's yield stress of concrete with a band that reaches at least to that of a heap.
+    """Return a rheometer's yield stress, with a band wide enough for the yield stress at which concrete comes to rest.
 
-    The lower end of the band is at most the yield stress over :data:`RHEOMETER_OVER_HEAP`.
+    Concrete in a slump test comes to rest at a lower yield stress than a rheometer measures. The lower end of the band
+    is therefore at most the rheometer's value divided by :data:`RHEOMETER_OVER_HEAP`.
     """
     low = own.value / RHEOMETER_OVER_HEAP
     if own.low <= low:

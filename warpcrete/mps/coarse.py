@@ -33,9 +33,10 @@ class CoarseGrid:
     """
 
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
-        """Build the cubes from the `layout` of a column and the pipe's `radius` [m].
+        """Build the cubes around a column of concrete in a pipe with the `radius` [m].
 
-        Two particles are neighbours if their distance is at most `reach` [m].
+        `layout` holds the initial positions of the particles. Two particles are neighbours if their distance is at most
+        `reach` [m].
         """
         self.width, self.radius, axes = max(WIDTH * layout.spacing, reach), radius, layout.fluid.shape[1]
         wide, tall = (max(3, math.ceil(size / self.width)) for size in (2 * radius, ABOVE * layout.height))

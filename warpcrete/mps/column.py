@@ -48,8 +48,8 @@ SHEARED: dict[str, Any] = {
 In the pipe and at the flow rate of Xu, Li & Jiang 2021, slip carries only 70 % of this concrete's flow.
 """
 MIN_SLIP_RATIO = 0.9
-"""Minimum slip velocity, divided by the mean velocity, for simulating a flow as a column on a piston. With less slip,
-the column loses volume and its forces do not balance."""
+"""Minimum ratio of slip velocity to mean velocity for simulating a flow as a column of concrete that a piston pushes
+through the pipe. With less slip, the column loses volume and its forces do not balance."""
 MIN_PARTICLES_ACROSS = 4
 """Minimum number of particles across the pipe. A trade-off of accuracy for run time tries no particle spacing that
 would leave fewer."""
@@ -131,11 +131,11 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
-        """Return the concrete that these parameters describe."""
+        """Return the concrete (density, flow law and slip layer) that these parameters describe."""
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def phases(self, concrete: Concrete, dimensions: int) -> tuple[Concrete, Aggregates | None]:
-        """Return the concrete as one fluid, and its division into coarse aggregate and mortar; None for one phase.
+        """Return the concrete as one fluid, and the aggregate and mortar of a flow with two phases, otherwise None.
 
         `concrete` has the constants that the parameters state. Where they state a constant of the mortar, the constant
         of the concrete follows from it by homogenisation, so that theory describes the simulated concrete.
@@ -288,7 +288,7 @@ CURES = {
 def _cures(run: Run) -> dict[str, str]:
     """Return the advice to the user for each check that a run may fail, by the name of the check.
 
-    The advice names no option that the scene of the run refuses.
+    The advice for a flow with aggregates does not mention the grid, on which such a flow cannot be simulated.
     """
     if run.scene.aggregates is None:
         return CURES
@@ -318,8 +318,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     # structure. Pressure and wall stress are therefore not compared with the closed forms.
     if scene.is_structured:
         found = {name: found[name] for name in ("volume", "balance of forces")}
-    # The limits of this check assume that the yield stress is largest directly after the rest. This does not hold if
-    # thixotropic structure also rebuilds while the concrete flows, so the check is skipped then.
+    # The limits for the pressure at the restart assume that the yield stress is largest directly after the rest. This
+    # does not hold if thixotropic structure also rebuilds while the concrete flows, so the check is skipped then.
     if scene.gained and not scene.rebuild_rate:
         peak, least = number(result["restart_pressure"]), scene.theory().pressure
         most = plug_restart_state(scene).pressure
@@ -349,7 +349,10 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def plug_restart_state(scene: FluidScene) -> Steady:
-    """Return the theoretical state just after a rest if all concrete slips as a rigid plug with unbroken structure."""
+    """Return the theoretical state of a flow just after a rest, such as its pressure and its wall stress.
+
+    All concrete is assumed to slip as a rigid plug whose thixotropic structure is unbroken.
+    """
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = float(concrete.layer_law.stress(scene.velocity))
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
@@ -368,12 +371,12 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return other flows for which settings are tested too, as changes of the parameters of a one-phase flow.
+    """Return other flows on which the settings of a trade-off are tested too, as changes of a flow's parameters.
 
-    The accuracy of these variants is measured against theory. They have other concretes, flow rates and pipes. With the
-    flow rate, the part of the flow that slip carries changes; the self-compacting concrete is sheared almost
-    everywhere. All variants have the same kind of ends (piston or periodic) as the flow itself, because the settings
-    found for the flow are applied to its variants.
+    The changes apply to a flow with one phase. The accuracy of these variants is measured against theory. They have
+    other concretes, flow rates and pipes. With the flow rate, the part of the flow that slip carries changes; the
+    self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends (piston or periodic)
+    as the flow itself, because the settings found for the flow are applied to its variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

@@ -16,8 +16,8 @@ from .probes import MIDDLE, Snapshot, over_radius
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
-"""Golden angle [rad]. Each particle of an axisymmetric flow is drawn turned about the axis by this angle from the one
-before it in the array."""
+"""Golden angle [rad]. In drawings of axisymmetric flows, each particle is turned about the axis by this angle relative
+to the previous particle, so that the particles do not lie in one plane."""
 
 
 class FlowDisplay(Display):
@@ -159,7 +159,7 @@ class FlowDisplay(Display):
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
+        """Return the lowest and highest corner of the space that the concrete passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
         # The picture always shows the whole box between the lowest and the highest corner. For a short column, the box
         # is made higher than the column, so that the picture has room for the width of the pipe.

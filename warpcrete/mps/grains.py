@@ -17,8 +17,8 @@ class Grains:
     """Rigid grains of coarse aggregate; each grain is a group of particles."""
 
     order: np.ndarray
-    """Indices of the layout's particles, in the order in which the state stores the particles: grain by grain, then the
-    mortar."""
+    """Indices of the particles in the initial layout, in the order in which the state stores the particles: first those
+    of each grain, grain by grain, then those of the mortar."""
     group: np.ndarray
     """Grain number of each particle, -1 for mortar, in the order in which the state stores the particles, shape
     (n,)."""

@@ -28,7 +28,7 @@ class Layout:
     wall: np.ndarray
     """Positions of wall particles [m], shape (m, dimensions)."""
     height: float
-    """Height of the column [m]."""
+    """Height of the column of concrete [m]."""
 
 
 def layout(scene: FluidScene) -> Layout:

@@ -147,7 +147,7 @@ class MovingParticles(Stepping):
 
     @property
     def wet_area(self) -> float:
-        """Area of the pipe's wall that the column covers [m2]; in two dimensions, the length of both walls [m]."""
+        """Area of the pipe's wall that concrete covers [m2]; in two dimensions, the length of both walls [m]."""
         around = 2.0 if self.scene.dimensions == 2 else 2 * math.pi * self.scene.radius
         return around * self.state.layout.height
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,23 +17,25 @@ def plot_flow(
     run: Run,
     particles: tuple[np.ndarray, np.ndarray, float] | None = None,
     scale: tuple[str, float, float] | None = None,
+    materials: Mapping[str, np.ndarray] | None = None,
 ) -> Any:
     """Return a figure of the pressure over time and of velocity profiles, each compared with theory.
 
     `particles` are drawn next to the curves: their positions [m], their colours as RGB bytes, and their spacing [m].
-    `scale` is the label, lowest and highest value of their colour bar.
+    `scale` is the label, lowest and highest value of their colour bar. `materials` are the names and RGB bytes of
+    colours that show materials instead of a quantity.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.5 if particles is not None else 9.5, 4.2), layout="constrained")
-    ratios = [1.25, 1.25, 0.75] if particles is not None else [1, 1]
-    axes = figure.subplots(1, len(ratios), width_ratios=ratios)
-    _pressure(axes[0], run)
-    _profiles(axes[1], run)
-    open_frame(*axes[:2])
+    figure = Figure(figsize=(7.2 if particles is None else 9.0, 5.4), layout="constrained")
+    places = [["pressure"], ["profile"]] if particles is None else [["pressure", "particles"], ["profile", "particles"]]
+    axes = figure.subplot_mosaic(places, width_ratios=None if particles is None else [2.2, 1])
+    _pressure(axes["pressure"], run)
+    _profiles(axes["profile"], run)
+    open_frame(axes["pressure"], axes["profile"])
     figure.suptitle(run.scene.caption, fontsize=10)
     if particles is not None:
-        _particles(axes[2], *particles, scale)
+        _particles(axes["particles"], *particles, scale, materials or {})
     return figure
 
 
@@ -60,7 +63,7 @@ def _pressure(axes: Any, run: Run) -> None:
 
 def _pressure_label(scene: Any) -> str:
     place = "on the piston" if scene.ends == "piston" else "over the stretch"
-    return f"pressure {place}{' with weight' if scene.weight else ''} [kPa]"
+    return f"pressure {place}\n{'with weight ' if scene.weight else ''}[kPa]"
 
 
 def _profiles(axes: Any, run: Run) -> None:
@@ -81,12 +84,14 @@ def _profiles(axes: Any, run: Run) -> None:
 
 
 def _particles(
-    axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None
-) -> None:
+    axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None,
+    materials: Mapping[str, np.ndarray],
+) -> None:  # fmt: skip
     """Draw the particles behind a vertical plane through the axis, so that the inside of the flow is visible."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import EllipseCollection
     from matplotlib.colors import Normalize
+    from matplotlib.lines import Line2D
 
     behind = places[:, 1] > -0.25 * spacing
     places, shades = 100 * places[behind], shades[behind]
@@ -104,13 +109,17 @@ def _particles(
             edgecolors="none",
         )
     )
-    axes.set(aspect="equal", xlabel="[cm]", ylabel="height [cm]")
+    axes.set(aspect="equal", xlabel="x [cm]", ylabel="height [cm]")
     axes.autoscale_view()
     reach = float(np.abs(places[:, 0]).max()) + 50 * spacing
-    axes.set_xticks([-reach, 0.0, reach], [f"{place:.3g}" for place in (-reach, 0.0, reach)])
+    axes.set_xticks([-reach, 0.0, reach], [f"{place:.2g}" for place in (-reach, 0.0, reach)])
     if scale is not None:
         label, lower, upper = scale
         axes.figure.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, label=label)
+    if materials:
+        style = dict(marker="o", linestyle="")
+        marks = [Line2D([], [], color=shade / 255, label=name, **style) for name, shade in materials.items()]
+        legend_beside(axes, curves=marks)
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
@@ -119,4 +128,4 @@ def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
         return None
     display = simulation.display(colouring)
     particles = display.centres(), display.colours(), simulation.state.particle_spacing
-    return plot_flow(run, particles, display.scale())
+    return plot_flow(run, particles, display.scale(), display.categories())

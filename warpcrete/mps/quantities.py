@@ -116,7 +116,8 @@ def _of_column(name: str) -> tuple[Quantity, ...]:
 
 def _friction_text(run: Run) -> str:
     ours = f"{number(run.result['gradient']) / 1e3:.4g} kPa/m without the weight of the concrete"
-    if "gradient_theory" not in run.result:  # A run of an earlier version lacks it.
+    # A result that an earlier version of the program has written lacks this entry.
+    if "gradient_theory" not in run.result:
         return ours
     return f"{ours}   (theory: {number(run.result['gradient_theory']) / 1e3:.4g})"
 

@@ -25,14 +25,15 @@ DENSITY_REACH = 3.1
 
 
 class FluidState:
-    """State of a flow of particles alone: all arrays that change in a run, and what follows from the initial layout.
+    """State of a flow of particles alone: the arrays that change in a run, and constants of the initial layout.
 
     The arrays of particles have one entry per fluid particle, in an order that never changes. The structs `Particles`
     and `Grains` in `kernels/mps/structs.py` give meaning, unit and shape of the arrays.
     """
 
     flags: wp.array
-    """Control flags, indexed by the constants in `kernels/common/control.py`, shape (FLAGS,)."""
+    """Control flags, such as the number of completed steps. The constants in `kernels/common/control.py` are the
+    indices of this array, shape (FLAGS,)."""
     particles: Any
     """Position, velocity and pressure of each fluid particle: arrays in a struct `Particles`."""
     grain_arrays: Any

@@ -119,8 +119,8 @@ class RerunRecorder(Recorder):
         """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time = row["time"]
-        # The recording of a finished run can be made afterwards from the rows of its time series, which contain no
-        # step numbers. Only the last row's number is known then: this row belongs to the final state, which has it.
+        # The recording of a finished run can be made afterwards from the rows of its time series, which contain no step
+        # numbers. Only the number of the last row is known then, because this row belongs to the final state.
         steps = simulation.stepper.steps if time == simulation.stepper.time else None
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves

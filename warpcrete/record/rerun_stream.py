@@ -65,7 +65,7 @@ class RerunStream:
                    "give the URL of a running viewer, or use 'warpcrete view FOLDER --web' after the run")  # fmt: skip
         self._recording: Any = None
         self.rr = _rerun()
-        """Rerun's library."""
+        """Python module of the Rerun library."""
         if isinstance(live, str):
             try:
                 self.rr.GrpcSink(live)
@@ -79,7 +79,7 @@ class RerunStream:
 
     @property
     def is_connected(self) -> bool:
-        """True after :meth:`connect`."""
+        """True after :meth:`connect` has opened the recording."""
         return self._recording is not None
 
     def connect(self, application: str, caption: str, recording_id: str, part: int, blueprint: Any) -> None:

@@ -227,7 +227,8 @@ class StandardTest:
 
 
 TESTS: dict[str, StandardTest] = {}
-"""All tests by name. A test is added when it is created, so a scene's file may define its own."""
+"""All standard tests of fresh concrete, by name. A test is added when it is created, so a scene's file may define its
+own."""
 
 
 def _by_name(name: str, module: str) -> StandardTest:

@@ -31,7 +31,8 @@ from .cases import Case
 from .running import OutcomeCallback, previous_outcome, run_cases
 
 SCHEDULERS = ("local", "slurm")
-"""Schedulers that this module can start; any other text is the address of a running scheduler."""
+"""Kinds of Dask schedulers that the program itself can start. Any other text that the user states as the scheduler is
+the address of a running one."""
 LOCAL_SCHEDULER_OPTIONS = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 """Options of a scheduler that only processes on this machine can reach."""
 STOP_POLL_INTERVAL = 1.0
@@ -106,7 +107,7 @@ class Cluster:
         return found
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
-        """Return the device that a worker selects for `device`, and a record of that device and its software."""
+        """Return the device that a worker uses if `device` is requested, and a record of it and its software."""
         return self.ask(_machine, self.device(device), precision, seed)
 
     def hardware(self, device: str | None) -> str:

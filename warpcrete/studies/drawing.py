@@ -22,19 +22,22 @@ from ..scenes import modules
 
 MARKERS = ("o", "s", "^", "D", "v")
 TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
-"""Parameters that the title states if they are the same in all cases."""
+"""Names of scene parameters that the title of a study's figure states if they are the same in all cases."""
 LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
-ACROSS = 3  # maximum number of panels in a row of the figure
+WIDTH, HEIGHT = 7.6, 3.0  # size of a panel with its legend [inch]
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
-THEORY_POINTS = 21  # number of points of a curve by theory
+THEORY_POINTS = 21  # number of points of a theoretical curve
 MARKS = (("failed", "a case failed", "x", 0.04), ("suspect", "a check failed", "1", 0.1))
-"""Marks at the bottom of a panel: column that counts them, label, marker and height as a fraction of the panel."""
+"""Marks at the bottom of a panel of the figure. Each entry holds the name of the column that counts failed runs or
+failed checks, the label in the legend, the Matplotlib marker, and the height of the mark as a fraction of the panel's
+height."""
 
 
 PARTIAL = "some runs have no value"
-"""Label of the rings around means to which not every finished run contributes."""
+"""Label in the legend for the rings around mean values. A ring means that some of the finished runs have no value of
+the quantity, so that the mean lacks them."""
 
 
 def draw(
@@ -70,27 +73,27 @@ def draw(
         refuse("unit", unit, "needs 'x', because several parameters are varied", f"add, for example, x={names[0]!r}")
     scales = {name: _scale("unit", unit, study.units.get(name, ""), _unit(study, name)) for name in names}
     units = list(dict.fromkeys(each.unit for each in compared))
-    across = min(len(names), ACROSS)
-    down = len(units) * -(-len(names) // ACROSS)
-    figure = Figure(figsize=(5.6 * across + 0.6, 3.4 * down), layout="constrained")
-    grid = figure.subplots(down, across, squeeze=False)
+    # Panels stand below each other, because the text of panels side by side is too small on a page.
+    count = len(units) * len(names)
+    figure = Figure(figsize=(WIDTH, HEIGHT * count), layout="constrained")
+    panels = iter(figure.subplots(count, 1, squeeze=False)[:, 0])
     rows = study.rows()
-    for block, each_unit in enumerate(units):
+    for each_unit in units:
         drawn = [each for each in compared if each.unit == each_unit]
         y_scale = _scale("y_unit", y_unit, each_unit, shown(each_unit))
-        for place, name in enumerate(names):
-            axes = grid[block * (down // len(units)) + place // ACROSS, place % ACROSS]
+        for name in names:
+            axes = next(panels)
             _panel(axes, study, rows, name, drawn, scales[name], y_scale)
-    for axes in grid.ravel():
-        axes.set_visible(bool(axes.lines or axes.containers))
+            axes.set_visible(bool(axes.lines or axes.containers))
     figure.suptitle(", ".join([study.scene, *_common(study)]), fontsize=10)
     return figure
 
 
 def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str]) -> tuple[float, str]:
-    """Return the factor from `unit` to the unit of display, and the name of this unit.
+    """Return the factor from the SI `unit` of a quantity to the unit in the figure, and the name of the latter.
 
-    `wanted` is the unit that the caller states in the argument `called`; without it, the result is `usual`.
+    `wanted` is the unit in the figure that the caller states in the argument named `called`. If it is None, the result
+    is `usual`.
     """
     if wanted is None:
         return usual
@@ -105,12 +108,13 @@ def _unit(study: Any, name: str) -> tuple[float, str]:
 
 
 def _common(study: Any) -> list[str]:
-    """Return the parameters in TITLE that are equal in all cases, with their values, as texts for the title."""
+    """Return texts for the title of the figure: those parameters in :data:`TITLE` that all cases share, with values."""
     first = study.cases[0].parameters
     same = [name for name in TITLE if name in first and all(c.parameters.get(name) == first[name] for c in study.cases)]
     texts = {name: _worded(study, name, first[name]) for name in same if first[name] is not None}
-    # A stated constant replaces that of the named concrete, which is then another concrete.
-    # The record of a case contains all constants of a concrete from a file, so only varied ones are changes there.
+    # If the study states a constant in addition to a named concrete, such as another yield stress, the title must say
+    # so. For a concrete from a file, the record of a case contains all constants, whether they were stated or not.
+    # Therefore, only constants that the study varies are mentioned in this case.
     given = (
         () if is_file(str(first.get("concrete"))) else [k for c in study.cases for k, v in c.parameters.items() if v]
     )
@@ -127,9 +131,10 @@ def _worded(study: Any, name: str, value: Any) -> str:
 
 
 def _series(study: Any, rows: list[dict[str, Any]], name: str) -> dict[str, list[dict[str, Any]]]:
-    """Return the rows of each set of values of the varied parameters other than `name`, by the label of the set.
+    """Split the rows of a study's table into series in which only the parameter `name` varies.
 
-    The sets are sorted by these values, the numbers among them by size.
+    The rows of a series have the same values of all other varied parameters. The result maps a label with these values
+    to the rows. The series are sorted by the values; numbers are sorted by size.
     """
     others = [other for other in study.varied if other != name]
 
@@ -156,7 +161,7 @@ def _panel(
     series = list(zip(_series(study, mine, name).items(), itertools.cycle(SERIES)))
 
     def at(row: dict[str, Any]) -> float:
-        """Return the place of a row on the horizontal axis; words have the places 0, 1, 2 and so on."""
+        """Return the horizontal position of a row's parameter value; words have the positions 0, 1, 2 and so on."""
         return row.get(name, 0) * x_scale[0] if numeric else values.index(row.get(name, 0))
 
     curves: list[Any] = []
@@ -220,10 +225,11 @@ def _panel(
 def _theory_between(
     study: Any, part: list[dict[str, Any]], name: str, quantity: Quantity
 ) -> tuple[list[float], list[float]] | None:
-    """Return values of a parameter from the smallest to the largest of some rows, and what theory gives for them.
+    """Return values of a parameter between those of simulated cases, and a quantity at these values by theory.
 
-    The rows differ in this parameter only. The result is None if there is no closed form between the cases, as for a
-    parameter without a unit whose values are whole numbers.
+    The rows in `part` describe the cases, which differ only in the parameter `name`. The result is None if there is
+    only one case or no closed form. It is also None for a whole number without a unit, which has no values between the
+    cases.
     """
     module, values = modules().get(study.scene), [row[name] for row in part if name in row]
     continuous = bool(study.units.get(name)) or any(isinstance(value, float) for value in values)
@@ -243,10 +249,10 @@ def _theory_between(
 
 
 def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
-    """Draw values by theory in the colour of theory and return the line, which has no label yet.
+    """Draw a quantity by theory into a panel of the figure, and return the Matplotlib line, which has no label yet.
 
-    All series have the same style: a dashed curve under the simulated values, or short dashes at the cases if the
-    coordinates `between` of a curve are None.
+    If `between` holds the coordinates of a curve, the curve is drawn as a dashed line. If `between` is None, a short
+    dash marks each value in `y` at its position in `x`.
     """
     style = dict(color=rgb(THEORY), linewidth=1.4, markersize=14, markeredgewidth=2, zorder=1.5)
     (line,) = axes.plot(x, y, "_", **style) if between is None else axes.plot(*between, "--", **style)
@@ -254,7 +260,7 @@ def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
 
 
 def _set_height(axes: Any) -> None:
-    """Leave room for markers at the top and for marks at the bottom; begin at zero if no value is negative."""
+    """Set the range of the vertical axis: leave room for markers, and begin at zero if all values are positive."""
     lower, upper = axes.dataLim.intervaly
     if not np.isfinite(lower + upper):
         return

@@ -26,7 +26,7 @@ CASES_TOGETHER = 128
 """Maximum number of cases that a GPU runs at the same time.
 
 The cases of a larger study run in groups of this size. After each group, its outcomes are stored and its memory is
-freed. An interruption therefore costs at most the packings of one group.
+freed. An interruption therefore loses at most the initial packings of elements in one group.
 """
 FAILED = "failed.txt"
 """Name of the file in a case's folder that states why the case failed. A case with this file is not run again."""

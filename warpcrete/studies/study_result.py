@@ -72,7 +72,7 @@ class Study:
 
     @property
     def suspect(self) -> dict[str, list[str]]:
-        """Names of failed checks, by the name of the finished case."""
+        """Names of the plausibility checks that a finished case failed, by the name of the case."""
         found = {name: failed_checks(result) for name, result in self.results.items()}
         return {name: checks for name, checks in found.items() if checks}
 
@@ -106,9 +106,10 @@ class Study:
         return (1 / UNITS[unit][written], written) if written in UNITS.get(unit, ()) else (1.0, unit)
 
     def worded(self, parameter: str, value: Any, factor: float | None = None) -> str:
-        """Return the value of a parameter as text: numbers in the unit of display, files of concretes by their stem.
+        """Return the value of a parameter as text, with numbers in the unit of display and without the unit.
 
-        `factor` converts a number to the unit of display, if this is not the unit of :meth:`unit`.
+        `factor` converts a number to the unit of display; by default it is that of :meth:`unit`. The file of a concrete
+        is named without its folder and suffix.
         """
         if isinstance(value, float):
             return rounded(value * (self.unit(parameter)[0] if factor is None else factor))
@@ -217,7 +218,9 @@ class Study:
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
         names = list(dict.fromkeys(key for row in rows for key in row))
-        names.sort(key=COUNTS.__contains__)  # only some rows have entries of incomplete quantities
+        # Put the columns that count runs last. Some quantities occur only in later rows, so that their columns would
+        # otherwise follow the counts.
+        names.sort(key=COUNTS.__contains__)
         with atomic_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])

@@ -124,7 +124,10 @@ class Spheres:
 
 
 def _entries(count: np.ndarray) -> np.ndarray:
-    """Return the indices of all contacts in arrays with CAPACITY entries for each sphere, from numbers of contacts."""
+    """Return the indices of all contacts in arrays with CAPACITY entries for each sphere.
+
+    `count` is the number of contacts of each sphere; the other entries of the sphere are unused.
+    """
     return np.concatenate([s * int(CAPACITY) + np.arange(n) for s, n in enumerate(count)]).astype(int)
 
 

@@ -37,8 +37,8 @@ class Balance:
     lubrication: float
     """Power that the lubrication forces between aggregates dissipate, as far as the grid does not resolve them."""
     contacts: float
-    """Power that contacts between aggregates, and of aggregates with walls, dissipate, also by friction. The power that
-    contacts supply to remove overlaps is subtracted."""
+    """Power that is dissipated by contacts between aggregates and by contacts of aggregates with walls, including
+    friction. The power that contacts supply to remove overlaps is subtracted."""
     kinetic: float
     """Increase of the kinetic energy of mortar and aggregates in the step, divided by the length of the step."""
     damping: float
@@ -89,7 +89,8 @@ def wall_friction(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray, np.ndar
     """
     field = _Grid(flow)
     velocity, start = field.faces("velocity"), field.faces("start")
-    # The last correction of the mean velocity acts as a uniform force, and not through friction at walls.
+    # The last correction of the mean velocity acts as a uniform force on the concrete, and causes no friction at walls
+    # in this step. Subtract it from the velocities.
     velocity[2] -= np.where(field.faces("kind")[2] == int(LIQUID), flow.mesh.drive.numpy()[int(VELOCITY_CORRECTION)], 0)
     stiffness, on, force = (
         field.array(getattr(flow.mesh, name), 9) for name in ("wall_stiffness", "wall_weight", "wall_force")
@@ -115,13 +116,14 @@ class PairForces:
     """
 
     own: np.ndarray
-    """Index of the sphere."""
+    """Index of the sphere on which the force acts."""
     other: np.ndarray
-    """Index of its neighbour, or WALL."""
+    """Index of the neighbouring sphere, or the code WALL."""
     normal: np.ndarray
     """Unit vector from the sphere towards the neighbour, shape (n, 3)."""
     wall_velocity: np.ndarray
-    """Velocity of a wall along `normal`, and along itself if walls rub [m/s], shape (n, 3)."""
+    """Velocity of the wall [m/s], shape (n, 3); 0 if the neighbour is a sphere. Without friction, only the component
+    along `normal` is included."""
     approach: np.ndarray
     """Speed at which sphere and neighbour approach each other [m/s]."""
     sliding: np.ndarray
@@ -135,7 +137,7 @@ class PairForces:
 
     @property
     def force(self) -> np.ndarray:
-        """Force on the sphere [N], shape (n, 3)."""
+        """Sum of the forces of contact, friction and lubrication on the sphere [N], shape (n, 3)."""
         return self.rubbing - (self.lubrication + self.contact)[:, None] * self.normal
 
 
@@ -169,7 +171,11 @@ def pair_forces(flow: SuspensionFlow) -> PairForces:
 def _velocities_at_gaps(
     flow: SuspensionFlow, own: np.ndarray, other: np.ndarray, normal: np.ndarray, gap: np.ndarray
 ) -> list[np.ndarray]:
-    """Return the velocities of both spheres of all pairs where they touch [m/s], each of shape (n, 3)."""
+    """Return the velocities of two neighbouring spheres in the middle of their gap [m/s], shape (n, 3) for each sphere.
+
+    Without friction, only the components along the normal are correct, because the rotation of spheres about their
+    centres is left out.
+    """
     aggregates = flow.aggregates
     parts, kind, bodies, found = aggregates.parts, aggregates.kind, aggregates.bodies, []
     moved, turned = bodies.velocity.numpy().astype(float), bodies.spin.numpy().astype(float)
@@ -306,9 +312,10 @@ class _Step:
         return viscous, sum_all - viscous
 
     def _pairs(self) -> tuple[float, float, float, float]:
-        """Return the powers of lubrication, contacts and walls that push aggregates [W], and those walls' force [N].
+        """Return the dissipated powers of lubrication and contacts, the power of walls [W], and the force of walls [N].
 
-        The force is that of the walls on the aggregates, as its component along the last axis of the grid.
+        The walls are those that push aggregates. Their force on the aggregates is the component along the last axis of
+        the grid.
         """
         found = pair_forces(self.flow)
         wall = found.other == int(WALL)

@@ -8,7 +8,7 @@ from typing import Any
 from ..core.units import number
 
 OVERLAP = 0.05
-"""Largest overlap of two aggregates, or of an aggregate and a wall, in radii."""
+"""Largest accepted overlap of two aggregates, or of an aggregate and a wall, divided by the radius of the aggregate."""
 
 
 def steadiness(result: Mapping[str, Any]) -> tuple[bool, str]:

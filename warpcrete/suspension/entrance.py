@@ -1,4 +1,4 @@
-"""Plane through which aggregates enter a pipe, and the times at which they do."""
+"""Plane through which aggregates enter a pipe, and the times at which they enter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ class Entrance:
     """Gravitational acceleration [m/s2], shape (3,)."""
 
     def on_device(self, centre: np.ndarray, scalar: Any, device: Any) -> Any:
-        """Return the struct for kernels; `centre` holds the aggregates' centres at the start [m], shape (n, 3)."""
+        """Return the data of the plane and of the entering aggregates as a struct for kernels.
+
+        `centre` holds the aggregates' centres at the start [m], shape (n, 3).
+        """
         found = allocate(entrance_struct(scalar), device, start=centre, appears=self.appears, enters=self.enters)
         found.velocity, found.gravity = self.velocity.tolist(), self.gravity.tolist()
         return found

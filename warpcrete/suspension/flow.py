@@ -108,9 +108,10 @@ class SuspensionStep(GridStep):
         ]  # fmt: skip
 
     def _entering(self, name: str, tasks: int | None = None, **named: Any) -> list[Any]:
-        """Return the stage of a kernel for aggregates that enter through a plane; no stage if none enter.
+        """Return the stage that runs one of the kernels for aggregates that enter through a plane.
 
-        The number of tasks is that of the aggregates unless stated.
+        The stage is empty if no aggregates enter. The kernel has one task per aggregate unless `tasks` states another
+        number.
         """
         flow = self.flow
         if flow.entrance is None:

@@ -1,4 +1,4 @@
-"""Record through which the program finds, runs, draws and reports flows of mortar with aggregates."""
+"""Interface through which the program finds, runs, draws and reports flows of mortar with aggregates."""
 
 from dataclasses import replace
 from functools import partial

@@ -20,7 +20,7 @@ SWEEPS = 100
 """Number of times that each sphere is moved at random after overlaps have been removed."""
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
-"""Function that returns a number of random points, shape (n, 3) [m]."""
+"""Function that takes a random number generator and a number n, and returns n random points [m], shape (n, 3)."""
 Distance = Callable[[np.ndarray], np.ndarray]
 """Function of points, shape (n, 3), that gives the distance from the nearest wall [m], negative beyond it."""
 

@@ -12,7 +12,7 @@ from .nearby import CLEARANCE, ITERATIONS, MARGIN, SWEEPS, Distance, Draw, close
 
 
 class _Packing:
-    """Clumps on their way to places without overlaps: their centres, their orientations, and the spheres of both."""
+    """Clumps that the placement moves and turns until they do not overlap, and the spheres of which they consist."""
 
     def __init__(self, aggregates: Aggregates, distance: Distance, period: float, rng: np.random.Generator) -> None:
         self.parts, self.distance, self.period, self.rng = Spheres(aggregates), distance, period, rng
@@ -22,7 +22,7 @@ class _Packing:
         self.extent = np.maximum.reduceat(reach, self.parts.first[:-1])
 
     def spheres(self, centre: np.ndarray | None = None, turn: np.ndarray | None = None) -> np.ndarray:
-        """Return the centres of all spheres, shape (m, 3), for the present or other places of the clumps."""
+        """Return the centres of all spheres, shape (m, 3), for the present places of the clumps or for other ones."""
         return self.parts.centres(self.centre if centre is None else centre, self.turn if turn is None else turn)
 
     def any_of(self, spheres: np.ndarray) -> np.ndarray:
@@ -59,7 +59,8 @@ class _Packing:
             deep = away < goal * sum
             i, j, d, away, sum = i[deep], j[deep], d[deep], away[deep], sum[deep]
             push = 0.5 * (goal * sum - away)[:, None] * d / np.maximum(away, 1e-12 * reach)[:, None]
-            # If several spheres of one clump overlap spheres of another one, their pushes count once on average.
+            # If several spheres of one clump overlap spheres of another clump, average their pushes instead of adding
+            # them up.
             push /= _repetitions(body[i] * self.count + body[j])[:, None]
             self._push(np.concatenate([i, j]), np.concatenate([-push, push]))
             self._leave_walls()

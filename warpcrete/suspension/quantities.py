@@ -13,9 +13,10 @@ from .scene import SphereFields
 
 
 def mortar_part(concrete: float, aggregates: float, fraction: float) -> float:
-    """Return the part of the mortar in a region, from the parts of the concrete and of the aggregates in it.
+    """Return the fraction of all mortar that lies in a region.
 
-    `fraction` is the volume fraction of the aggregates in the concrete.
+    `concrete` and `aggregates` are the fractions of all concrete and of all aggregates in the region, and `fraction` is
+    the volume fraction of the aggregates in the concrete.
     """
     return (concrete - fraction * aggregates) / (1 - fraction)
 
@@ -49,7 +50,7 @@ QUANTITIES = (
         meaning="Fraction of the mortar that has passed the bars",
     ),
 )
-"""Results of tests with a ring of bars."""
+"""Results of tests in which concrete flows through a ring of bars (J-ring)."""
 
 
 def in_words(bodies: BodyState, scene: SphereFields) -> str:
@@ -61,7 +62,7 @@ def in_words(bodies: BodyState, scene: SphereFields) -> str:
 
 
 def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the line of a report that says how much of the stated aggregates is simulated, for a sieve curve."""
+    """For aggregates with a sieve curve, yield the line of a report that states which part of them is simulated."""
     found = run.result.get("aggregates", {})
     if "stated_fraction" in found:
         part = found["fraction"] / found["stated_fraction"]
@@ -70,7 +71,10 @@ def aggregate_lines(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def report_aggregates(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the report of a free-surface flow, and the parts of aggregates and mortar that are simulated and remain."""
+    """Yield the report of a free-surface flow, with the simulated part of the aggregates and what remains of them.
+
+    The last line states which fractions of the aggregates and of the mortar have not left through an open side.
+    """
     yield from report(run)
     yield from aggregate_lines(run)
     if "aggregates_inside" in run.series:

@@ -1,4 +1,4 @@
-"""Base class for runs of mortars with aggregates: columns of the time series, the watch over overlaps, and sizes."""
+"""Base class for runs of mortars with aggregates: columns of the time series, limit of overlaps, and sizes."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
 USUAL_CELLS = 4.0
-"""Number of cells across the narrowest aggregates, unless the user states their size."""
+"""Default size of the smallest aggregates, as the number of cells across the narrowest shape."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -63,17 +63,17 @@ class SphereFields:
 
     @property
     def cell_width(self) -> float:
-        """Largest width of the cells [m]."""
+        """Largest width of the cells along any axis [m]."""
         return self.spacing
 
     @property
     def narrowest_shape(self) -> float:
-        """Width of the narrowest shape, divided by its size."""
+        """Width of the narrowest shape, divided by the diameter of a sphere of the same volume."""
         return min(float(shape.widths.min()) for shape in self.templates)
 
     @property
     def resolved(self) -> float:
-        """Size of the smallest aggregates [m] that the cells resolve."""
+        """Diameter of a sphere with the volume of the smallest aggregates that the cells resolve [m]."""
         return MIN_CELLS * self.cell_width / self.narrowest_shape
 
     @property
@@ -121,7 +121,7 @@ class SuspensionScene(SphereFields, FreeScene):
 
     @property
     def fluid(self) -> FreeScene:
-        """This scene with the mortar alone."""
+        """This scene with the mortar alone, without aggregates."""
         return FreeScene(**{f.name: getattr(self, f.name) for f in fields(FreeScene)})
 
     @property

@@ -69,9 +69,9 @@ class SuspensionSimulation(AggregateRun, FreeSimulation):
         return super().measured() | row
 
     def _passed(self, ring: float) -> dict[str, float]:
-        """Return the fractions of the volumes of aggregates and mortar outside a ring of bars with a radius [m].
+        """Return the fractions of all aggregates and of all mortar outside a ring of bars with the radius `ring` [m].
 
-        An aggregate counts as outside if its centre is.
+        An aggregate counts as outside if its centre is outside.
         """
         bodies = self.flow.aggregates
         centre, volume = bodies.bodies.centre.numpy(), bodies.radius**3

@@ -19,6 +19,7 @@ import warp as wp
 
 from ..core.device.launching import Stage, completed
 from ..core.errors import CapacityError, ConvergenceError
+from ..dem.engine.stages import warp_width
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.grid.cells import DT
 from ..kernels.suspension.coupling import advance_kernels, pressure_kernels, product_kernels, residual_kernels
@@ -90,11 +91,16 @@ class CoupledSolve:
         self.pairs = pair_kernels(self.scalar, bodies)
         self.add_up = sum_kernel(serial)
         self.count = flow.aggregates.count
+        # Number of tasks that work on aggregates, which fill whole blocks on a GPU, and of partial sums of an inner
+        # product.
+        self.for_bodies = self.count if serial else -(-self.count * warp_width(self.device) // BLOCK) * BLOCK
+        self.all_tasks = self.tasks + self.for_bodies
+        self.partials = self.all_tasks // (1 if serial else BLOCK)
         slots = flow.state.slots
         self.directions = Directions(
             self.scalar, self.device, {"faces": 3 * slots, "linear": self.count, "angular": self.count, "cells": slots}
         )
-        self.partial = wp.zeros(CHUNK * (self.tasks + self.count), dtype=wp.float64, device=self.device)
+        self.partial = wp.zeros(CHUNK * self.partials, dtype=wp.float64, device=self.device)
         self.sums = wp.zeros(SUMS + CHUNK, dtype=wp.float64, device=self.device)
         self.factors = wp.zeros(CHUNK, dtype=wp.float64, device=self.device)
         self.residual, self.inner_residual, self.direction, self.product = (self._vector() for _ in range(4))
@@ -114,12 +120,12 @@ class CoupledSolve:
     def _vector(self) -> Any:
         return self.directions.vector()
 
-    def _launch(self, kernel: Any, tasks: int, *, block: int | None = None, **named: Any) -> None:
+    def _launch(self, kernel: Any, tasks: int, **named: Any) -> None:
         # A launch is recorded once for each set of arguments and then repeated; only the argument `factor` may change
         # between repetitions.
         key = (id(kernel), tasks, *((name, _identity(value)) for name, value in named.items() if name != "factor"))
         if key not in self._stages:
-            self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=block)
+            self._stages[key] = Stage(kernel, tasks, completed(kernel, named, self._arrays), self.device, block=BLOCK)
         stage = self._stages[key]
         if "factor" in named:
             stage.set("factor", named["factor"])
@@ -129,8 +135,9 @@ class CoupledSolve:
     def _arrays(self) -> dict[str, Any]:
         flow = self.flow
         return flow.kernel_arrays | {
-            "tasks": self.tasks, "factors": self.factors, "inverse": self.inverse,
-            "yielding": self.yielding, "matrix": flow.viscous.matrix, "partial": self.partial, "sums": self.sums,
+            "tasks": self.tasks, "partials": self.partials, "first": self.tasks // (BLOCK if flow.parallel else 1),
+            "factors": self.factors, "inverse": self.inverse, "yielding": self.yielding, "matrix": flow.viscous.matrix,
+            "partial": self.partial, "sums": self.sums,
         }  # fmt: skip
 
     def _sum(self, slot: int, sums: int = 1) -> None:
@@ -139,7 +146,7 @@ class CoupledSolve:
         `sums` is the number of inner products. The results are stored in `self.sums` from the index `slot` on.
         """
         block = 1 if not self.flow.parallel else BLOCK
-        self._launch(self.add_up, sums * block, block=BLOCK, count=self.tasks + self.count, slot=slot)
+        self._launch(self.add_up, sums * block, count=self.partials, slot=slot)
 
     def _products(self, *vectors: tuple[int, Any]) -> np.ndarray:
         """Return the inner products of the vector `weighted` with other vectors.
@@ -149,7 +156,7 @@ class CoupledSolve:
         slot = 0
         for count, many in vectors:
             self._launch(
-                self.products.products, self.tasks + self.count, count=count, slot=slot, weighted=self.weighted,
+                self.products.products, self.all_tasks, count=count, slot=slot, weighted=self.weighted,
                 many=many,
             )  # fmt: skip
             slot += count
@@ -158,7 +165,7 @@ class CoupledSolve:
 
     def _subtract(self, factors: np.ndarray, many: Any, result: Any) -> None:
         self.factors.assign(np.pad(factors, (0, CHUNK - len(factors))))
-        self._launch(self.products.combine, self.tasks + self.count, count=len(factors), many=many, result=result)
+        self._launch(self.products.combine, self.all_tasks, count=len(factors), many=many, result=result)
 
     def solve(self) -> None:
         """Solve for the velocities and pressures at the end of the step, and store them.
@@ -180,7 +187,7 @@ class CoupledSolve:
             if not self._new_contacts() or turn == CONTACT_PASSES - 1:
                 break
             self._begin(again=True)
-        self._launch(self.moves.finish, self.tasks + self.count, solution=self.solution)
+        self._launch(self.moves.finish, self.all_tasks, solution=self.solution)
         if flow.aggregates.pairs.full.numpy()[0]:
             raise CapacityError(
                 f"t = {flow.time:.6g} s: an aggregate has more than {int(CAPACITY)} neighbours; use aggregates whose "
@@ -188,8 +195,8 @@ class CoupledSolve:
             )
 
     def mean_velocity(self) -> np.ndarray:
-        """Return the mean velocities of mortar and aggregates across all faces [m/s], shape (3, *shape)."""
-        self._launch(self.forces.blend, self.count, x=self._present(), flow=self.product.faces)
+        """Return the velocity across each face [m/s], averaged over mortar and aggregates in it, shape (3, *shape)."""
+        self._launch(self.forces.blend, self.for_bodies, x=self._present(), flow=self.product.faces)
         return self.product.faces.numpy().astype(float).reshape(3, *self.flow.state.shape)
 
     def _present(self) -> Any:
@@ -209,13 +216,13 @@ class CoupledSolve:
         # Earlier stages computed pressure forces and inflows as if faces that aggregates cover in part were mortar
         # only. Correct both for the covered parts.
         start = self._present()
-        self._launch(self.forces.blend, self.count, x=start, flow=start.faces)
+        self._launch(self.forces.blend, self.for_bodies, x=start, flow=start.faces)
         self._launch(self.add_faces, 3 * slots, one=flow.mesh.velocity, factor=-1.0, result=start.faces)
         self._launch(self.residuals.inflow, slots, change=start.faces, sign=1.0, result=self.residual.cells)
-        self._launch(self.residuals.start, self.tasks + self.count, viscous=flow.viscous.arrays,
+        self._launch(self.residuals.start, self.all_tasks, viscous=flow.viscous.arrays,
                      projection=flow.projection.arrays, inflow=self.inflow, again=int(again),
                      residual=self.residual)  # fmt: skip
-        self._launch(self.forces.reduce, self.count, forces=self.residual.faces, factor=1.0, result=self.residual)
+        self._launch(self.forces.reduce, self.for_bodies, forces=self.residual.faces, factor=1.0, result=self.residual)
         self._launch(self.pairs.load, self.count, longest=flow.scene.time_step, forces=self.residual)
         self._launch(self.residuals.pressure_force, slots, pressure=flow.mesh.pressure, forces=self.force)
         self._push(1.0, self.residual, edges_only=True)
@@ -270,7 +277,7 @@ class CoupledSolve:
         return float(along / size) if size > 0 else 0.0
 
     def _weigh(self, one: Any) -> None:
-        self._launch(self.products.weigh, self.tasks + self.count, one=one, weighted=self.weighted)
+        self._launch(self.products.weigh, self.all_tasks, one=one, weighted=self.weighted)
 
     def _new_contacts(self, certain: float = 1.0) -> bool:
         """Mark pairs that would overlap at the end of the step as touching, and return whether there are new ones.
@@ -296,7 +303,7 @@ class CoupledSolve:
         The relative residual is the norm of the residual, divided by the norm of the flow's momentum.
         """
         self._launch(
-            self.moves.advance, self.tasks + self.count, factor=factor, change=change, effect=effect,
+            self.moves.advance, self.all_tasks, factor=factor, change=change, effect=effect,
             solution=self.solution, residual=self.residual,
         )  # fmt: skip
         self._sum(SUMS, 2)
@@ -323,10 +330,10 @@ class CoupledSolve:
         them for the parts of faces that aggregates cover.
         """
         if edges_only:
-            self._launch(self.forces.reduce, self.count, forces=self.force, factor=-factor, result=into)
+            self._launch(self.forces.reduce, self.for_bodies, forces=self.force, factor=-factor, result=into)
         else:
             self._launch(self.add_faces, len(self.force), one=self.force, factor=factor, result=into.faces)
-        self._launch(self.forces.push, self.count, forces=self.force, factor=factor, result=into)
+        self._launch(self.forces.push, self.for_bodies, forces=self.force, factor=factor, result=into)
 
     def _precondition(self, residual: Any, change: Any) -> None:
         """Apply the preconditioner: store an approximate solution for the right-hand side `residual` in `change`."""
@@ -345,9 +352,8 @@ class CoupledSolve:
 
     def _solve_velocity(self, solution: Any) -> None:
         """Solve the viscous equations for the velocities that the forces in `inner_residual` cause."""
-        all_tasks = self.tasks + self.count
         named = {"solution": solution, "residual": self.inner_residual, "direction": self.direction}
-        self._launch(self.search.begin, all_tasks, **named)
+        self._launch(self.search.begin, self.all_tasks, **named)
         self._sum(int(RZ))
         self._launch(self.updates.shift, 1, first=1)
         for number in range(self.tolerances.inner):
@@ -356,11 +362,11 @@ class CoupledSolve:
                 if sums[int(RZ)] <= self.tolerances.viscous**2 * sums[int(RZ_FIRST)]:
                     return
             self._launch(self.search.multiply, self.tasks, direction=self.direction, result=self.product)
-            self._launch(self.search.gather, self.count, direction=self.direction, result=self.product)
+            self._launch(self.search.gather, self.for_bodies, direction=self.direction, result=self.product)
             self._sum(int(PQ))
-            self._launch(self.updates.update, all_tasks, result=self.product, **named)
+            self._launch(self.updates.update, self.all_tasks, result=self.product, **named)
             self._sum(int(RZ_AFTER))
-            self._launch(self.search.turn, all_tasks, direction=self.direction, result=self.product)
+            self._launch(self.search.turn, self.all_tasks, direction=self.direction, result=self.product)
             self._launch(self.updates.shift, 1, first=0)
             self.inner += 1
 
@@ -368,11 +374,11 @@ class CoupledSolve:
         """Multiply the matrix of the coupled equations by the vector `change`, and store the product in `effect`."""
         slots = self.flow.state.slots
         self._launch(self.search.multiply, self.tasks, direction=change, result=effect)
-        self._launch(self.search.gather, self.count, direction=change, result=effect)
+        self._launch(self.search.gather, self.for_bodies, direction=change, result=effect)
         self._launch(self.residuals.pressure_force, slots, pressure=change.cells, forces=self.force)
         self._push(-1.0, effect)
         wp.copy(self.force, change.faces)
-        self._launch(self.forces.blend, self.count, x=change, flow=self.force)
+        self._launch(self.forces.blend, self.for_bodies, x=change, flow=self.force)
         self._launch(self.residuals.inflow, slots, change=self.force, sign=-1.0, result=effect.cells)
 
 

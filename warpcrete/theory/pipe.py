@@ -115,7 +115,7 @@ MIXES = {
 viscosity modifier in per cent."""
 
 BELOW_RADIUS = "use 0 for no slip layer, or less than the radius of the pipe"
-"""Hint of the error for a slip layer that fills the pipe."""
+"""Advice in the error message for a slip layer that is as thick as the radius of the pipe or thicker."""
 
 
 @dataclass(frozen=True, kw_only=True)

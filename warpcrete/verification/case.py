@@ -51,7 +51,7 @@ class Case:
 
     name: str
     source: str
-    """Source of the expected values."""
+    """Source of the expected values, such as a publication or a formula."""
     run: Callable[[str, str], list[Row]]
     """Function that takes the device and the precision as texts, runs the case, and returns its results, one row for
     each computed quantity."""

@@ -4,81 +4,117 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.drawing.style import MEASURED, RUN, SECOND, legend_beside, rgb
+from ..core.drawing.style import MEASURED, RUN, SECOND, legend_beside, open_frame, rgb
 from .case import Case, Row
+
+WIDTH = 7.6
+"""Width of the figure [inch]: a page shows it about 700 pixels wide, which keeps its texts at their usual size."""
+SMALL, LARGE = 9, 11
+"""Sizes of labels and of titles [pt]."""
 
 
 def draw(results: list[tuple[Case, list[Row]]]):
     """Return a Matplotlib figure of the errors of all results, and of the curves that the cases have computed."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 9), layout="constrained")
-    (errors, oblique), (normalised, stability) = figure.subplots(2, 2)
-    by_name = {case.name: case for case, _ in results}
-    _errors(errors, results)
-    if "oblique impact" in by_name:
-        _oblique(oblique, by_name["oblique impact"].curves)
-    if "oblique impact, normalised" in by_name:
-        _normalised(normalised, by_name["oblique impact, normalised"].curves)
-    if "stability limit" in by_name:
-        _stability(stability, by_name["stability limit"].curves)
-    for axes in (errors, oblique, normalised, stability):
-        axes.spines[["top", "right"]].set_visible(False)
-        if not axes.has_data():
-            axes.set_axis_off()
+    curves = {case.name: case.curves for case, _ in results}
+    rows = len({case.name for case, rows in results if any(row.tolerance > 0 for row in rows)})
+    plots = [(_errors, results, 0.9 + 0.16 * rows)] if rows else []
+    plots += [(plot, curves[name], height) for name, plot, height in CURVES if curves.get(name)]
+    heights = [height for *_, height in plots]
+    figure = Figure(figsize=(WIDTH, sum(heights) or 1.0), layout="constrained")
+    if plots:
+        # Each plot has a layout of its own, so that the long names of one plot take no width from the others.
+        parts = figure.subfigures(len(plots), 1, squeeze=False, height_ratios=heights)[:, 0]
+        for part, (plot, content, _) in zip(parts, plots, strict=True):
+            axes = part.add_subplot()
+            plot(axes, content)
+            axes.title.set_size(LARGE)
+            axes.xaxis.label.set_size(SMALL)
+            axes.yaxis.label.set_size(SMALL)
+            axes.tick_params(labelsize=SMALL)
+            open_frame(axes)
     return figure
 
 
 def _errors(axes, results) -> None:
     rows = [(case, row) for case, rows in results for row in rows if row.tolerance > 0]
     groups = list(dict.fromkeys(case.name for case, _ in rows))
-    for case, row in rows:
+    for passed, marker, size in ((True, "o", 4), (False, "x", 8)):
+        chosen = [(case, row) for case, row in rows if row.passed == passed]
         axes.plot(
-            max(row.error, 1e-16), len(groups) - groups.index(case.name), "o", markersize=4,
-            color=rgb(RUN) if row.passed else "tab:red", alpha=0.7,
+            [max(row.error, 1e-16) for _, row in chosen], [-groups.index(case.name) for case, _ in chosen], marker,
+            markersize=size, color=rgb(RUN), alpha=0.7,
         )  # fmt: skip
-    axes.set(xscale="log", xlabel="relative error", yticks=range(len(groups), 0, -1), title="errors of all cases")
-    axes.set_yticklabels(groups, fontsize=8)
+    failed = ", crosses outside their tolerance" if any(not row.passed for _, row in rows) else ""
+    axes.set(xscale="log", xlabel="relative error [1]", title=f"Errors of all results{failed}")
+    axes.set_yticks(range(0, -len(groups), -1), labels=groups)
+    axes.set_ylim(-len(groups) + 0.3, 0.7)
     axes.grid(axis="x", color="0.9")
 
 
 def _oblique(axes, curves) -> None:
     from .impacts import TEST_4
 
-    axes.plot(TEST_4[:, 0], TEST_4[:, 1], ".", color=rgb(MEASURED), label="tangential restitution,\npublished")
-    axes.plot(curves["angle"], curves["tangential"], color=rgb(RUN), label="this program")
-    axes.plot(TEST_4[:, 0], TEST_4[:, 2] / -1000, "x", color=rgb(MEASURED), label="-spin [1000 rad/s],\npublished")
-    axes.plot(curves["angle"], curves["spin"] / -1000, color=rgb(SECOND), label="this program")
-    axes.set(xlabel="incident angle [degrees]", title="Chung & Ooi 2011, test 4: aluminium oxide")
-    legend_beside(axes)
+    angle, restitution, spin = TEST_4.T[:3]
+    lines = [
+        axes.plot(curves["angle"], curves["tangential"], color=rgb(RUN), label="restitution, warpcrete"),
+        axes.plot(angle, restitution, ".", color=rgb(MEASURED), label="restitution, published"),
+        axes.plot(curves["angle"], curves["spin"] / -1000, color=rgb(SECOND), label="spin, warpcrete"),
+        axes.plot(angle, spin / -1000, "x", color=rgb(MEASURED), label="spin, published"),
+    ]
+    axes.set(
+        xlabel="incident angle [degrees]",
+        ylabel="tangential restitution [1],\nspin [1000 rad/s]",
+        title="Oblique impact of aluminium oxide (Chung & Ooi 2011, test 4)",
+    )
+    legend_beside(axes, SMALL, [line for (line,) in lines])
 
 
 def _normalised(axes, curves) -> None:
-    for (name, values), colour in zip(curves.items(), (rgb(RUN), rgb(SECOND)), strict=True):
+    lines, dots = [], []
+    for (name, values), colour in zip(curves.items(), (RUN, SECOND), strict=True):
         x, ours, published, rigid = values
-        axes.plot(x, published, "k.")
-        axes.plot(x, ours, color=colour, label=f"rebound {name},\nhalf the tangent stiffness")
-        axes.plot(x, rigid, ":", color=colour, label="rigid plane")
-    axes.set(xlabel="normalised incident angle", xlim=(0, 13.5), title="Chung & Ooi 2011, test 5: steel (dots)")
-    legend_beside(axes)
+        what = name.removesuffix(" velocity")
+        lines += axes.plot(x, ours, color=rgb(colour), label=f"{what}, half stiffness")
+        lines += axes.plot(x, rigid, ":", color=rgb(colour), label=f"{what}, rigid plane")
+        dots = axes.plot(x, published, ".", color=rgb(MEASURED), label="both, published")
+    axes.set(
+        xlabel="normalised incident angle [1]",
+        ylabel="normalised velocity\nof rebound [1]",
+        xlim=(0, 13.5),
+        title="Oblique impact of steel (Chung & Ooi 2011, test 5)",
+    )
+    legend_beside(axes, SMALL, [*lines, *dots])
 
 
 def _stability(axes, curves) -> None:
-    from .stability import FRACTIONS
+    """Draw a row of marks for each contact law, one mark for each time step, which says whether the energy grew."""
+    from .stability import FRACTIONS, GROWN
 
-    for label, curve in curves.items():
-        finite = np.where(np.isfinite(curve), np.clip(curve, 1e-3, 1e6), 1e6)
-        axes.plot(FRACTIONS, finite, ".-", label=label, linewidth=1)
-    axes.axvspan(0, 0.8, color="tab:green", alpha=0.08, linewidth=0)
-    axes.axhline(2.0, color="0.6", linewidth=0.8, linestyle="--")
+    steps = np.array(FRACTIONS)
+    stable = {label: np.asarray(curve) < GROWN for label, curve in curves.items()}
+    order = sorted(stable, key=lambda label: stable[label].sum(), reverse=True)
+    for row, label in enumerate(order):
+        holds = stable[label]
+        axes.plot(steps[holds], np.full(holds.sum(), row), "o", color=rgb(RUN), markersize=5)
+        axes.plot(steps[~holds], np.full((~holds).sum(), row), "x", color=rgb(RUN), markersize=5)
+    axes.axvline(0.8, color="0.6", linewidth=0.8, linestyle="--")
     axes.set(
         xscale="log",
-        yscale="log",
-        xlabel="time step over the estimate (default: 0.8)",
-        ylabel="energy, last fifth over first (1e6: unstable)",
+        xlabel="time step over the estimate of the stable step [1], dashed: default",
         xlim=(0.57, 8.4),
-        title="stability limit of each contact law",
+        ylim=(-0.7, len(order) - 0.3),
+        title="Time steps at which the energy grows (crosses) or does not (dots)",
     )
+    axes.set_yticks(range(len(order)), labels=order)
     axes.set_xticks([0.6, 0.8, 1, 1.4, 2, 3, 4, 6, 8], labels=["0.6", "0.8", "1", "1.4", "2", "3", "4", "6", "8"])
-    axes.minorticks_off()  # fmt: skip
-    legend_beside(axes)
+    axes.minorticks_off()
+
+
+CURVES = (
+    ("oblique impact", _oblique, 2.6),
+    ("oblique impact, normalised", _normalised, 2.6),
+    ("stability limit", _stability, 2.8),
+)
+"""Cases with a plot of their own: name, function that draws the plot, and height of the plot [inch]."""

@@ -29,6 +29,8 @@ from .case import Case, Row
 STEPS = 3000
 CHUNK = 30
 FRACTIONS = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 4.0, 5.0, 6.0, 8.0)
+GROWN = 2.0
+"""Ratio of energies at and above which the energy counts as grown."""
 AXIS = Axis((0, 0, 0), (0, 0, 1), (Line(0.05),))
 LAWS: dict[str, ContactLaw] = {
     "linear": Contact(friction=10.0, normal_damping_ratio=0.0),
@@ -131,7 +133,7 @@ def limits(device, precision) -> list[Row]:
         LIMITS.curves[label] = np.array([growth(scene, table, s, device, precision, bonds) for s in FRACTIONS])
     rows = []
     for label, curve in LIMITS.curves.items():
-        stable = curve < 2.0
+        stable = curve < GROWN
         first = len(FRACTIONS) if stable.all() else int(np.argmin(stable))
         limit = FRACTIONS[first - 1] if first else 0.0
         # Growth of energy may begin only at or above the estimated stable step, because the estimate must be safe. A

@@ -122,7 +122,7 @@ def settling(across: int, shift: float, ratio: float, device: str, precision: st
 
 
 def slowing_by_cylinder(ratio: float) -> float:
-    """Return the speed of a sphere on the axis of a cylinder over that without walls (Haberman & Sayre 1958).
+    """Return the speed of a sphere on the axis of a cylinder, divided by that without walls (Haberman & Sayre 1958).
 
     `ratio` is the radius of the sphere divided by that of the cylinder.
     """

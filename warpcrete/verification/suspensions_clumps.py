@@ -1,6 +1,6 @@
 """Verification of clumps in a mortar: two spheres that touch each other and move as one rigid body.
 
-The solutions for such a pair of spheres are exact. A sphere with the same errors is in `suspensions`.
+The solutions for such a pair of spheres are exact. The module `suspensions` verifies single spheres in the same flows.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def turning_pair(
 
 
 def orbit(across: int, wide: int, shift: Sequence[float], device: str, precision: str) -> list[float]:
-    """Return the slowest and fastest spin and the period of two touching spheres in a shear flow, over exact values.
+    """Return slowest spin, fastest spin and period of two touching spheres in a shear flow, divided by exact values.
 
     The spin of a spheroid is A + B cos 2 f at the angle f of its axis to the velocity (Jeffery 1922), and the period is
     2 pi / sqrt(A^2 - B^2). The constants A and B are fitted to the spins at four angles.
@@ -97,16 +97,17 @@ def orbit(across: int, wide: int, shift: Sequence[float], device: str, precision
 
 
 def tumbling(across: int, wide: int, device: str, precision: str) -> float:
-    """Return the period of two touching spheres in a shear flow, divided by the exact period, from half a turn.
+    """Return the period of two touching spheres in a shear flow, divided by the exact period.
 
-    Each step shears the mortar by a shear strain of 0.1, at a Reynolds number of 0.01.
+    The period is twice the simulated time of half a turn. Each step shears the mortar by a shear strain of 0.1, at a
+    Reynolds number of 0.01.
     """
     flow, strain = turning_pair(across, wide, 0.0, (0.0, 0.0, 0.0), device, precision, strain=0.1, rate=1.0), 0.1
     turns, strains = [0.0], [0.0]
     while turns[-1] < np.pi:
         flow.take(1)
         axis = rotated(flow.aggregates.bodies.turn.numpy().astype(float), np.array([[1.0, 0.0, 0.0]]))[0]
-        # The axis has no direction, so its angle is known up to multiples of pi.
+        # Both ends of the pair's axis are alike, so the angle of the axis is known only up to multiples of pi.
         angle = -float(np.arctan2(axis[0], axis[2]))
         turns.append(turns[-1] + (angle - turns[-1] + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
         strains.append(strains[-1] + strain)

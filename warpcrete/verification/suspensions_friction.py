@@ -18,7 +18,7 @@ TOUCHING = 0.00997 * RADIUS
 PRESS = 0.02
 """Force that presses the sphere onto the floor [N]."""
 LEVER = 1.005 * RADIUS
-"""Distance of the centre from the point at which friction acts [m]: half of the gap beyond the surface."""
+"""Distance [m] from the sphere's centre to the point at which friction acts, which lies in the middle of the gap."""
 FRICTION, STEPS = 0.3, 25
 
 
@@ -50,7 +50,7 @@ def motion(flow: SuspensionFlow) -> tuple[float, float]:
 def friction_case(device: str, precision: str) -> list[Row]:
     """Check that a sphere that is pushed along a floor rolls below the limit of friction, and slides above it.
 
-    Friction that slides acts like a force mu N and its torque, where N is the normal force. The flow of the mortar is
+    Sliding friction acts like a force mu N and its torque, where N is the normal force. The flow of the mortar is
     linear, so a sphere without friction moves in the same way if both act on it as external loads.
     """
     velocity, spin = motion(pushed(FRICTION, 0.2 * PRESS, 0.0, device, precision))

@@ -214,7 +214,7 @@ def advect_kernel(scalar, of: GridKind):
             after += dt * aside
         if wp.static(of.periodic):
             length = scalar(g.n[last]) * g.width[last]
-            after[last] = after[last] - length * wp.floor(after[last] / length)
+            after[last] = after[last] - length * wp.floor((after[last] - g.origin[last]) / length)
         if wp.static(of.cut):
             # Rounding errors and the curvature of the particle's path may lead a particle into a wall, so push the
             # particle out.

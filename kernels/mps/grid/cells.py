@@ -29,23 +29,29 @@ from ..structs import mps_types
 # The array `solid` tells which wall fills each cell. OPEN is its value for a cell that concrete may fill; any other
 # value is the number that identifies a wall.
 OPEN = wp.constant(0)
-SMOOTH = wp.constant(2)  # Value of `solid` in cells inside the frictionless wall, an axis or a plane of symmetry.
+SMOOTH = wp.constant(2)  # Value of `solid` in cells beyond an axis or plane of symmetry, a wall without friction.
 GATE = wp.constant(3)  # Value of `solid` in cells inside the gate, a wall that opens at given times.
-# A face between two cells has one of five kinds: AIR, LIQUID, FIXED, INSIDE or GHOST. ROUGH is another value of
-# `solid`.
+
+# AIR, LIQUID, FIXED, INSIDE and GHOST are the five kinds of faces between two cells. ROUGH, among them, is another
+# value of the array `solid`.
+
 AIR = wp.constant(0)  # Kind of a face without concrete on either side.
+
 # LIQUID is the kind of a face with concrete on at least one side, which can flow through it. Its velocity is unknown.
 LIQUID = wp.constant(1)
 FIXED = wp.constant(2)  # Kind of a face that is the side of a wall; its velocity is the wall's velocity normal to it.
-INSIDE = wp.constant(3)  # Kind of a face inside a wall that is no ghost face.
+INSIDE = wp.constant(3)  # Kind of a face inside a wall, unless its velocity is an unknown (see GHOST).
+
 # Value of `solid` in cells inside a rough wall, to which concrete sticks; higher values stand for moving walls.
 ROUGH = wp.constant(4)
-# GHOST is the kind of a face inside a wall if the shear or stretch of the concrete beside it depends on its velocity.
+# GHOST is the kind of a face inside a wall if the shear or stretch of the nearby concrete depends on the velocity of
+# the face.
 GHOST = wp.constant(4)
 # The following constants are indices of the array `drive`, which holds the force that drives the flow of a periodic
 # pipe.
 FORCE = wp.constant(0)  # Entry of `drive`: driving force per volume at the start of the next step [N/m3].
 LAST_FORCE = wp.constant(1)  # Entry of `drive`: driving force per volume that acted in the completed step [N/m3].
+
 # Entry of `drive`: velocity that is added to all faces along the pipe at the end of a step [m/s].
 VELOCITY_CORRECTION = wp.constant(2)
 DRIVE = 3
@@ -53,14 +59,17 @@ DRIVE = 3
 DT = wp.constant(0)  # Entry of `clock`: time step [s].
 NOW = wp.constant(1)  # Entry of `clock`: present simulated time [s].
 UNTIL = wp.constant(2)  # Entry of `clock`: simulated time at which the present series of steps must end [s].
+
 # Entry of `clock`: time step that error and Courant number allow [s]. A step that ends at a given time may be shorter.
 WANTED = wp.constant(3)
 SPEED = wp.constant(4)  # Entry of `clock`: root mean square speed of the concrete [m/s].
+
 # Entry of `clock`: number of cells that the fastest concrete crosses per second [1/s].
 CELLS_PER_SECOND = wp.constant(5)
 BEFORE = wp.constant(6)  # Entry of `clock`: root mean square speed of the concrete in the previous step [m/s].
 RATE = wp.constant(7)  # Entry of `clock`: rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Entry of `clock`: previous time step [s].
+
 # Entry of `clock`: root mean square speed that the particles brought to the grid in this step [m/s].
 GATHERED = wp.constant(9)
 CLOCK = 10
@@ -142,6 +151,7 @@ def grid_parameters_struct(scalar, dimensions: int):
         slots: wp.int32  # Number of cells including the frame around the grid.
         width: t.vec  # Width of a cell along each axis [m].
         origin: t.vec  # Position of the grid's lowest corner [m].
+
         # Velocity of the grid along its last axis [m/s]. In a periodic pipe this is the mean velocity of the concrete.
         frame: scalar
         gravity: t.vec  # Gravitational acceleration [m/s2].
@@ -153,6 +163,7 @@ def grid_parameters_struct(scalar, dimensions: int):
         regularisation: scalar  # Regularisation time beta of the flow law [s].
         volume: scalar  # Mean volume of a particle; in plane flow per metre of depth, in axisymmetric flow per radian.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
+
         # Derivative of the wall's braking force per volume with respect to the mean velocity [kg/m3/s].
         resistance: wp.float64
 
@@ -171,6 +182,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec)  # Velocity of each particle [m/s], shape (n,).
         gradient: wp.array(dtype=t.mat)  # Velocity gradient at each particle [1/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
+
         # Mass of each particle divided by the mean mass of particles; 0 if the particle has left the grid.
         mass: wp.array(dtype=scalar)
 
@@ -178,29 +190,35 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Fields:
         solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
+
         # Density of particles around each cell's centre, divided by that in full cells, shape (slots,).
         particle_density: wp.array(dtype=scalar)
         fill: wp.array(dtype=scalar)  # Fraction of a cell's volume outside walls that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
+
         # Number of entries of `sorted_particles` that cells have reserved so far, shape (1,).
         reserved_places: wp.array(dtype=wp.int32)
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
+
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
         # (axes * slots,).
         kind: wp.array(dtype=wp.int32)
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
+
         # Velocity across each face at the start of the implicit solve [m/s], shape (axes * slots,).
         start: wp.array(dtype=scalar)
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
+
         # Area of the pipe's wall that lies along each face; 0 for faces away from walls.
         wall_area: wp.array(dtype=scalar)
         # Shear stress between the pipe's wall and the concrete at each face [Pa], with the sign of the concrete's
         # velocity relative to the wall.
         traction: wp.array(dtype=scalar)
-        traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
+        # Derivative of the wall's shear stress (`traction`) with respect to the face's velocity [Pa s/m].
+        traction_slope: wp.array(dtype=scalar)
         # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
         slip: wp.array(dtype=scalar)
         # Friction force of a wall that passes between two neighbouring faces, divided by the velocity of the concrete
@@ -215,14 +233,17 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in each cell in this step [Pa], shape (slots,).
+
         # Potential whose gradient, like that of a pressure, moves particles out of crowded regions [Pa], shape
         # (slots,).
         potential: wp.array(dtype=scalar)
         in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
         in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
+
         # Shear stress at each corner of a pipe's cells in the previous step [Pa]; on a wall, the wall stress.
         stress: wp.array(dtype=scalar)
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
+
         # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * slots,).
         strain_without_pair: wp.array(dtype=scalar)
         # Yield stress gained at rest in each cell [Pa], shape (slots,); empty without thixotropy.
@@ -241,6 +262,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # quarters of the cell along each axis. Shape (slots * 2^axes,), in which the first axis varies fastest.
         depth: wp.array(dtype=scalar)
         room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (slots,).
+
         # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
         # axes, which gives four quarters. Shape (slots * pairs * 4,), in which the position along the pair's first axis
         # varies fastest.
@@ -249,11 +271,13 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # function of the distance from the centre that also weights particles.
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
+
         # Positions at which particles that have left the grid enter again [m]; empty if they do not.
         inlet: wp.array(dtype=t.vec)
         # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * slots,).
         gap: wp.array(dtype=scalar)
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
+
         # Kind of each cell face that a wall closes: FIXED or INSIDE. There is one face for each axis and cell, shape
         # (axes * slots,).
         shut: wp.array(dtype=wp.int32)
@@ -269,6 +293,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec)
         spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; in plane flow about y.
         pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].
+
         # Viscous constant of each wall's slip layer [Pa s/m]; negative if the wall is frictionless.
         slip_viscosity: wp.array(dtype=scalar)
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].

@@ -40,47 +40,56 @@ def system_structs(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Matrix:
-        near_capacity: wp.int32  # Maximum number of off-diagonal entries in a row.
-        rows: wp.int32  # Number n of rows in all levels together.
-        levels: wp.int32  # Number of levels, at least 1.
+        near_capacity: wp.int32  # Maximum number of off-diagonal entries in a row of the matrices.
+        rows: wp.int32  # Number n of matrix rows in all levels together.
+        levels: wp.int32  # Number of multigrid levels, at least 1.
+
         # Maximum number of matrix rows that are merged into one row of the next coarser level of the multigrid.
         children: wp.int32
-        free: wp.array(dtype=wp.int32)  # 1 for unused rows, which hold no unknown; else 0. Shape (n,).
+        free: wp.array(dtype=wp.int32)  # 1 for unused matrix rows, which hold no unknown; else 0. Shape (n,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
-        near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each row, shape (n,).
-        near: wp.array(dtype=wp.int32)  # Column of each off-diagonal entry, shape (n * near_capacity,).
-        coefficient: wp.array(dtype=scalar)  # Value of each off-diagonal entry times -1, shape (n * near_capacity,).
+        near_count: wp.array(dtype=wp.int32)  # Number of off-diagonal entries in each matrix row, shape (n,).
+        # Matrix column of each off-diagonal entry, shape (n * near_capacity,).
+        near: wp.array(dtype=wp.int32)
+        # Value of each off-diagonal entry of the matrix times -1, shape (n * near_capacity,).
+        coefficient: wp.array(dtype=scalar)
         # Change of an unknown divided by its residual, in a smoothing step, shape (n,).
         smoothing: wp.array(dtype=scalar)
-        # For each row, the row of the next coarser level that it becomes a part of, or -1, shape (n,).
+        # For each matrix row, the row of the next coarser multigrid level that it becomes a part of, or -1, shape (n,).
         parent: wp.array(dtype=wp.int32)
-        # Rows of the finer level that form each row of a coarser level, with n rows in all levels and m in the finest
-        # one. Unused entries are -1. The shape is ((n - m) * children,).
+        # Rows of the finer matrix that form each row of a coarser one, with n rows in all multigrid levels and m in the
+        # finest level. Unused entries are -1. The shape is ((n - m) * children,).
         child: wp.array(dtype=wp.int32)
-        # Index of each level's first row, followed by the number of all rows, shape (levels + 1,).
+        # Index of the first matrix row of each multigrid level, followed by the number of all rows, shape
+        # (levels + 1,).
         first: wp.array(dtype=wp.int32)
-        before: wp.array(dtype=wp.int32)  # Number of rows without an unknown before each row, shape (n,); GPU only.
-        used: wp.array(dtype=wp.int32)  # Rows with an unknown, in increasing order, shape (n,).
-        # Index in `used` of each level's first entry, followed by the number of entries, shape (levels + 1,).
+        # Number of matrix rows without an unknown before each row, shape (n,); GPU only.
+        before: wp.array(dtype=wp.int32)
+        used: wp.array(dtype=wp.int32)  # Matrix rows with an unknown, in increasing order, shape (n,).
+
+        # Index in `used` of the first entry of each multigrid level, followed by the number of entries, shape
+        # (levels + 1,).
         begin: wp.array(dtype=wp.int32)
         # Operations of the multigrid cycle, four numbers each, see `multigrid.py`, shape (4 * operations,).
         cycle: wp.array(dtype=wp.int32)
 
     @wp.struct
     class Solve:
-        residual: wp.array(dtype=scalar)  # Residuals of the equations of all levels, shape (n,).
-        # First array of solutions of all levels; smoothing steps write to `even` and `odd` in turn, shape (n,).
+        residual: wp.array(dtype=scalar)  # Residuals of the equations of all multigrid levels, shape (n,).
+
+        # First array of solutions of all multigrid levels, shape (n,); smoothing writes to `even` and `odd` in turn.
         even: wp.array(dtype=scalar)
-        # Second array of solutions of all levels; smoothing steps write to `even` and `odd` in turn, shape (n,).
+        # Second array of solutions of all multigrid levels, shape (n,); smoothing writes to `even` and `odd` in turn.
         odd: wp.array(dtype=scalar)
         # Search direction, shape (m,); on a GPU the old and the new direction, shape (2 m,).
         direction: wp.array(dtype=scalar)
         product: wp.array(dtype=scalar)  # Product of the matrix and the search direction, shape (m,).
         partial: wp.array(dtype=wp.float64)  # Partial sums of each block or chunk for three inner products.
         stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
+
         # Number of iterations, and norm of the residual at the start and at the end of the solve, shape (OUTCOME,).
         outcome: wp.array(dtype=wp.float64)
-        history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
+        history: wp.array(dtype=wp.float64)  # Residual norm after each iteration of the solve.
 
     return SimpleNamespace(Matrix=Matrix, Solve=Solve)
 

@@ -157,7 +157,7 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 
     @wp.func
     def beside_wall(g: Grid, stiff: scalar, stress: scalar, inner: scalar, width: scalar):
-        """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
+        """Return the mean velocity of a cell at a wall minus that of the concrete at the wall, and its derivative.
 
         The derivative is taken with respect to `stress`, the stress at the wall. Within the cell, the stress falls
         linearly from this value to `inner` on the side opposite the wall.

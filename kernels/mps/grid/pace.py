@@ -50,15 +50,18 @@ class Pace:
     """Parameters that determine the length of the time steps and the accuracy of the solves."""
 
     longest: wp.float64  # Longest allowed time step [s].
+
     # Allowed error of a step divided by the rms speed of the concrete; 0 if all steps have the longest allowed length.
     error: wp.float64
     floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
+
     # Second limit for the error of a step, divided by the change of the rms speed in the transfer of velocities from
     # particles to the grid. The larger one of this limit and that of `error` applies.
     transfer: wp.float64
-    viscous: wp.float64  # Residual norm at which the viscous solve stops if the time step is `longest`.
-    pressure: wp.float64  # Residual norm at which the pressure solve stops if the time step is `longest`.
-    # Residual norm at which the solve that disperses particles stops if the time step is `longest`.
+    viscous: wp.float64  # Residual norm at which the viscous solve stops in a step of the longest allowed length.
+    pressure: wp.float64  # Residual norm at which the pressure solve stops in a step of the longest allowed length.
+
+    # Residual norm at which the solve that disperses particles stops in a step of the longest allowed length.
     crowding: wp.float64
 
 

@@ -125,7 +125,7 @@ else:
 
 
 class StructMember(Protocol):
-    """Member of a struct; `type` is its annotation, for example ``wp.array(dtype=...)``."""
+    """Member of a struct type of Warp, with its type annotation, for example ``wp.array(dtype=...)``."""
 
     @property
     def type(self) -> Any:

@@ -22,8 +22,8 @@ CONTENTION_FRACTION = 0.4
 """Largest acceptable value of a ratio: the time that all threads together waited for a core, divided by the wall time
 of the steps. A larger ratio counts as contention."""
 BACKOFF_TIMES = 0.5, 8.0
-"""Shortest and longest backoff time [s]. After core contention, one thread does all work for this time; then several
-threads are tried again."""
+"""Shortest and longest backoff time [s]. If other processes occupied the cores of a run, one thread does all work for
+this time; then several threads are tried again."""
 
 
 def thread_pinner(threads: int) -> Callable[[], None]:

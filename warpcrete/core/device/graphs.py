@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Protocol
 
 import warp as wp
@@ -22,15 +23,32 @@ begins, because Warp releases Python's interpreter lock while it frees memory.
 """
 
 
+_collections: list[int] = []
+"""Generations of the garbage collections that started since the callback below was registered; at most one entry."""
+
+
 def _hold_lock_during_collection(phase: str, info: dict[str, int]) -> None:
     """Acquire the lock when a garbage collection starts, and release it when the collection stops."""
     if phase == "start":
         _collecting_or_capturing.acquire()
+        _collections[:] = [info["generation"]]
     else:
-        _collecting_or_capturing.release()
+        # A collection that was running when this callback was registered stops without having acquired the lock.
+        with suppress(RuntimeError):
+            _collecting_or_capturing.release()
 
 
-gc.callbacks.append(_hold_lock_during_collection)
+def _lock_collections() -> None:
+    """Make garbage collections hold the lock from now on, and wait until a collection without the lock has ended.
+
+    The first capture calls this function, so a program that captures no graph has no callback: Python prints and drops
+    an exception inside a callback of the collector, so a Ctrl-C that arrives there is lost.
+    """
+    if _hold_lock_during_collection in gc.callbacks:
+        return
+    gc.callbacks.append(_hold_lock_during_collection)
+    while not _collections:
+        gc.collect(0)  # Returns at once while another thread collects.
 
 
 def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
@@ -39,8 +57,10 @@ def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
     Ctrl-C is deferred until the capture has ended, because an exception inside nested captures would leave Warp in an
     inconsistent state.
     """
-    with defer_interrupts(), _collecting_or_capturing, wp.ScopedCapture(device=device) as capture:
-        launch()
+    with defer_interrupts():
+        _lock_collections()
+        with _collecting_or_capturing, wp.ScopedCapture(device=device) as capture:
+            launch()
     assert capture.graph is not None
     return capture.graph
 
@@ -89,7 +109,7 @@ class GraphLaunch:
     """
 
     def __init__(self, stages: Sequence[Recordable], device: wp.Device) -> None:
-        self.stages = tuple(stages)  # Keep the stages, because they hold references to the arrays that the graph uses.
+        self.stages = tuple(stages)  # Keep them, because they hold references to the arrays of the graph.
         self._graph: wp.Graph | None = None
         if device.is_cuda:
             for stage in self.stages:

@@ -12,21 +12,22 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time [s] for which a recorder's thread waits in one call of :func:`yield_to_run`. It waits until the run is
-itself waiting for the device and therefore leaves Python's interpreter free. After this time, the recorder goes on even
-if the run is busy."""
+"""Longest time [s] for which a thread that writes a run's output waits in one call of :func:`yield_to_run`. It waits
+until the run is itself waiting for the device and therefore leaves Python's interpreter free. After this time, the
+thread goes on even if the run is busy."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0
-"""Number of runs of this process that wait for their device or recorders, and the lock for changing this number.
+"""Lock, and the number of waiting runs of this process, which may be changed only under the lock.
 
-While any run waits, the recorders of all runs may work, so that a busy run does not block the recorders of other runs.
+A run waits for its device or for its recorders, which write its output. While any run waits, the recorders of all runs
+may work, so that a busy run does not block the recorders of other runs.
 """
 
 
 @contextmanager
 def run_is_waiting() -> Generator[None]:
-    """Mark a run as waiting for its device or recorders inside the `with` block, so that recorders may work."""
+    """Mark a run as waiting inside the `with` block, so that the threads that write output may work meanwhile."""
     global _waiting_runs
     with _count_lock:
         _waiting_runs += 1

@@ -47,23 +47,28 @@ def defer_interrupts() -> Generator[None]:
 
 @contextmanager
 def terminate_as_interrupt(simulation: SimulationOnDevice) -> Generator[None]:
-    """Treat SIGTERM like Ctrl-C while `simulation` runs in the `with` block; ignore it while results are written.
+    """Treat SIGTERM like Ctrl-C while `simulation` runs in the `with` block.
 
+    A SIGTERM that arrives while results are written ends the program by its default action, but only after the block.
     Outside the main thread, and in a program that handles SIGTERM by itself, this context does nothing.
     """
     if not _in_main_thread() or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield
         return
+    deferred: list[int] = []
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
         if not simulation.finishing:
             raise KeyboardInterrupt
+        deferred.append(signum)
 
     signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if deferred:
+            signal.raise_signal(signal.SIGTERM)
 
 
 class StopAtSample:

@@ -35,7 +35,7 @@ BLOCK = 64
 """Threads per CUDA block of a stage (kernel launch). Blocks of 64 threads occupy all multiprocessors even if a scene is
 small. In a scene of a million spheres, a step takes 95 % of the time that it takes with blocks of 256 threads."""
 Size: TypeAlias = int | tuple[int, ...]
-"""Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
+"""Number of parallel tasks of a kernel launch, as one integer or as a tuple of several dimensions."""
 
 
 Arguments: TypeAlias = dict[str, Any]
@@ -43,7 +43,7 @@ Arguments: TypeAlias = dict[str, Any]
 
 
 def tasks_of(dim: Size) -> int:
-    """Return the number of tasks of a launch with dimensions `dim`, which is the product of the dimensions."""
+    """Return the number of tasks of a kernel launch with dimensions `dim`, which is the product of the dimensions."""
     return dim if isinstance(dim, int) else math.prod(dim)
 
 
@@ -124,7 +124,7 @@ class Stage:
         return self.kernel.func.__name__
 
     def is_due(self, turn: int, size: int) -> bool:
-        """Return whether this launch is part of the step number `turn`, from 0, in a launch graph of `size` steps."""
+        """Return whether this launch is part of step `turn` of a launch graph; its `size` steps are numbered from 0."""
         return turn % self.every == 0 and 2 * size >= self.every
 
     def record(self) -> None:
@@ -210,7 +210,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
-    """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
+    """Sort modules, each with its block size: those that compile longest, with the most kernel parameters, go first."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
@@ -248,15 +248,16 @@ def merge_thread_stages(step: Step) -> Step:
 class Launcher:
     """Launcher of time steps, which replays launch graphs of several steps each.
 
-    A step consists of one list of stages for each thread, and each thread replays graphs of its own list. During core
-    contention, one thread does the work of all threads; :mod:`.cores` explains why this is faster.
+    A step consists of one list of stages (kernel launches) for each thread, and each thread replays graphs of its own
+    list. While other processes use the cores, one thread does all the work; :mod:`.cores` explains why this is faster.
     """
 
     def __init__(self, threads: int, device: wp.Device) -> None:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[wp.Graph]] = {}
         self._periodic_launch: Callable[[], None] | None = None
-        # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
+        # Periodic stages are kernel launches that run once in several steps (`every` > 1). The attribute
+        # `_steps_without_periodic` is the number of steps since they last ran.
         self._steps_without_periodic = 0
         self.gate = zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another; GATE is the number of counters."""
@@ -273,7 +274,7 @@ class Launcher:
         return [Stage(kernel, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Discard all launch graphs, because their arrays or the division of work among the threads have changed."""
+        """Discard all recorded graphs of steps, because their arrays or the division of work have changed."""
         self._graphs.clear()
         self._periodic_launch = None
 
@@ -285,7 +286,7 @@ class Launcher:
         ended: Callable[[], bool],
         appended: GraphLaunch | None = None,
     ) -> None:
-        """Replay one launch graph for each entry of `sizes`, which is the number of steps in the graph.
+        """Replay one recorded graph of steps for each entry of `sizes`, which is the number of steps in the graph.
 
         `step` contains the kernel launches of each thread in one step. `single_thread_step` returns the same step for
         one thread that does all the work. The launches in `appended`, which only a GPU uses, are added at the end of
@@ -314,7 +315,7 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Between two launch graphs, run the periodic kernel launches that are due and not part of the graphs.
+        """Between two recorded graphs of steps, run the periodic kernel launches that are due and not in the graphs.
 
         A kernel launch (stage) with `every` = n runs once in n steps, and only graphs of at least n / 2 steps contain
         it. `sizes` are the numbers of steps in the graphs that have just been replayed.
@@ -342,13 +343,13 @@ class Launcher:
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch stages that do not depend on one another, such as one for each of several groups of bodies.
+        """Launch stages (kernel launches) that do not depend on one another, for example one per group of bodies.
 
-        Each stage gets a thread of its own. During core contention, one thread launches all stages.
+        Each stage gets a thread of its own. While other processes use the cores, one thread launches all stages.
         """
         for stage in stages:
             stage.record()
-        if self.contention.contended:  # During core contention, one thread does all work.
+        if self.contention.contended:  # While other processes use the cores, one thread does all work.
             self._together([lambda: [stage() for stage in stages]])
         else:
             self._together(stages)

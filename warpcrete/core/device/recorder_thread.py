@@ -16,7 +16,7 @@ jobs, the run itself waits, so that no job is lost and memory stays bounded."""
 
 
 class RecorderThread:
-    """Queue that runs jobs of recorders one after the other, in a thread of its own if `in_thread` is set.
+    """Queue of jobs that write a run's output, which run one after the other; with `in_thread`, in their own thread.
 
     Without `in_thread`, the caller runs each job at once. After a job fails, every call raises the job's error, and no
     other job runs. With `yields_to_run`, the thread lets the run use Python's interpreter first: see
@@ -32,7 +32,7 @@ class RecorderThread:
 
     @classmethod
     def for_simulation(cls, simulation: SimulationOnDevice) -> RecorderThread:
-        """Return a simulation's queue of recorder jobs; it has its own thread on a GPU or if a CPU core is free.
+        """Return a queue of jobs that write a run's output, with its own thread on a GPU or if a CPU core is free.
 
         Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not
         share these cores.
@@ -41,7 +41,7 @@ class RecorderThread:
         return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)
 
     def submit(self, job: Callable[[], None]) -> None:
-        """Append a job to the queue of the recorder thread; if there is no such thread, run the job at once."""
+        """Append a job that writes output to the recorder thread's queue; if there is no thread, run it at once."""
         self._raise_error()
         if not self.in_thread:
             job()
@@ -59,7 +59,7 @@ class RecorderThread:
         self._raise_error()
 
     def yield_to_run(self) -> None:
-        """Pause a recorder's job for a moment, so that the run gets Python's interpreter first.
+        """Pause a job that writes output for a moment, so that the run gets Python's interpreter first.
 
         The method does nothing outside the recorder thread.
         """
@@ -67,7 +67,7 @@ class RecorderThread:
             yield_to_run()
 
     def close(self) -> None:
-        """End the recorder thread as soon as it has done all jobs in the queue, and wait for its end.
+        """End the thread that writes output as soon as it has done all jobs in the queue, and wait for its end.
 
         If a job failed, its error is raised.
         """

@@ -1,4 +1,4 @@
-"""Data that recorders draw: displays of a run, snapshots of a state, colour scales and HTML tables.
+"""Data for pictures of a run: views of it (displays), copies of its state (snapshots), colour scales, HTML tables.
 
 Modules here import `core.device` and `core.inputs`, but no solver. Start with `display`, the interface between a
 solver and the recorders.

@@ -39,7 +39,7 @@ class DrawnWall:
 
 @dataclass(frozen=True)
 class Prototype:
-    """Shape of rigid bodies as a clump of spheres, to be multiplied by a body's size; several bodies share a shape."""
+    """Shape of a rigid body of unit size, as a clump of spheres; bodies of different sizes may share one shape."""
 
     name: str
     offsets: np.ndarray
@@ -133,8 +133,8 @@ class Lines:
 class Display(ABC):
     """View of a simulation that gives recorders the data to draw; the quantity `colouring` colours the bodies.
 
-    `colouring` is one of `colourings`; None selects the attribute `preferred`. Raises :class:`SceneError` for another
-    value.
+    `colouring` is one of the names in the attribute `colourings`; None selects the default, the attribute `preferred`.
+    Raises :class:`SceneError` for another value.
     """
 
     colourings: ClassVar[tuple[str, ...]]
@@ -176,7 +176,7 @@ class Display(ABC):
         return on_host(source())
 
     def derived(self, name: Hashable, work: Callable[[], T]) -> T:
-        """Return the result of the function `work`, which processes values of the snapshot that is drawn.
+        """Return the result of the function `work`, which processes values of the drawn snapshot (copy of the state).
 
         The snapshot stores the result under `name`, so that `work` runs only once for all displays of the simulation.
         The caller must not modify the result.
@@ -197,7 +197,7 @@ class Display(ABC):
         """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
 
         The first job runs at once, and the display notes which values the job reads. For each later job, this
-        method reads the same values into a snapshot, and the recorder thread `later` runs the job.
+        method copies the same values, and the thread `later` runs the job while the simulation goes on.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.in_thread or not self._complete:

@@ -1,4 +1,4 @@
-"""Snapshots of a run for drawing: all recorders share one read of each value, and a GPU keeps stepping meanwhile."""
+"""Copies of a run's state for drawing (snapshots): recorders share each copied value, and a GPU keeps stepping."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Snapshot:
     """Values of the snapshot by name. A value whose copy to the host is in flight is replaced by the
     :class:`PendingCopies` object that receives the copy."""
     derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
-    """Results that displays computed from values of this snapshot, by name; all displays share them."""
+    """Results computed from values of this snapshot, by name; all views of the simulation share them."""
 
     def read(self, name: str) -> object:
         """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""
@@ -124,7 +124,7 @@ class Snapshot:
 
 
 class _Latest:
-    """Latest snapshot of a simulation, and the memory pool for its next snapshots."""
+    """Latest snapshot of a simulation, which is a copy of its state, and the memory pool for its next snapshots."""
 
     def __init__(self) -> None:
         self.snapshot = Snapshot(float("nan"), -1, {})
@@ -135,9 +135,9 @@ _latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
 
 
 def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
-    """Return a snapshot of a simulation with the results of calling the functions in `sources`, by name.
+    """Return a snapshot of a simulation's state: the result of each function in `sources`, by the function's key.
 
-    If several displays request the same name at the same step, its function is called only once.
+    If several views of the simulation request the same name at the same step, its function is called only once.
     """
     latest = _latest.setdefault(simulation, _Latest())
     time, steps = simulation.stepper.time, simulation.stepper.steps

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 PLANE_WEIGHT = 1e-6
-"""Weight of a point on a cutting plane or on a side of the grid, if a point on the free surface has the weight 1.
+"""Weight of a point on a cutting plane or on a side of the grid; a point on the free surface has the weight 1.
 
-The points lie where the surface of the concrete crosses the edges of the grid. The weighted mean of the points around a
-grid cell is a vertex of the triangulated surface.
+A vertex of the triangulated surface is the weighted mean of the points where the surface of the concrete crosses the
+edges of one grid cell.
 """
 FACETS = 64
 """Number of facets around the axis of a surface of revolution."""

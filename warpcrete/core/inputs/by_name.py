@@ -109,7 +109,8 @@ class ByName(CompositeRule):
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return an object's class name and field values, and whether these suffice to make an equal object.
 
-        They do not suffice if the class cannot be imported by its name, or if it has fields that are not declared.
+        They do not suffice if the class cannot be imported by its name, or if it has a field that no annotation
+        declares as a parameter.
         """
         if value is None:
             return {field.name: None}, True

@@ -24,14 +24,15 @@ class Level:
     example, half the element size has the key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If
     the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
-    """Conversions of result quantities, by the quantity's name. A result of a run at this level of the knob may need a
-    conversion before it is comparable with results of the user's scene. For example, a pipe of half the length needs
-    about half the pressure. A conversion is a pair (offset, factor) and gives offset + factor * (value - offset)."""
+    """Conversions of result quantities, by the quantity's name. A result of a run with this setting of the accuracy
+    parameter may need a conversion before it is comparable with results of the user's scene. For example, a pipe of
+    half the length needs about half the pressure. A conversion is a pair (offset, factor), and the converted value is
+    offset + factor * (value - offset)."""
 
 
 @dataclass(frozen=True)
 class Knob:
-    """Knob of a scene: a parameter, such as the element size, that can be set coarser or finer."""
+    """Parameter of a scene, such as the element size, whose coarser settings take less computing time."""
 
     name: str
     levels: tuple[Level, ...]
@@ -84,7 +85,8 @@ class Trading:
     knobs: Callable[[Any], Iterator[Knob]]
     """Function that takes the scene's parameters and yields the knobs (accuracy parameters)."""
     quantities: tuple[str, ...]
-    """Names of result quantities whose errors at each setting are computed, unless the user names other quantities."""
+    """Names of result quantities. Unless the user names others, a study computes their errors for each setting of the
+    accuracy parameters."""
     closed_form: Callable[[Any], bool] = lambda given: False
     """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so, the
     results of a run contain the error of each quantity NAME, under `NAME_error`."""

@@ -131,7 +131,7 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
 
 
 def check_whole(field: str, value: int) -> None:
-    """Refuse an integer that is too large for a counter or a seed."""
+    """Refuse an integer that is too large for a counter or for the seed of random numbers."""
     most = LARGEST_SEED if field == "seed" else LARGEST_INTEGER
     if abs(value) > most:
         refuse(field, value, f"must be at most {most}")
@@ -162,7 +162,7 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
-        return ""  # Limits that hold for all quantities in a unit are too wide to suggest another unit.
+        return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
     if not 1e-2 <= abs(value) <= 1e6:
         return ""  # A number this small or large does not result from a wrong unit, so suggest none.
     for other, factor in UNITS.get(unit, {}).items():

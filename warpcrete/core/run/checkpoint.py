@@ -30,7 +30,7 @@ class RunRecord(TypedDict):
     recorders: dict[str, object]
     """Data that each recorder needs to go on recording, by the recorder's class name."""
     next_frame: float
-    """Simulated time at which recorders record the next frame [s]."""
+    """Simulated time at which the next picture of the state (frame) is recorded [s]."""
     spent: dict[str, float]
     """Wall time of each phase of the run [s], by the phase's name, such as "packing"."""
     over: bool

@@ -8,10 +8,10 @@ from functools import wraps
 from .run import Run
 
 Check = Callable[[Run], dict[str, tuple[bool, str]]]
-"""Function that takes a finished run. It returns, by the name of each check, whether the run passed this check, and a
-text with the finding."""
+"""Function that takes a finished run and returns a dictionary of its checks. Each key is the name of a check, and each
+value is a pair: whether the run passed the check, and a text that says what the check found."""
 NO_SAMPLE = {"finished": (False, "the run recorded no sample after its start")}
-"""Checks of a run that ended before its first sample, of which nothing else can be checked."""
+"""Result of the checks of a run whose time series has no row after t = 0: a single check, which failed."""
 
 
 def with_cures(cures: Mapping[str, str] | Callable[[Run], Mapping[str, str]]) -> Callable[[Check], Check]:

@@ -1,4 +1,4 @@
-"""Forecast of a run before it starts: features, time step and its limits, memory, number of steps, wall time."""
+"""Forecast of a run before it starts: kernel features, time step and its limits, memory, number of steps, wall time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Forecast:
     chosen."""
     steps: float
     parts: Mapping[str, float]
-    """Wall time of each part of the run's work, without recordings [s], by the name of the part."""
+    """Expected wall time of each part of the run's work [s], by the name of the part; recordings are not included."""
     frame: Mapping[str, float] = field(default_factory=dict[str, float])
     """Wall time that each recording takes for one frame [s], by the recording's name; empty if not measured."""
     duration: float = 0.0
@@ -45,7 +45,7 @@ class Forecast:
 
     @property
     def wall_time(self) -> float:
-        """Wall time of the run without recordings [s]."""
+        """Expected wall time of the run [s]; the time to write recordings is not included."""
         return sum(self.parts.values())
 
     @property

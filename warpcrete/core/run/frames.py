@@ -12,7 +12,7 @@ frame interval."""
 
 
 class Frames:
-    """Schedule of frames: every `interval` seconds of simulated time, or by default about 25 frames per second.
+    """Schedule of frames: every `interval` seconds of simulated time, or by default at least 25 per second.
 
     With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
     expected, the time between frames grows. A frame is taken at the first sample (row of the time series) after the
@@ -30,23 +30,24 @@ class Frames:
         self.interval = default_interval if interval is None else interval
         """Simulated time between two recorded frames at the start of the run [s]."""
         self.next = 0.0
-        """Simulated time at which recorders record the next frame [s]."""
+        """Simulated time at which the next picture of the state (frame) is recorded [s]."""
         self.schedule_next(0.0)
 
     def due(self, time: float) -> bool:
-        """Return whether a frame is due at `time` [s], when the run adds a row (sample) to the time series."""
+        """Return whether a frame (picture of the state) is due at `time` [s], when the time series gets a new row."""
         return time >= self.next - 1e-9
 
     def due_before(self, sample: float) -> bool:
-        """Return whether the run should stop for a frame before it reaches the time `sample` of the next sample [s].
+        """Return whether the run should stop to record a frame before the time `sample` of the next sample [s].
 
-        A sample is a new row of the time series. The run should stop if the next frame is due more than one time step
-        before the sample. A run that can only stop at samples never stops for a frame.
+        A frame is a picture of the state, and a sample is a new row of the time series. The run should stop if the next
+        frame is due more than one time step before the sample. A run that can only stop at samples never stops for a
+        frame.
         """
         return self.next < sample - self._time_step
 
     def schedule_next(self, time: float) -> None:
-        """Set the time at which recorders record the next frame, after they recorded a frame at `time` [s]."""
+        """Set the time at which the next frame (picture of the state) is recorded, after one at `time` [s]."""
         if self._requested_interval is None and time > self._expected_duration:
             self.next = time + min(LONGEST_FRAME_INTERVAL, time / MINIMUM_FRAMES)
         else:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
-"""Callback for progress, which is called with the name of a phase and the fraction done."""
+"""Callback for progress, which is called with the name of a phase, such as "packing", and the fraction done."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,8 @@ class Method:
     """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
     if there is nothing to draw."""
     check: Callable[[Run], dict[str, tuple[bool, str]]] | None = None
-    """Function that takes a finished run of a scene that was built in Python, and returns its checks as a scene's
-    `check` does; None if the method has no such checks."""
+    """Function that checks a finished run of a scene that was built in Python, without a scene function. It returns, by
+    the name of each check, whether the run passed and what the check found. None if there are no such checks."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
     """Function that takes a scene and returns the quantities that closed-form solutions predict, by name."""
 

@@ -1,6 +1,7 @@
 """Interface of the folder that a run writes, as the run loop sees it.
 
-The package `record`, which stands above `core`, implements the interface and registers its class for plain paths.
+The package `record`, which imports `core`, implements the interface. It registers its class here, and the run loop
+uses this class if the user states a folder as a path.
 """
 
 from __future__ import annotations

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 REDRAW_INTERVAL = 0.2
 """Shortest time between two updates of a progress bar [s]."""
 LINES_PER_PHASE = 10
-"""Number of lines that report one phase of the work in a log file. A very short phase has fewer lines, and a very long
-phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two lines."""
+"""Number of lines that report one phase of a run, such as packing, in a log file. A very short phase has fewer lines,
+and a very long phase more, because `SHORTEST_LINE_INTERVAL` and `LONGEST_LINE_INTERVAL` limit the time between two
+lines."""
 SHORTEST_LINE_INTERVAL, LONGEST_LINE_INTERVAL = 1.0, 30.0
 """Shortest and longest time between two lines that report progress in a log file [s]."""
 Progress = Callable[[str, float, dict[str, float]], None]
@@ -26,7 +27,7 @@ while), the fraction done, and a few current values by name, such as the pressur
 
 @contextmanager
 def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
-    """Provide a progress bar as a callback, or None if `quiet`, and close the bar at the end."""
+    """Yield a progress bar as a callback, or None if `quiet`, and close the bar at the end of the `with` block."""
     bar = ProgressBar()
     try:
         yield None if quiet else bar
@@ -47,7 +48,7 @@ class ProgressBar:
         self._as_lines = not (sys.stderr.isatty() or _in_notebook())
 
     def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-        """Show the fraction of a phase that is done, and current figures such as the pressure."""
+        """Show the fraction of a phase, such as packing, that is done, and current figures such as the pressure."""
         now = time.monotonic()
         if phase != self._phase:
             self.close()
@@ -67,7 +68,8 @@ class ProgressBar:
         if not due and since < LONGEST_LINE_INTERVAL:
             return
         elapsed = now - self._start
-        # The pace may change during a run, for example when concrete begins to flow, so use that since the last line.
+        # The pace may change during a run, for example when concrete begins to flow, so use the pace since the last
+        # line.
         spent, done = since, fraction - self._last
         if done <= 0:
             spent, done = elapsed, fraction - self._first
@@ -103,9 +105,9 @@ _announced = False
 
 
 def announce_compiling(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-    """Print one line on standard error when this process first compiles kernels; the callback of runs without progress.
+    """Print one line on standard error when this process compiles kernels for the first time; ignore other progress.
 
-    Compiling may take minutes, in which a run without a progress bar would seem to hang.
+    Runs without a progress bar use this callback. Compiling may take minutes, and they would seem to hang meanwhile.
     """
     global _announced
     if phase == "compiling" and not _announced:
@@ -116,7 +118,7 @@ def announce_compiling(phase: str, fraction: float, figures: Mapping[str, float]
 
 
 def no_progress(phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
-    """Show nothing; the callback of a quiet command."""
+    """Ignore the progress of a run; commands use this callback if the user wants no progress display."""
 
 
 def _texts(figures: Mapping[str, float]) -> dict[str, str]:

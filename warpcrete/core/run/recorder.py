@@ -51,7 +51,7 @@ class Recorder:
         return {}
 
     def write(self, simulation: SimulationBase) -> None:
-        """Write to disk everything that is recorded so far, at a checkpoint."""
+        """Write to disk everything that was recorded so far; the run calls this method at each checkpoint."""
 
     def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Write everything to disk, because the run has ended.

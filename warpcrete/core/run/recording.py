@@ -26,8 +26,8 @@ class Recording:
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """Errors that recorders raised at the end of the run, if the recorder is essential or the disk is full. With
-        such an error, the run does not count as finished."""
+        """Errors at the end of the run, because of which the run does not count as finished: those of recorders that
+        are not `expendable`, and those of any recorder that found the disk full."""
         self._states: dict[str, object] = {}  # Data that each recorder stored in the last checkpoint, by class name.
 
     def begin(self, states: Mapping[str, object]) -> None:
@@ -70,7 +70,7 @@ class Recording:
     def finish(self, run: Run) -> None:
         """Let every recorder write its data to disk, because the run has ended.
 
-        Add the errors of recorders that are not expendable, and errors of a full disk, to `failures`.
+        Add errors to `failures`, except those that only cause a warning because the recorder is expendable.
         """
         essential = [recorder for recorder in self.active if not recorder.expendable]
         for recorder in [*reversed(essential), *reversed(self.active[len(essential) :])]:
@@ -95,7 +95,7 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:
-        """Let essential recorders write results that say that the run is not complete.
+        """Let all recorders that are not expendable write results that say that the run is not complete.
 
         This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from.
         """

@@ -44,9 +44,10 @@ class Simulation(SimulationBase):
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
     `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
-    one thread for each core. Flows on a grid give the same bits for any number of threads, and discrete elements for
-    the same number. `frame_interval` is the simulated time between two recorded frames [s]; None takes the default of
-    :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or a callback.
+    one thread for each core. The results of flows on a grid are bitwise equal for any number of threads, those of
+    discrete elements only if this number is equal. `frame_interval` is the simulated time between two recorded frames
+    [s]; None takes the default of :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or
+    a callback.
 
     `out` is the path of a new run folder, which then holds everything that `warpcrete run` writes, and which an
     interrupted run continues; a :class:`warpcrete.RunFolder` also selects recordings and colours. The checkpoint is in
@@ -203,13 +204,13 @@ class Simulation(SimulationBase):
     def note_failure(self, error: BaseException) -> None:
         """Note the `error` that ends the run before its first row, for the result in the run folder.
 
-        An invalid scene, or a folder that cannot be used, is not the end of a run.
+        Do not note an invalid scene or a folder that cannot be used, because no run has begun then.
         """
         if not isinstance(error, SceneError | RunFolderError):
             self.ending = failure(error, 0.0)
 
     def claim(self) -> None:
-        """Let recorders take exclusive resources, such as the run folder."""
+        """Let the recorders, which write the run's output, take exclusive resources, such as the run folder."""
         for recorder in self.recorders:
             recorder.claim(self)
 
@@ -241,7 +242,7 @@ class Simulation(SimulationBase):
             if not self.prepared:
                 self.begin()
             run: Run = run_coroutine(self.running(), self.stepper.advance)
-        if run.interrupted and not self.stop_requested:  # The caller that requests a stop tells the user by itself.
+        if run.interrupted and not self.stop_requested:  # If a caller requested the stop, it tells the user itself.
             self._tell_interruption(run)
         if run.folder is None and self.rows:
             self._keep_final_state(run)
@@ -278,7 +279,7 @@ class Simulation(SimulationBase):
         """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
         self._has_run = True
         if self._ended_run is None:
-            self.ending = None  # The interruption of an earlier call of `begin` is over.
+            self.ending = None  # Forget that an earlier call of `begin` may have been interrupted.
         self._recording = Recording(self, self.recorders)
         self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:
@@ -312,7 +313,7 @@ class Simulation(SimulationBase):
             self.wall_times.phases["running"] = self.wall_times.running
             self.finishing = True
             run = self._end(finished, error)
-            error = None  # The traceback of the error refers to this frame, and the cycle would keep memory allocated.
+            error = None  # Break the reference cycle of this stack frame and the traceback, which would hold memory.
         if full := [*full, *filter(is_full, failures)]:
             raise disk_full_error(full, self._checkpoint_time) from full[0]
         if failures:
@@ -413,7 +414,7 @@ class Simulation(SimulationBase):
             if number < samples:
                 self._checkpoint_if_due()
             figures = {name: row[name] for name in ("pressure",) if name in row}
-            if self.wall_times.has_pace:  # Before the second new row, the rate would include compilation.
+            if self.wall_times.has_pace:  # Before the second new row, the rate would include the time to compile.
                 figures["steps_per_s"] = self.pace
             if self.may_end_early:
                 figures["at_most"] = 1.0
@@ -451,5 +452,5 @@ class Simulation(SimulationBase):
         return self.wall_times.pace(self.stepper.steps)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:
-        """Pass the current phase, its completed fraction and current figures to the callback `progress`."""
+        """Pass the phase (such as "running"), its completed fraction and current figures to the callback `progress`."""
         self._progress(phase, fraction, figures)

@@ -20,10 +20,10 @@ S = TypeVar("S", bound="SimulationBase")
 
 
 class SimulationBase:
-    """Members of a simulation that depend on its method; the type of the scene selects the method.
+    """Members of a simulation that depend on the simulation method, which the type of the scene selects.
 
-    The class `Simulation` of the module `run_loop` runs them. The subclass of a method must define the abstract members
-    and the class attribute `scene_type`. The other members have defaults.
+    The class `Simulation` of the module `run_loop` uses them. The subclass for a simulation method must define the
+    abstract members and the class attribute `scene_type`. The other members have defaults.
     """
 
     scene_type: ClassVar[type]
@@ -40,7 +40,7 @@ class SimulationBase:
     stepper: Stepped
     """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
     frames: Frames
-    """Schedule that decides at which simulated times recorders record a frame."""
+    """Schedule of the simulated times at which pictures of the state (frames) are recorded."""
     shares_cores = False
     """True if other runs use the CPU cores on which this run has no thread."""
     stop_requested = False
@@ -148,7 +148,7 @@ class SimulationBase:
     def frame_step(self) -> float:
         """Size of the time steps [s], if it does not depend on where the run stops; otherwise infinity.
 
-        With constant steps, the run can stop for a frame between two rows of the time series.
+        With constant steps, the run can stop between two rows of the time series to record a picture of the state.
         """
         return np.inf
 

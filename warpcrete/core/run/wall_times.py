@@ -1,4 +1,4 @@
-"""Wall times of a run: those of its phases, the time since its last checkpoint, and its time steps per second."""
+"""Wall times of a run and of its phases, such as packing; time since the last checkpoint; time steps per second."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class WallTimes:
         self._rows: tuple[tuple[int, float], tuple[int, float]] | None = None
 
     def restore(self, phases: Mapping[str, float]) -> None:
-        """Take over the wall times of the `phases` [s] from a checkpoint, which counts as the last checkpoint."""
+        """Restore the wall time of each of the `phases` [s] of a run, such as packing, from a checkpoint."""
         self.phases = dict(phases)
         self._before_resume = phases["running"]
         self.note_checkpoint()
@@ -58,7 +58,7 @@ class WallTimes:
         """Return the mean number of time steps per second of wall time, in this process.
 
         The mean leaves out the time up to the first new row of the time series, which contains preparation and
-        compilation. If this process has added only one row, the mean is that of all `steps`.
+        compilation. If this process has added fewer than two rows, return the mean over all `steps` of the run.
         """
         if self._rows is not None and self.has_pace:
             (first, begun), (last, ended) = self._rows

@@ -151,7 +151,7 @@ class Batch(JointArrays):
         )
 
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches, because arrays or the bodies of each CPU thread have changed."""
+        """Discard recorded launches after arrays were replaced or bodies were divided anew among the CPU threads."""
         self._launcher.invalidate_graphs()
         self.planner.reset_step_count()
         self.version += 1
@@ -171,7 +171,7 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """True if the kernel launches of a step are set, and still match the arrays and each CPU thread's bodies."""
+        """True if recorded launches of a time step exist and fit the present arrays and each CPU thread's bodies."""
 
         return self._step is not None
 
@@ -206,7 +206,7 @@ class Batch(JointArrays):
     def host_flags(self) -> np.ndarray:
         """Return the control flags of all scenes, such as halted or failed, shape (scenes, FLAGS).
 
-        The next launch sends changes to this array to the device.
+        The caller may change the array. The next launch copies the changed flags to the device.
         """
         if self._flags is None:
             self._read_flags()
@@ -265,13 +265,13 @@ class Batch(JointArrays):
         return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
-        """Return the rows for the walls of scene `s` from `values`, which has one row for each wall of the batch."""
+        """Return the rows of `values` for the walls of scene `s`; `values` has one row for each wall of the batch."""
         first = int(self.rows["walls"][s])
         return values[first : first + int(self.rows["wall_count"][s])]
 
     @contextmanager
     def changing(self) -> Generator[None]:
-        """Open a context in which code may change control flags, times or walls on the device, by any means.
+        """Open a context in which code may change control flags, times or walls on the device.
 
         The host's pending changes are sent to the device first. At the end of the context, also after an exception, the
         host's copies of the device arrays are discarded, because they may be out of date.
@@ -354,7 +354,8 @@ class Batch(JointArrays):
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:
-        """Wait until the device has completed all launched steps; return a copy of the control flags of all scenes."""
+        """Wait until the device has completed all launched time steps; return a copy of the control flags of all
+        scenes."""
         if self.parallel:
             self._flags, self._clock = self.exchange.finish_read()
         return self.host_flags().copy()

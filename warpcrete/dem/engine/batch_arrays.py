@@ -25,9 +25,9 @@ from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Wal
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
-"""Fraction of its arrays that a scene must use for them to be enlarged when another scene's arrays are too small.
+"""Lists that fill more than this fraction of their memory are enlarged when the list of another scene is too long.
 
-Growing any array discards all recorded launches of the batch, so arrays of several scenes should grow together.
+Enlarging a list replaces arrays of the batch and discards all recorded launches, so it should happen rarely.
 """
 
 
@@ -69,10 +69,11 @@ class JointArrays:
     face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: DeviceArray
-    """Parameters of the contact laws between bodies for all pairs of materials, as in :class:`Model`, of all scenes end
-    to end."""
+    """Parameters of the contact laws between bodies, for all pairs of materials; the tables of all scenes are joined
+    end to end."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws between bodies and walls for all pairs of materials, of all scenes end to end."""
+    """Parameters of the contact laws between bodies and walls, for all pairs of materials; the tables of all scenes are
+    joined end to end."""
     bond_parameters: DeviceArray
     """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end."""
     segments: DeviceArray
@@ -115,10 +116,10 @@ class JointArrays:
         """Number of mesh candidates (pairs of a sphere and a triangle near it) for which each scene has memory, shape
         (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Number of bonds of each scene for which there is memory for force and moment, in rows, shape (scenes,).
+        """For each scene, the number of bonds whose force and moment fit into its memory, shape (scenes,).
 
-        If contacts can form bonds during the run, each entry of the neighbour list has a row, and this number is
-        unused.
+        The number is not used if contacts can form bonds during the run: each entry of the neighbour list then has
+        memory for the force and moment of a bond.
         """
         self._join_states()
         self._join_models()
@@ -316,9 +317,9 @@ class JointArrays:
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
-        # A link represents one listed pair, and the array `result` contains the contact forces of all links. This array
-        # is the largest one, so free it before new arrays are allocated. Its values are not needed, because every step
-        # computes the forces again.
+        # The array `result` contains the contact forces of all pairs in the neighbour lists. It is the largest array,
+        # so free it before new arrays are allocated. Its values are not needed, because every step computes the forces
+        # again.
         before.result = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)

@@ -38,13 +38,14 @@ class BatchArrays(Protocol):
     rows: np.ndarray
     """Copy on the host of the parameters of all scenes, as a structured array of shape (scenes,)."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws between bodies and walls for all pairs of materials, of all scenes end to end."""
+    """Parameters of the contact laws between bodies and walls, for all pairs of materials; the tables of all scenes are
+    joined end to end."""
     pairs: Pairs
     """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 
 
 class SceneBatch(BatchArrays, Protocol):
-    """Protocol of a batch, for modules that need its scenes and arrays and also record launches of kernels on them."""
+    """Protocol of a batch, for modules that need its scenes and arrays and also record launches of kernels."""
 
     def stage(
         self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,

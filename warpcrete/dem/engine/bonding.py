@@ -104,11 +104,11 @@ def _number(state: State, before: np.ndarray) -> None:
 
 
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
-    """Store in `bond` which row of `pairs.load` belongs to the second list entry of each bond between two CPU threads.
+    """Assign a second row of `pairs.load` to each bond between spheres of two CPU threads, and store the row in `bond`.
 
-    A pair of spheres from two CPU threads has two entries in the neighbour list, one for each thread. The second entry
-    gets the row after that of the first entry. `low` and `high` are the sphere indices of all bonds, and `place` is the
-    first list entry of each bond.
+    The array `pairs.load` contains the forces and moments of bonds. A pair of spheres from two CPU threads has two
+    entries in the neighbour list, one for each thread. The second entry gets the row after that of the first entry.
+    `low` and `high` are the sphere indices of all bonds, and `place` is the first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
     # `place` contains the first list entry of each bonded pair, so all other bonded entries are second entries.

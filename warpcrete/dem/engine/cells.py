@@ -77,7 +77,8 @@ class Cells:
         return float(np.max((2 * self._mean_radius * scale + b.rows["skin"])[self._full]))
 
     def fit(self, width: float, due: np.ndarray) -> None:
-        """Fit each scene's block of cells of a `width` [m] to its present spheres, for the scenes marked in `due`."""
+        """Fit the block of grid cells of each scene marked in `due` to the scene's spheres; `width` is the cell width
+        [m]."""
         due = (due | ~self._fitted) & self._full
         if not due.any():
             return
@@ -85,11 +86,11 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        # The cell indices from `low` to `high` are `high - low + 1` cells. One more, empty cell separates the blocks of
-        # two scenes.
+        # Along each axis, a block contains the cells from index `low` to index `high`. One more, empty cell separates
+        # the blocks of two scenes.
         sizes = high - low + 2
-        # Find the axis along which the longest block of cells is shorter than along the other axes. Place the blocks of
-        # all scenes side by side along this axis.
+        # Place the blocks of all scenes side by side along one axis. Choose the axis along which the longest block has
+        # the fewest cells.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()

@@ -150,8 +150,8 @@ class LaunchPlanner:
         The arguments are arrays with one row for each scene: `flags` contains the control flags, `clock` the times, and
         `rows` the parameters.
         """
-        # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
-        # the GPU idles meanwhile.
+        # Convert to plain Python numbers. For one scene, arithmetic on them is ten times as fast as with NumPy, and the
+        # GPU idles while the host computes.
         untils, intervals, slots = rows["until"].tolist(), rows["interval"].tolist(), flags.tolist()
         clocks = clock.tolist()
         running = [s for s in range(self.scenes) if slots[s][int(HALTED)] == 0]

@@ -21,8 +21,8 @@ from .stepper_protocol import SceneStepper
 
 BONDS_PER_SPHERE = 4  # Assumed number of bonded pairs per sphere in a dense packing, with a reserve.
 PAIRS_PER_SPHERE = (
-    # Assumed number of list entries per sphere in a half list (CPU) of a dense packing, with a reserve; a full list
-    # (GPU) has twice as many.
+    # Assumed number of neighbour list entries per sphere in a dense packing on a CPU, whose list contains each pair
+    # once, with a reserve. The list of a GPU contains each pair twice.
     8
 )
 
@@ -48,8 +48,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     # and the previous neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search.
     # The terms for bonds follow below.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    # Add memory for the forces and moments of bonds, which half lists may store twice per bond. If bonds may heal, the
-    # memory of a listed pair already includes a force and a moment.
+    # Add memory for the forces and moments of bonds. On a CPU, a bond may have two copies of them, one for each of two
+    # threads. If contacts can form bonds during the run (healing), the memory of a listed pair already includes a force
+    # and a moment.
     if model.features.bonds and not model.features.healing:
         listing += (2 if model.features.half_list else 1) * BONDS_PER_SPHERE * 8 * scalar
     estimate = 4 * 6 * scalar

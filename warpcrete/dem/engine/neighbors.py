@@ -79,8 +79,8 @@ class NeighborLists:
         slots = n + scenes if f.meshes else 0
         self._face_count, self.face_scanned = new(slots), new(slots)
         # Each CPU thread has a section of the array `_found`, where it stores the neighbours of its spheres. `_place`
-        # contains, for each sphere, the position in this section at which the sphere's neighbours begin. Both arrays
-        # are used only for half lists.
+        # contains, for each sphere, the position in this section at which the sphere's neighbours begin. A GPU does not
+        # use these arrays.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = new(int(self._room.sum()) if f.half_list else 0)
         self._place = new(n if f.half_list else 0)
@@ -144,7 +144,8 @@ class NeighborLists:
         if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
-        # For half lists, `_search` has already launched the phases `cells` and `search`, so continue after them.
+        # On a CPU, `_search` has already launched the phases `cells` and `search` of the rebuild, so continue after
+        # them.
         rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
@@ -165,9 +166,10 @@ class NeighborLists:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Launch the first phases, `cells` and `search`, of a rebuild of half lists; return all phases of this rebuild.
+        """Launch the phases `cells` and `search` of a rebuild on a CPU; return all phases of this rebuild.
 
-        If the search buffers are too small, they are enlarged and the search is repeated.
+        A phase is a group of kernel launches. If the search buffers are too small, they are enlarged and the search is
+        repeated.
         """
         b = self.batch
         rebuild = self._rebuild(sort)
@@ -194,10 +196,10 @@ class NeighborLists:
             self._recorded.clear()
 
     def device_rebuild(self) -> Rebuild:
-        """Return the phases of a list rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
+        """Return the launches of a list rebuild for :class:`DeviceRebuild`, which repeats them inside a CUDA graph.
 
-        The device launches all phases. The host, in contrast, copies the old lists itself and launches the phases from
-        `cells` on.
+        The device repeats all launches. The host, in contrast, copies the old lists itself and begins with the phase
+        `cells`, which sorts spheres into the cells of the search grid.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
@@ -210,10 +212,10 @@ class NeighborLists:
         self._cells.use_width(width)
 
     def link(self, s: int) -> None:
-        """Build the links of scene `s`, one for each pair of neighbour lists that a checkpoint contained.
+        """Build the links of scene `s` after its neighbour lists were restored from a checkpoint.
 
-        A GPU computes the contact force of a pair once, for its link. A CPU has half lists and no links, so the method
-        then does nothing.
+        A link stands for one listed pair, whose contact force a GPU computes only once. A CPU uses no links, so the
+        method then does nothing.
         """
         if self.batch.features.half_list:
             return
@@ -280,7 +282,7 @@ class NeighborLists:
         return self._recorded[key]
 
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
-        """Return the phases of a rebuild of the neighbour lists, in the only order in which they may run.
+        """Return the phases (groups of kernel launches) of a rebuild of the neighbour lists, in their fixed order.
 
         A device that rebuilds its lists without the host may find after the phase `count` that its arrays are too
         small. It can then stop, because the current lists are unchanged until the phase `starts`. The host repeats the
@@ -321,7 +323,8 @@ class NeighborLists:
             Phase("links", self._link_stages(scan)),
             # List the triangles of meshes within reach of each sphere as its mesh candidates.
             Phase("candidates", fill_faces),
-            # Find the new list entries of the sub-cycled pairs, and the array indices of the sub-cycled bodies.
+            # Find the new list entries of pairs with sub-cycled (stiff) bonds, and the array indices of the bodies of
+            # these pairs.
             Phase("subcycles", b.subcycles.locating()),
             # Compute the mean velocity of each scene's spheres, because the skin limits only their motion relative to
             # this mean.

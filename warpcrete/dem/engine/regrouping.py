@@ -60,7 +60,7 @@ class Regrouping:
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move the scenes of the given steppers, all of one batch, to a new batch; their results stay equal to the bit."""
+    """Move the scenes of the given steppers, all of one batch, to a new batch; their results stay bitwise identical."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

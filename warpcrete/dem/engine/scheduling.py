@@ -223,9 +223,9 @@ def drive_batches(
     """Run the coroutines of several batches at the same time, each batch on its own GPU stream, as :func:`drive` does.
 
     `groups` contains for each batch its scenes, as in :func:`drive`, and its stream (None: the default stream). While
-    some batches step, the host serves other batches. This requires that the host reads arrays only through an
-    `Exchange`, because ``numpy()`` waits for all streams. With `regroups`, a batch is made smaller once most of its
-    scenes have ended.
+    some batches step, the host serves other batches. The host must therefore read arrays through an `Exchange`, which
+    copies asynchronously, because ``numpy()`` waits for all streams. With `regroups`, a batch is made smaller once most
+    of its scenes have ended.
     """
     drives = [_Drive(*group, regroups=regroups) for group in groups]
     stop: KeyboardInterrupt | None = None

@@ -87,7 +87,7 @@ class StableStep:
         return GraphLaunch([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
-        """Return all kernel launches of an estimate, so that their kernels can be compiled before the run."""
+        """Return all launches that estimate the stable step, so that their kernels can be compiled before the run."""
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:

@@ -178,7 +178,7 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, on_side_stream: b
 
 
 def _motion(batch: Batch, first: int, last: int) -> Stage:
-    """Return the launch that moves a chunk of bodies after all forces have been computed."""
+    """Return the launch that moves the bodies from `first` to `last` - 1 after all forces have been computed."""
     b, f = batch, batch.features
     named: Arguments = {"first": first, "last": last}
     rows = 0 if f.half_list else rows_of(f)

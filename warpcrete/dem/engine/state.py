@@ -39,7 +39,7 @@ The batch calculates these arrays from its models, or needs their values only wi
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
-"""Names of the attributes of a state that a checkpoint stores in addition to the arrays."""
+"""Names of the attributes of a state, besides its arrays, that a checkpoint stores."""
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
@@ -81,7 +81,7 @@ class HoldingBatch(Protocol):
         ...
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
-        """Return the rows for the walls of scene `s` from `values`, which has one row for each wall of the batch."""
+        """Return the rows of `values` for the walls of scene `s`; `values` has one row for each wall of the batch."""
         ...
 
     def host_flags(self) -> np.ndarray:
@@ -370,8 +370,11 @@ class State:
 
 
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
-"""Names of the arrays of the struct `pairs` that have one entry for each listed pair; a batch has only the arrays that
-its scenes need. The array `load` is an exception: unless contacts heal, it has one entry for each bond instead."""
+"""Names of the arrays of the struct `pairs` that have one entry for each listed pair.
+
+A batch has only those that its scenes need. The array `load` (force and moment of bonds) has one entry for each listed
+pair only if contacts can form bonds during the run. Otherwise it has one entry for each bond.
+"""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
@@ -381,8 +384,8 @@ def pair_bytes(model: Model) -> dict[str, int]:
     """
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    # The array `load` (force and moment of bonds) has an entry for every listed pair only if bonds heal. Otherwise it
-    # has an entry for every bond.
+    # The array `load` (force and moment of bonds) has an entry for every listed pair only if contacts can form bonds
+    # during the run (healing). Otherwise it has an entry for every bond.
     used |= {"bond": f.bonds, "load": f.healing}
     variables = struct_of(array_structs(model.scalar), "pairs").vars
     return {name: bytes_of(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}

@@ -1,4 +1,4 @@
-"""Conversion of a state to and from checkpoint data, and the hash of a state."""
+"""Conversion of a state (all data of a scene that change during a run) to and from checkpoints, and its hash."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from .pairs import listed_pairs
 from .state import NUMBERS, State, pair_bytes
 
 EMPTY = {("spheres", "force"), ("spheres", "moment")}
-"""Arrays, as pairs of struct and name, that contain only zeros between two steps, so checkpoints do not store them."""
+"""Arrays of a state that contain only zeros between two steps, as pairs of struct name and array name.
+
+Checkpoints need not store these arrays.
+"""
 
 
 def state_dict(state: State) -> dict[str, Any]:
@@ -58,7 +61,7 @@ def state_hash(state: State) -> str:
     """Return the SHA-256 hash of bodies, contacts, bonds, walls and times, in the order of permanent numbers.
 
     Two states with the same hash will move identically, bit for bit. The hash does not depend on the order of bodies in
-    memory, on listed pairs that do not touch, or on bonds that are permanently broken.
+    memory, on listed pairs that do not touch, or on broken bonds that cannot form again.
     """
     digest = hashlib.sha256()
     features = state.model.features
@@ -71,8 +74,9 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # If bonds do not heal, a pair with a broken bond behaves like a pair without a bond. Whether the broken bond is
-    # still stored depends on when the neighbour lists were rebuilt, so the hash must treat both pairs alike.
+    # If contacts cannot form bonds during a run, a pair with a broken bond behaves like a pair without a bond. It
+    # depends on the time of the last rebuild of the neighbour lists whether the broken bond is still stored, so the
+    # hash must treat both pairs alike.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0

@@ -30,13 +30,15 @@ from .state import State
 from .stepper_protocol import StepperRecord, Steps
 from .subcycling import MARGIN, rounds_for
 
-# Skin of the neighbour lists divided by the mean sphere radius. On a CPU, a step of a pumping scene takes equally long
-# for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin, because the lists are rebuilt less
-# often: for 28,000 spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres
-# on, a skin of 1.0 is 2 to 3 % slower than 0.7.
+# Skin of the neighbour lists (largest gap of a listed pair) divided by the mean sphere radius. On a CPU, a step of a
+# pumping scene takes equally long for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin,
+# because the lists are rebuilt less often: for 28,000 spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0,
+# 1.4 and 2.0. From 100,000 spheres on, a skin of 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
-MESH_SKIN = 4  # Skin of the mesh candidates (triangles near a sphere), as a multiple of the neighbour lists' skin.
+# Largest gap between a sphere and a triangle that is listed as near the sphere, divided by the largest gap of a listed
+# pair of spheres.
+MESH_SKIN = 4
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
 """Number of steps after which the host re-sorts the bodies in memory. The keys are kinds of devices.
 
@@ -68,9 +70,9 @@ class Stepper:
         """Create a stepper for one scene of an existing batch, or of a new batch if `among` is None.
 
         `among` is a tuple of the neighbour lists of the existing batch, its :class:`StableStep`, and the index of the
-        scene in the batch. With `resumed`, the `state_dict` of another stepper, the new stepper continues like that
-        stepper. Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two
-        re-sortings.
+        scene in the batch. `resumed` is the `state_dict` of an earlier stepper, whose work the new stepper continues,
+        or None. `skin` is the largest gap of a listed pair [m] and `sort_every` the number of steps between two
+        re-sortings of the bodies in memory; only tests set these two.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
@@ -181,7 +183,8 @@ class Stepper:
         return made
 
     def hydrate(self, fraction: float, seed: int) -> int:
-        """Turn a random `fraction` of the bonds of the first kind into hydrated bonds; return how many there are."""
+        """Turn a random `fraction` of the bonds of the first kind into hydrated bonds; return the number of hydrated
+        bonds."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, 1, HYDRATED, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -220,7 +223,8 @@ class Stepper:
         """Choose the number of sub-cycling rounds per time step; a round is a shorter step for the hydrated bonds."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        # An estimate ignores the hydrated bonds while the number of sub-cycling rounds is 0, as it still is here.
+        # An estimate of the stable step ignores the hydrated bonds while the number of sub-cycling rounds is 0. The
+        # number is still 0 here, so the result is the stable step of all other contacts and bonds.
         unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))

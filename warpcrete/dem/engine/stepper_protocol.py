@@ -28,11 +28,11 @@ class StepperRecord(TypedDict):
     """Data in a checkpoint that a stepper needs, in addition to the state, to continue with identical results."""
 
     skin: float
-    """Skin of the neighbour lists [m]."""
+    """Skin of the neighbour lists, which is the largest gap of a listed pair of spheres [m]."""
     since_estimate: float
     """Number of steps since the last estimate of the stable step; infinite if a new estimate is required."""
     subcycles: Mapping[str, HostArray | int]
-    """Sub-cycled pairs and bodies of the scene and the number of rounds, from :meth:`.Subcycles.state_dict`."""
+    """Data of the sub-cycled (stiff) bonds, from :meth:`.Subcycles.state_dict`; empty if no bond is sub-cycled."""
 
 
 class SceneStepper(Protocol):

@@ -126,11 +126,13 @@ class Subcycles:
         self.batch.invalidate_graphs()
 
     def stable_step(self, s: int) -> float:
-        """Return the latest estimate of the stable step of the sub-cycled pairs alone, without safety factor [s]."""
+        """Return the latest estimate of the stable step of the sub-cycled (stiff) bonds alone, without safety factor
+        [s]."""
         return float(self.arrays.stable.numpy()[s])
 
     def state_dict(self, s: int) -> dict[str, HostArray | int]:
-        """Return the sub-cycling data of scene `s` for a checkpoint; empty if the scene has no sub-cycled pairs."""
+        """Return the data of the sub-cycled (stiff) bonds of scene `s` for a checkpoint; empty if it has no such
+        bonds."""
         stored = self._values(s)
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
@@ -141,7 +143,11 @@ class Subcycles:
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Return the checkpoint data of scene `s`: sub-cycled pairs, and the arrays named in OF_BODIES and OF_ENDS."""
+        """Return the checkpoint data of the sub-cycled (stiff) bonds of scene `s`, by array name.
+
+        They are the permanent numbers of both spheres of each bonded pair, and the arrays named in OF_BODIES and
+        OF_ENDS.
+        """
         if not self._by_scene[s]:
             return {}
         pairs = self._by_scene[s]
@@ -163,7 +169,8 @@ class Subcycles:
         self.batch.invalidate_graphs()
 
     def _join(self) -> None:
-        """Create the device arrays in which the sub-cycled pairs and bodies of all scenes are joined."""
+        """Create joint device arrays of all scenes for the sub-cycled pairs, which have stiff bonds, and for their
+        bodies."""
         b = self.batch
         self._pairs = [len(each.get("lower", ())) for each in self._by_scene]
         rows = [self._rows(s) for s in range(b.count)]
@@ -230,7 +237,8 @@ class Subcycles:
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Copy positions and orientations of new sub-cycled bodies from the state, and set their forces to zero."""
+        """Copy positions and orientations of bodies with newly sub-cycled (stiff) bonds from the state; set their
+        forces to 0."""
         bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
@@ -239,14 +247,15 @@ class Subcycles:
             stored.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
     def locate(self) -> None:
-        """Find the list entries of the sub-cycled pairs in rebuilt lists, and the array indices of their bodies."""
+        """Find the entries of pairs with sub-cycled (stiff) bonds in rebuilt neighbour lists, and the indices of their
+        bodies."""
         for stage in self.locating():
             stage()
 
     def locating(self) -> list[Stage]:
-        """Return the launches that find the sub-cycled pairs in rebuilt lists, and the array indices of their bodies.
+        """Return launches that find the sub-cycled pairs in rebuilt neighbour lists, and the indices of their bodies.
 
-        The result is empty if no pair is sub-cycled.
+        Sub-cycled pairs are pairs with stiff bonds. The result is empty if there are none.
         """
         return self._locating() if self.pair_count else []
 
@@ -266,14 +275,18 @@ class Subcycles:
         ]
 
     def kernels(self) -> list[Stage]:
-        """Return launches of all kernels for sub-cycling, so that the kernels can be compiled before the run."""
+        """Return launches of all kernels that sub-cycle stiff bonds, so that the kernels can be compiled before the
+        run."""
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
         return [*self._locating(), *rounds, self._prediction_stage(0)]
 
     def stages(self, part: int) -> list[Stage]:
-        """Return the launches that compute all sub-cycling rounds of a step, on CPU thread `part` or on a GPU."""
+        """Return the launches that compute all sub-cycling rounds of a step, on CPU thread `part` or on a GPU.
+
+        A round is one of several shorter steps with which stiff bonds are integrated within a time step.
+        """
         if not self.batch.features.half_list:
             return [self._all_rounds(), self._prediction_stage(part)]
         meet = self.batch.barrier()
@@ -281,7 +294,7 @@ class Subcycles:
         return [each for stage in (*rounds, self._prediction_stage(part)) for each in (stage, *meet)]
 
     def _all_rounds(self) -> Stage:
-        """Return the single GPU launch that computes all sub-cycling rounds of a step.
+        """Return the single GPU launch that computes all sub-cycling rounds (shorter steps of stiff bonds) of a step.
 
         All blocks of the launch must be resident at once, because they wait for each other after every round.
         """

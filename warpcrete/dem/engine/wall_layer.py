@@ -21,15 +21,15 @@ def _rest_of(scene: Scene) -> Rest:
 class Structure:
     """Yield stress that the lubrication layers on walls have gained at rest and lose again by slip.
 
-    Each scene of a batch has its own value. After the slip s, the fraction exp(-s / breakdown) of the gain is left. The
-    slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
+    Each scene of a batch has its own value. After the slip s [m], the fraction exp(-s / `Rest.breakdown`) of the gain
+    is left. The slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
     """
 
     def __init__(self, batch: SceneBatch) -> None:
         """Prepare the layers of a batch in which every scene has a lubrication layer that gains strength at rest."""
         self.batch = batch
-        # The contact parameters in the model are constant. The yield stress changes, so the batch stores it in a copy
-        # of them.
+        # The contact parameters in the model must not change. The yield stress of the layer changes during the run, so
+        # the batch uses a copy of the parameters of walls, in which it is updated.
         batch.wall_parameters = clone(batch.wall_parameters)
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = DeviceArray(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)

@@ -98,7 +98,7 @@ class ContactLaw(Declared, ABC):
         """Return a copy of the law for packing aggregates, without friction and with enough damping to come to rest."""
 
     def gripped(self, grip: float) -> "ContactLaw":
-        """Return a copy of the law for a rough wall, which resists sliding and rolling `grip` times as much as a body.
+        """Return a copy of the law for a rough wall, with `grip` times the resistance of a body to sliding and rolling.
 
         The fields named in RESISTANCES are multiplied by `grip`, also in fields that are themselves contact laws.
         """

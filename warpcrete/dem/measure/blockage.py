@@ -24,7 +24,7 @@ PARTS = 20
 """Number of parts of equal volume into which the concrete is divided along the pipe, to find out whether one of them
 stands still. There are fewer parts if there are few aggregates."""
 STONES = 5
-"""Minimum number of aggregates in each of the parts of the concrete that are checked for standing still."""
+"""Minimum number of aggregates in each part into which the concrete is divided to detect a part that stands still."""
 CHECKS_PER_WINDOW = 8
 """Number of checks for blockage while the piston moves by `BlockageWatch.window`.
 
@@ -119,7 +119,7 @@ class BlockageWatch:
     def _widening(self, s: np.ndarray) -> np.ndarray | float:
         """Return the area of the bore at the arc lengths `s` [m], divided by its area at the piston.
 
-        To measure the advance of an aggregate by volume, multiply the advance by this ratio.
+        The advance of an aggregate times this ratio is its advance measured by volume.
         """
         return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 
@@ -188,7 +188,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part except the first part
+    edges = np.flatnonzero(np.diff(part)) + 1  # Index of the first aggregate of each part except the first part.
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 

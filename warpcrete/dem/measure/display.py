@@ -142,7 +142,8 @@ class ElementDisplay(Display):
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return, for every sphere, permanent number, velocity [m/s] and largest contact force [N] of its body."""
+        """Return the permanent number, the velocity [m/s] and the largest contact force [N] of the body of each
+        sphere."""
         place = self.read("spheres.body")[self._sphere_order()]
         velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}

@@ -43,7 +43,7 @@ MEDIAN = 1.4826
 
 @dataclass(frozen=True)
 class Known:
-    """Data of a run from which the results (named numbers) are computed."""
+    """Data of a run from which its results, which are named numbers with units, are computed."""
 
     scene: Scene
     walls: Sequence[Wall]
@@ -246,7 +246,8 @@ def _gradient_words(name: str):
 
 def _middle_words(run: Run) -> str:
     loss = f"{number(run.result['middle_loss']) / 1e3:.3g} kPa"
-    if "middle_ratio" not in run.result:  # The wall stress in a straight pipe is not positive.
+    # The ratio is missing if the wall stress at an end of the middle is not positive.
+    if "middle_ratio" not in run.result:
         return loss
     return f"{loss}, {run.result['middle_ratio']:.2f} times the loss of an equally long straight pipe next to it"
 
@@ -304,7 +305,7 @@ ON_PLATEAU = (
     "the piston moves at its final speed throughout the last fifth of its travel and the pressure is level there "
     "('end_pressure' is the mean in any case)"
 )
-"""Condition under which a run has a plateau of its pressure."""
+"""Text for users that says when a run has results about the plateau of its pressure."""
 
 QUANTITIES = (
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",

@@ -153,7 +153,7 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     """
     p = float(large.mean())
     if not 0 < p < 1:
-        return 1.0  # stones of equal size cannot segregate
+        return 1.0  # Stones of equal size cannot segregate.
     ring = np.minimum((RINGS * apart**2).astype(int), RINGS - 1)
     rank = np.argsort(np.argsort(s, kind="stable"), kind="stable")
     cell = ring * STATIONS + rank * STATIONS // len(s)

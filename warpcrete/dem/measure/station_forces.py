@@ -57,7 +57,7 @@ def _stress_stage(model: Model, state: State, scale: float, stress: wp.array) ->
 
 @dataclass(frozen=True)
 class StationArrays:
-    """Host copies of the arrays from which the slices are measured.
+    """Host copies of the arrays from which stresses, velocities and other values in slices of a pipe are computed.
 
     On a CPU, they are the run's own arrays and not copies.
     """
@@ -71,7 +71,8 @@ class StationArrays:
 
 
 def read_arrays(model: Model, state: State) -> StationArrays:
-    """Compute the forces of all contacts of a state; return them with the other arrays that slice measurements read."""
+    """Compute the forces of all contacts; return them and the other arrays that measurements in slices of a pipe
+    need."""
     launch_recorded(state, "forces", lambda: _force_stages(model, state))
     arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))

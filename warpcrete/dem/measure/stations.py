@@ -49,7 +49,8 @@ class StationLog:
     """Measurements, one array of shape (slices, COLUMNS) for each sample; NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
-        """Measure all slices now, with the piston at a travel of `travel` [m], and append the sample."""
+        """Measure all slices of the pipe in the present state, and append the sample; `travel` is that of the piston
+        [m]."""
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:

@@ -96,5 +96,8 @@ def _own(test: StandardTest) -> tuple[Quantity, ...]:
 
 
 def quantities() -> list[Quantity]:
-    """Return the results of all standard tests, each followed by its closed forms."""
+    """Return the definitions of all results of standard tests.
+
+    A result that closed-form theories predict is followed by these predictions.
+    """
     return quantities_of_tests(StandardTest.with_forms, outcome) + quantities_of_tests(_own, outcome)

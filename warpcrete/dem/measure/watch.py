@@ -35,7 +35,7 @@ class Watch:
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0  # largest energy (kinetic plus elastic) or work in the rows of the time series so far [J]
+        self.scale = 0.0  # Largest energy (kinetic plus elastic) or work in the rows of the time series so far [J].
 
     def state_dict(self) -> dict[str, float]:
         """Return the energies in earlier rows of the time series; later rows are compared with them."""

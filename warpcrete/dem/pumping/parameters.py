@@ -33,8 +33,8 @@ from .parameter_groups import (
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
 UPRIGHT = 0.4
-"""Thickness of the plug at the front of the concrete, divided by its diameter, from which on the plug does not tip over
-behind a bend. In test runs, plugs with a ratio of 0.13 tipped over."""
+"""Smallest ratio of thickness to diameter at which the plug at the front of the concrete does not tip over behind a
+bend. In test runs, plugs with a ratio of 0.13 tipped over."""
 WIDEST_STONE = 0.4
 """Largest diameter of rounded aggregate that can be pumped, divided by the pipe's diameter (ACI 304.2R); 1/3 for
 crushed aggregate."""
@@ -48,7 +48,8 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return "elements", the section of a concrete's file that sets parameters, and the names allowed in it."""
+        """Return the name of the section of a concrete's file for discrete elements, and the parameters allowed in
+        it."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
@@ -253,9 +254,8 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
         # A shorter pipe saves run time. If the wall stress is uniform along the pipe, the pumping pressure minus the
-        # counterpressure at the front of the concrete is proportional to the length of the pipe. A shorter length
-        # therefore comes with the factor by which this difference must be multiplied to obtain its value in the full
-        # length.
+        # counterpressure at the front of the concrete is proportional to the length of the pipe. A pipe of the fraction
+        # f of the length has the fraction f of this difference, so the factor 1/f converts it to the full length.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",
@@ -267,7 +267,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
 
 
 def coarser(given: AggregateParameters, factor: float) -> Level:
-    """Return the level of coarse-graining with aggregates that are `factor` times as large.
+    """Return the accuracy level of coarse-graining in which aggregates are `factor` times as large.
 
     The cost of the level is its computing time, divided by the computing time without coarse-graining.
     """

@@ -40,7 +40,7 @@ def energy_check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _finer(scene: Scene, error: float) -> str:
-    """Return the setting of the time step that would bring an error that is proportional to the step below the limit.
+    """Return a finer time step setting, with which an error in proportion to the step would be within its limit.
 
     The result aims at four fifths of the limit.
     """
@@ -53,7 +53,8 @@ def _finer(scene: Scene, error: float) -> str:
 
 
 def overlap_words(scene: Scene, overlap: float) -> str:
-    """Return the largest overlap as text, with the share of coats around the aggregates if the law has coats."""
+    """Return the largest overlap as text; for a contact law with soft shells around aggregates, also how thick they
+    are."""
     words, law = f"largest overlap {overlap:.3g} of the smaller radius", scene.contact
     if isinstance(law, BinghamMortar):
         return f"{words}, of which shells of mortar are {2 * law.shell_fraction:.2g} in spheres of equal size"
@@ -65,7 +66,8 @@ def overlap_words(scene: Scene, overlap: float) -> str:
 def check_elements(run: Run) -> dict[str, tuple[bool, str]]:
     """Return the checks of a scene that was built in Python and therefore has no checks of its own.
 
-    The momentum balance is checked only if gravity acts, because all impulses may be as small as rounding without it.
+    The momentum balance is checked only if gravity acts. Without gravity, all impulses may be as small as rounding
+    errors.
     """
     result = run.result
     if "largest_overlap" not in result:

@@ -25,7 +25,7 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
     The points are Roberts' R3 sequence, shifted by a random vector.
     """
-    root = 1.2207440846057596  # real root of x^4 = x + 1, the counterpart of the golden ratio in three dimensions
+    root = 1.2207440846057596  # Real root of x^4 = x + 1, the counterpart of the golden ratio in three dimensions.
     steps = root ** -np.arange(1, 4)
     return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
 

@@ -214,7 +214,7 @@ class Scene(Parametrised):
     bonds: Bonds | None = None
     """Bonds between all bodies that touch at the start; None for no bonds."""
     hydration: Hydration | None = None
-    """Replacement of a fraction of the bonds by stiffer ones; requires `bonds`."""
+    """Hydration, which replaces a fraction of the bonds by stiffer ones; requires `bonds`."""
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
     """Bonds between the bodies of a group, by the name of the group, for example of the balls that close the front of
     the concrete. They are created before the bodies come to rest (settle)."""
@@ -225,7 +225,8 @@ class Scene(Parametrised):
     settle: Settle | None = None
     """Settling before t = 0, in which the walls stand still; None to start at once."""
     rest: Rest | None = None
-    """Rest during the run, in which bonds and lubrication layer gain strength; None for no rest."""
+    """Rest during the run: the concrete stands still, and bonds and lubrication layer gain strength; None for no
+    rest."""
     time_step: TimeStep = field(default_factory=TimeStep)
     """Choice of the time step [s], automatic by default."""
     watch: Watch = field(default_factory=Watch)

@@ -53,8 +53,9 @@ def flow_forecast(
     """Return the forecast of a flow's run time.
 
     `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected duration and mean
-    time step, and `features_of` returns descriptions of the computed features. `probe` measures the wall time for one
-    frame of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
+    time step, and `features_of` returns texts that describe what the flow computes. `probe` measures the wall time for
+    one frame of the recordings. `limits` are the largest time steps that single effects allow [s], and `governing`
+    states why the time step is not longer, both as in :class:`Forecast`.
     """
 
     def begun() -> FlowRun:
@@ -106,13 +107,13 @@ def flow_forecast(
 
 
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
-    """Run a coarser copy of a flow; return its run, its simulated time [s], and a list of remarks.
+    """Run a coarser copy of a flow; return its run, the expected simulated time [s], and a list of remarks.
 
-    The copy's scene equals that of the flow except for the attributes in `changes`. The list of remarks is empty if the
-    copy has become steady. Otherwise it holds one remark, which is the text `unmet` with the simulated time. If the
-    copy needs more wall time than `COPY_TIME`, it stops, and the time is the longest one that the flow may simulate. If
-    the copy stops with an error, the returned run is None, the time is also the longest one, and the remark states the
-    error.
+    The copy's scene equals that of the flow except for the attributes in `changes`. The simulated time is the one after
+    which the copy became steady, and there is no remark then. If the copy does not become steady, a remark says so with
+    the text `unmet`. If the copy needs more wall time than `COPY_TIME` or stops with an error, the simulated time is
+    the longest one that the flow may simulate, and a remark states the reason. After an error, the returned run is
+    None.
     """
     copy: FlowRun | None = None
     begun: list[float] = []

@@ -15,7 +15,7 @@ from ...mix.mix import FACTORS, completed, flow_amounts, mix_named
 from ...theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
 
 BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
-"""Names of the constants that every concrete has."""
+"""Names of the constants, such as density and yield stress, that every concrete has."""
 LAW_DEFAULTS = {
     "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
 }  # fmt: skip

@@ -90,7 +90,7 @@ class FlowRun(Simulation):
                 raise InstabilityError(f"{name} is not a finite number", time=row["time"], cure=self.cure)
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a reason and a sentence."""
+        """Return why a complete run has ended: a short reason such as "steady", and a sentence."""
         if self.steady and self.may_end_early:
             return "steady", f"the flow became steady at t = {self.flow.time:.4g} s"
         return super().why_ended()

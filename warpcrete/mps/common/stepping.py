@@ -37,12 +37,10 @@ VELOCITY_ERROR = 1e-6
 The typical norm is that of the residual if every velocity is wrong by the typical speed of the flow; in a pipe, this
 speed is the mean velocity."""
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
-"""Second tolerance of the pressure solve, divided by the scene's `tolerance`.
-
-The solve stops when its residual is below `tolerance` times the initial residual. It also stops below the second
-tolerance times a fixed residual, namely that of a flow whose divergence is everywhere its typical speed divided by a
-typical length (in a pipe, its radius).
-"""
+"""Ratio of the absolute tolerance of the pressure solve to the relative one, which is the scene's `tolerance`. The
+relative tolerance multiplies the initial residual. The absolute tolerance multiplies the residual of a flow whose
+divergence is everywhere its typical speed divided by a typical length (in a pipe, its radius). The solve stops when its
+residual is below either product."""
 MAX_CONCURRENT_FLOWS = 64
 """Maximum number of independent flows that are simulated on one GPU at the same time."""
 

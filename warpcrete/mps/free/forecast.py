@@ -42,7 +42,8 @@ def forecast(
 ) -> Forecast:  # fmt: skip
     """Return the forecast of a run on a Warp `device`; the function `probe` measures the wall time of one frame.
 
-    `make` is the class whose instance simulates the scene. `features_of` returns more features of such an instance.
+    `make` is the class whose instance simulates the scene. `features_of` takes this instance, and returns further texts
+    that describe what the flow computes.
     """
     step = "step error and a cell's length per step; this is the mean step"
     return flow_forecast(
@@ -75,7 +76,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     if outflow and estimate is None:
         note = "no closed form tells when the vessel is empty; the yield stress may hold the concrete back"
         return Course(scene.duration, scene.time_step, [note])
-    # Bars are thinner than the cells of the coarser copy, which would otherwise be as fine as the scene itself.
+    # The bars of a vessel do not limit the cells of the coarser copy. If they did, these cells would be as small as
+    # those of the scene itself.
     across = *np.ptp(scene.extent, axis=0), *(x for name, x in scene.dimensions.items() if name != "bar_diameter")
     spacing = min(max(scene.spacing, scene.extent[1, 1] / COARSE_CELLS_HIGH), min(across) / CELLS_ACROSS)
     coarse = {"spacing": float(max(spacing, scene.spacing))}
@@ -91,8 +93,9 @@ def course_of(simulation: FreeSimulation) -> Course:
     if run is None:
         return Course(reached, scene.time_step, remarks)
     duration = min(DURATION_FACTOR * estimate, scene.duration) if estimate else reached
-    # The flow of the scene and its coarser copy adapt their steps to the same error. A step may also be no longer than
-    # the fastest concrete takes to cross a cell (Courant number), which is a shorter time in the scene's smaller cells.
+    # The flow of the scene and its coarser copy adapt their steps to the same error. In addition, a step must not be
+    # longer than the time in which the fastest concrete crosses a cell (Courant number). This time is shorter in the
+    # scene's smaller cells.
     steps = np.diff(run.series["steps"])
     if scene.step_error:
         steps = np.maximum(steps, np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing)

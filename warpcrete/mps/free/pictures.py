@@ -19,7 +19,7 @@ def plot_free(run: Run) -> Any:
     from matplotlib.figure import Figure
 
     scene = run.scene
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
     shape, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
     if "surface" in run.result:
         place, base, height = (

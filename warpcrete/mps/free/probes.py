@@ -25,8 +25,8 @@ UNITS = {
     "steps": "1",
     MOST: "m/s",
 }
-"""Units of the columns of the time series. The last column, the speed that most of the concrete does not exceed, exists
-only for tests whose `slow_share` is below 1."""
+"""Units of the columns of the time series. The last column holds the speed that a fraction of the concrete does not
+exceed. It exists only for standard tests in which this fraction, their `slow_share`, is below 1."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -159,8 +159,8 @@ def specimen(flow: GridFlow) -> Specimen:
         # heights.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
         front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,
-        # The outlet lies below the first column of cells. Seen from above, concrete covers the outlet as much as it
-        # fills the fullest cell of this column.
+        # The outlet lies below the first column of cells. The part of the outlet that concrete covers, as seen from
+        # above, is the largest filled fraction of a cell in this column.
         screen=lambda width, breadth: float(fill.reshape(fill.shape[0], -1)[:, 0].max()),
         inside=float(np.sum(mass) / np.sum(layout.mass)),
     )

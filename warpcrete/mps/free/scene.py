@@ -112,7 +112,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def whole_concrete(self) -> Concrete:
-        """Concrete with everything in it, for closed forms; here the simulated fluid itself."""
+        """Concrete with its aggregates, as closed forms need it; in this class, the simulated fluid itself."""
         return self.concrete
 
     @property
@@ -240,7 +240,7 @@ class FreeScene(Parametrised, FreeSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class FreeConcrete(ConcreteParameters, FreeSettings):
-    """Parameters that all tests of fresh concrete share."""
+    """Parameters that the flow simulations of all standard tests of fresh concrete share."""
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""

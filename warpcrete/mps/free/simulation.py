@@ -86,7 +86,7 @@ class FreeSimulation(FlowRun):
         return self.steady
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a reason and a sentence."""
+        """Return why a complete run has ended: a short reason such as "rest", and a sentence."""
         time = self.flow.time
         if self.scene.test and self.scene.test.is_over(self._rows[-1]):
             return "empty", f"the concrete had flowed out at t = {time:.4g} s"

@@ -46,11 +46,12 @@ AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
 
 @dataclass(frozen=True)
 class Geometry:
-    """Open fractions of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
+    """Distances from walls, and open fractions of the cells, faces and edges of a grid.
 
-    All arrays include one layer of cells around the grid. `shape` is the number of cells along each axis, with this
-    layer, last axis first. Arrays of cells have this shape. Arrays of faces have the shape (axes, *shape), and `depth`
-    has the shape (*shape, 2^axes).
+    The struct `Geometry` of the kernels has the same members and describes them. All arrays include one layer of cells
+    around the grid. `shape` is the number of cells along each axis, with this layer, last axis first. Arrays of cells
+    have this shape. Arrays of faces have the shape (axes, *shape). `depth`, the distance from the nearest wall at
+    several points of each cell, has the shape (*shape, 2^axes).
     """
 
     solid: np.ndarray
@@ -173,7 +174,7 @@ def _open_part(corners: np.ndarray, wall: np.ndarray, axis: int) -> np.ndarray:
 def _swept_fractions(
     room: Room, walls: Sequence[tuple[Distance, int]], part: Sequence[np.ndarray], sides: np.ndarray
 ) -> np.ndarray:
-    """Return the fraction of each face that moving walls close and no standing wall, shape (axes, *shape).
+    """Return the part of each face's area that only moving walls close, as a fraction, shape (axes, *shape).
 
     `part` holds the open fractions of faces, one array for each axis, and `sides` is the mask of the cells beyond walls
     and mirrors on sides of the box. The result is empty if no wall moves.
@@ -234,8 +235,8 @@ def nearest_wall(
         found, which = np.full(shape, np.inf), np.full(shape, everything[0][1] if everything else PLATE, np.int32)
         for distance, number in everything:
             here = distances_from(distance, points)
-            # The first of several walls counts if they are equally far, such as an inlet and the pipe around it.
-            # Rounding must not decide, because it differs between processors.
+            # If several walls are equally near, such as an inlet and the pipe around it, take the first one. Rounding
+            # must not decide, because it differs between processors.
             which = np.where(here < found - ROUNDING * min(room.width), number, which).astype(np.int32)
             found = np.minimum(found, here)
         return found, which
@@ -352,7 +353,8 @@ def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 def _open_fraction(corners: np.ndarray, ends: int, least: float = 0.0) -> np.ndarray:
     """Return the fraction of each cell in which a field is positive, as :func:`_positive_fraction` computes it.
 
-    Only cells in which the field changes its sign need this computation; their fraction is at least `least`.
+    The computation is needed only for cells in which the field changes its sign; results below `least` are raised to
+    `least` there. In all other cells the fraction is 0 or 1.
     """
     inner = tuple(range(-ends, 0))
     low = corners.min(inner)

@@ -48,18 +48,20 @@ class GridLayout:
     opened: Geometry | None = None
     """Geometry of the walls after the gate has opened; None without a gate."""
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
+    """Time at which the gate in each cell opens, so that the cell takes its geometry from `opened` [s]; shape as
+    `solid`, empty without a gate."""
     full: bool = False
     """True if concrete fills the grid at all times. If False, concrete may have a free surface, except in a periodic
     flow."""
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
-    """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on ROUGH walls; by default concrete sticks to them."""
+    """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls of the kind ROUGH; by default concrete sticks
+    to them."""
     slips: bool = True
     """True if the slip layer `slip` obeys the slip law of the concrete; False if its stress grows linearly with the
     slip velocity."""
     rough_slips: bool = False
-    """True if the slip layer `rough` on ROUGH walls obeys the slip law of the concrete; False if its stress grows
-    linearly with the slip velocity."""
+    """True if the slip layer `rough` on walls of the kind ROUGH obeys the slip law of the concrete; False if its stress
+    grows linearly with the slip velocity."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()

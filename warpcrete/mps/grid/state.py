@@ -44,7 +44,8 @@ class GridState:
     """
 
     flags: wp.array
-    """Control flags, indexed by the constants in `kernels/common/control.py`, shape (FLAGS,)."""
+    """Control flags, such as the number of completed steps. The constants in `kernels/common/control.py` are the
+    indices of this array, shape (FLAGS,)."""
     particles: Any
     """Position, velocity, velocity gradient, pressure and mass of each particle: arrays in a struct `Particles`."""
     mesh: Any

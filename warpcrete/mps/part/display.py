@@ -65,7 +65,10 @@ class PartDisplay(GridDisplay):
 
     @cached_property
     def _bore(self) -> np.ndarray:
-        """Distance of each cell's centre from the nearer one of wall and inlet, in cell widths, at most +-0.5."""
+        """Distance of each cell's centre from the wall of the bore or the inlet, whichever is nearer, in cell widths.
+
+        The distance is positive in the concrete, and limited to half a cell.
+        """
         layout = self._layout
         middles = layout.room.places([0.5] * layout.axes)
         inner = (slice(1, -1),) * layout.axes

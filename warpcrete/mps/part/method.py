@@ -1,4 +1,4 @@
-"""Record through which the program finds, runs, draws and reports flows through parts of a pump line."""
+"""Interface through which the program finds, runs, draws and reports flows through parts of a pump line."""
 
 from ...core.run.method import Method
 from ..common.stepping import run_abreast

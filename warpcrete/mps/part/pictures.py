@@ -21,7 +21,7 @@ def plot_part(run: Run) -> Any:
     from matplotlib.figure import Figure
 
     scene = run.scene
-    figure = Figure(figsize=(10.5, 3.6), layout="constrained")
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
     along, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
     s, pressure = (np.array(run.result["profile"][name]["value"]) for name in ("place", "friction_ahead"))
     along.plot(s, 1e-3 * pressure, color=rgb(RUN), label=f"this run, after {run.series['time'][-1]:.3g} s")

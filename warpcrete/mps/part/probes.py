@@ -26,7 +26,8 @@ UNITS = {
 """Units of the columns of the time series."""
 
 LEAST_MORTAR = 1e-6
-"""Lower limit of the fraction of mortar in a cell, as a weight in means over a cross-section."""
+"""Minimum value of the fraction of mortar in a cell, when cells are weighted with this fraction in means over a
+cross-section. It keeps the sum of the weights above zero."""
 FULL = 0.3
 """Minimum filled fraction of the bore in a slice one cell thick. In slices with less concrete, no pressure is measured.
 
@@ -85,9 +86,10 @@ def _deviatoric_stress(flow: GridFlow, liquid: np.ndarray, s: np.ndarray) -> np.
 
 
 def _slope(values: np.ndarray, known: np.ndarray, axis: int) -> np.ndarray:
-    """Return the differences of values between neighbouring cells along an array axis, as the mean over both sides.
+    """Return half the change of a value from the lower to the upper neighbour of each cell along an array axis.
 
-    Only differences between two known cells count; without any, the result is 0.
+    Cells whose value is not `known` are left out: if one neighbour is unknown, the result is the difference between the
+    cell and its other neighbour, and if both are unknown, the result is 0.
     """
     total, count = np.zeros_like(values), np.zeros_like(values)
     low, high = (tuple(cut if k == axis else slice(None) for k in range(values.ndim))
@@ -165,8 +167,9 @@ def measured(
 ) -> dict[str, float]:
     """Measure a flow through a part of a pump line and return a row of the time series.
 
-    The entry `pressure` is the pressure at the start of the part that balances friction and weight. `friction` replaces
-    the result of `friction_ahead`, and `velocity` the velocities across faces [m/s], shape (3, *shape).
+    The entry `pressure` is the pressure at the start of the part that balances friction and weight. `friction`, if
+    stated, is used instead of the result of `friction_ahead`. `velocity`, if stated, is used instead of the flow's
+    velocities across cell faces [m/s], shape (3, *shape).
     """
     scene: PartScene = flow.scene
     if not flow.steps:

@@ -22,12 +22,12 @@ class RunData:
     """Time series by column name; each column has two values or more."""
 
     def final(self, name: str) -> float:
-        """Return the value of a column of the time series that is the run's result, which is the last one."""
+        """Return the last value of a column of the time series, which is the result of the run."""
         return float(self.series[name][-1])
 
     @property
     def has_middle(self) -> bool:
-        """True if the part is more than a straight pipe of constant bore."""
+        """True if the simulated part of the pump line has a bend, a taper or another change of the bore."""
         begin, end = self.scene.middle
         return end > begin
 

@@ -36,7 +36,7 @@ AXIS_SAMPLES = 60
 
 @dataclass(frozen=True, kw_only=True)
 class PartSettings(Declared):
-    """Settings of the simulation of a flow through a part."""
+    """Settings of the simulation of a flow through a part of a pump line."""
 
     common: ClassVar[tuple[str, ...]] = ("duration",)
 

@@ -28,7 +28,10 @@ pressure hardly changes over both periods."""
 
 
 class PartSimulation(FlowRun):
-    """Simulation of a flow through a part; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of a flow through a part of a pump line.
+
+    Parameters and errors are those of :class:`warpcrete.Simulation`.
+    """
 
     scene_type = PartScene
     scene: PartScene

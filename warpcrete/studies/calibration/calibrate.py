@@ -86,8 +86,8 @@ def run_calibration(
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    # Leave the file of targets out of the files that must not change before the calibration is resumed, because the
-    # record of the calibration contains the targets themselves.
+    # Let the user change the file of targets before the calibration is resumed, because the record of the calibration
+    # contains the targets themselves. All other files that were read must stay the same.
     files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
@@ -193,7 +193,8 @@ def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping
         each = rounds[place]
         trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"])
                   for k, units in enumerate(each["units"])]  # fmt: skip
-        # The runs that verify the answer are the last part of the work, also if the search needs fewer trials.
+        # Compute the progress of the whole calibration. The total is the number of permitted trials plus that of the
+        # verification runs. If the search needs fewer trials, the last verification runs count as all of the rest.
         whole = most + settings["repeat"]
         begun = len(calibration.searched) / whole
         last = each["proof"] and place == len(rounds) - 1

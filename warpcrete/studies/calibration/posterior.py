@@ -42,8 +42,8 @@ class Emulator:
         """Fit a Gaussian process to `values`, shape (n,), at `points` with coordinates from 0 to 1, shape (n, free).
 
         The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
-        compared with `least` are therefore treated as negligible. `extra` is the standard deviation of the values
-        beyond the scatter between seeds, shape (n,) or a number.
+        compared with `least` are therefore treated as negligible. `extra` is the standard deviation of an error that
+        the values have in addition to the scatter between seeds, shape (n,) or a number.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -82,7 +82,8 @@ class Posterior:
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Emulators by target. Every fitted target has one. A held-out target has one if enough runs yielded its value."""
+    """Gaussian processes that predict the quantities of the targets, by target. Every fitted target has one. A target
+    that is held out from the fit has one if at least three runs yielded its value."""
     samples: np.ndarray
     """Samples of the posterior of the free parameters, each scaled to 0 to 1 over its range, shape (samples, free)."""
     best: np.ndarray
@@ -172,7 +173,8 @@ def posterior(
     begin = np.clip(spread[order[:walkers]] + random.normal(0, 1e-3, (walkers, free)), 1e-6, 1 - 1e-6)
     sampler = emcee.EnsembleSampler(walkers, free, likelihood, vectorize=True)
     state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
-    # If an interruption arrives inside the likelihood, emcee prints a traceback before it passes the exception on.
+    # Delay an interruption until the sampling ends. If it arrived inside the likelihood, emcee would print a traceback
+    # before it passed the exception on.
     with defer_interrupts():
         sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
     samples = np.asarray(sampler.get_chain(discard=DISCARDED_STEPS, flat=True, thin=4))

@@ -22,8 +22,8 @@ MARGIN = 1.25
 """Recommended ratio of the pump's largest pressure to the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
-"""Smallest share in the squared width of the pressure's uncertainty band at which a cause of uncertainty is mentioned.
-The largest cause is always mentioned."""
+"""A cause of uncertainty is mentioned if its share in the squared width of the pressure's uncertainty band is at least
+this number. The largest cause is always mentioned."""
 ADVICE = {
     "bends": "fit their factor to pressures of a trial line with --fit, or state it with 'factor'",
     "reducers": "measure the pressure on both sides of one, and state its 'factor'",
@@ -110,7 +110,8 @@ ON_CONCRETE = (
     "all pressures act on the concrete; the oil pressure on the pump's own gauge is this pressure times the ratio of "
     "the areas of concrete piston and oil piston (data sheet)"
 )
-"""Sentence for lines with a pump, whose own gauge shows another pressure than that of the concrete."""
+"""Sentence that explains why the pump's own gauge, which measures the pressure of oil, shows another pressure than that
+of the concrete. It is printed for lines with a pump."""
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,10 @@ class RestartMargin:
     begins: Band
     """Pressure at which the concrete begins to move [Pa], with its uncertainty band."""
     longest: float | None
-    """Longest stop after which the upper end of the band does not exceed the pump's pressure [s]; None if no stop is
-    short enough, or if the stop in question is."""
+    """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band. The value
+    is None if the pump restarts it in this sense after the present stop, or not even after a short one."""
     customary: bool = False
-    """True if the sentence gives customary US units beside metric units."""
+    """True if the text for the user gives customary US units beside metric units."""
 
     @property
     def verdict(self) -> str:
@@ -161,7 +162,7 @@ class PumpMargin:
     flow: float
     """Flow that the pump must deliver into the line [m3/s]."""
     customary: bool = False
-    """True if the sentence gives customary US units beside metric units."""
+    """True if the text for the user gives customary US units beside metric units."""
 
     @property
     def factor(self) -> float:

@@ -131,8 +131,8 @@ def run_blocking(
     """Simulate the narrowest part of a line with `count` seeds at a `flow` [m3/s], and count the blocked runs.
 
     The runs are stored in the folder `out` of the line, where an interrupted study continues. Stones keep their size
-    unless `elements` states a factor. Raises :class:`SceneError` for settings that cannot be simulated, and
-    `KeyboardInterrupt` if the study was interrupted.
+    unless `elements` states a factor by which they are enlarged. Raises :class:`SceneError` for settings that cannot be
+    simulated, and `KeyboardInterrupt` if the study was interrupted.
     """
     between("blocking", count, 1, MAX_SEEDS)
     elements = elements or Elements()

@@ -56,7 +56,7 @@ class WallLaw:
 
 @dataclass(frozen=True)
 class SeedResult:
-    """Results of all simulated parts for one seed."""
+    """Results of the discrete element simulations of all parts of a line with one random seed."""
 
     laws: Mapping[float, WallLaw]
     """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
@@ -65,7 +65,7 @@ class SeedResult:
     density: float
     """Bulk density of the elements that fill the pipe [kg/m3]."""
     blocked: Mapping[tuple[Any, ...], bool] = field(default_factory=dict)
-    """True for each kind of part whose simulation was blocked."""
+    """Result of the check for blockage, by kind of part: True if the simulation of such a part was blocked."""
 
     def is_blocked(self, part: Part) -> bool:
         """Return whether the simulation of the part was blocked.
@@ -115,7 +115,7 @@ class ElementLine:
     flow: float
     """Flow rate for which the pressure of the line is calculated [m3/s]."""
     packed: list[SeedResult]
-    """Results of the simulated parts, one entry for each seed."""
+    """Results of the simulated parts, one entry for each random seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
     """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
@@ -123,7 +123,7 @@ class ElementLine:
     elapsed: float = 0.0
     """Wall time in which all new simulations together were packed and run [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Failed checks of the simulations with their findings, by folder name."""
+    """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
 
     def __repr__(self) -> str:
         return f"<ElementLine of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"

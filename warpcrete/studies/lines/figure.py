@@ -92,7 +92,7 @@ def _draw_pump(axes: Any, result: LinePressures, size: float) -> None:
 
 
 def _flows_of(result: LinePressures) -> str:
-    """Return words on the flows at which gauges were read, if they differ from that of the line."""
+    """Return words for the legend if gauges were read at other flows than that of the line, otherwise an empty text."""
     assert result.fit is not None
     others = any(abs(tap.flow - result.flow) > 0.02 * result.flow for tap in result.fit.taps)
     return " (also at other flows)" if others else ""

@@ -28,8 +28,9 @@ SAME_FLOW = 0.02
 """Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
 REVERSED = 1.1
-"""Largest accepted ratio between the friction behind a tap and that behind a tap nearer to the pump, at the same flow.
-The true ratio is below 1; the tolerance is for errors of gauges that are close to each other."""
+"""Largest accepted ratio of two frictions at the same flow: that between a gauge and the end of the line, divided by
+that between a gauge nearer to the pump and the end. The true ratio is below 1; the tolerance is for errors of gauges
+that are close to each other."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
@@ -38,11 +39,11 @@ LEAST = (1e-2, -1.0, 0.0)
 friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
 NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
-"""Texts that tell why a fit left out a constant: NO_YIELD for a slip yield of zero, NO_FACTOR for the factor of
-bends."""
+"""Reasons why a constant was left out of a fit: NO_YIELD for the yield stress of the slip layer, which is then zero,
+and NO_FACTOR for the friction factor of bends."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Limits below which a fitted constant cannot be distinguished from zero: yield stress of the slip layer [Pa] (index 1)
-and friction factor of bends (index 2). Such a constant gets its default value."""
+"""Limits below which a fitted constant cannot be distinguished from zero, so that it gets its default value. The key 1
+stands for the yield stress of the slip layer [Pa], and the key 2 for the friction factor of bends."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 GAUGE = 0.04
@@ -68,11 +69,11 @@ def fit_line(
     - The yield stress of the layer, if all pressures were measured at a single flow, or if there are only two. Such
       pressures do not distinguish it from the layer's viscosity.
     - The factor of bends, if its band is as wide as that of published measurements, or if the points are too few. It is
-      then left out of the fit, and each bend has its factor of the table.
+      then left out of the fit, and each bend keeps its factor from the table of simulated bends.
 
-    `prior` holds the concrete with the slip layer at the lower and at the upper end of the band that it had before the
-    measurement. :func:`.with_known` says how it counts. If no slip layer explains all gauges, the band is widened until
-    it contains them (:func:`.with_gauges`).
+    `prior` holds two concretes, whose slip layers are at the lower and at the upper end of the uncertainty band from
+    before the measurement. :func:`.with_known` combines this earlier knowledge with the fit. If no slip layer explains
+    all gauges, the band is widened until it contains them (:func:`.with_gauges`).
 
     `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge have the
     same error. The scatter of the pressures about the fit adds to it if there are enough pressures, or if `gauge` is 0.
@@ -91,8 +92,8 @@ def fit_line(
         gauge = GAUGE * max(tap.pressure for tap in taps)
     fit = None
     if any(is_free(part) for part in line.parts):
-        # Errors of the gauges may give an impossible factor of bends, which raises an error. A fit without this factor
-        # may still be possible.
+        # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error,
+        # because a fit without this factor, as below, may still be possible.
         with suppress(SceneError):
             fit = _fitted(line, concrete, taps, True, gauge)
     if fit is None or not _is_better_than_published(fit.constants[2]):
@@ -184,10 +185,11 @@ def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: boo
 
 
 def _squares(off: np.ndarray, taps: Sequence[Tap], fitted: int, gauge: float) -> np.ndarray:
-    """Return the squares and products of the 95 % error limits of measured pressures [Pa2], shape (taps, taps).
+    """Return the covariance matrix of measured pressures [Pa2], with 95 % error limits as standard deviations.
 
-    `off` holds the deviations of the pressures from the fit [Pa], and `fitted` is the number of fitted constants. The
-    error `gauge` [Pa] is common to all pressures at one place, and their scatter is independent.
+    The matrix has the shape (taps, taps), with one row for each measured pressure. `off` holds the deviations of the
+    pressures from the fit [Pa], and `fitted` is the number of fitted constants. The error `gauge` [Pa] is common to all
+    pressures at one place. The scatter of the pressures about the fit is independent.
     """
     places, count = np.array([tap.place for tap in taps]), len(taps) - fitted
     squares = gauge**2 * (places[:, None] == places)
@@ -223,7 +225,10 @@ def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
 
 
 def _check_course(taps: Sequence[Tap], friction: np.ndarray) -> None:
-    """Refuse pressures that grow along the line at one flow; `friction` is that behind each tap [Pa]."""
+    """Refuse pressures that grow along the line at one flow.
+
+    `friction` is the friction between the place of each gauge and the end of the line [Pa].
+    """
     for near, before in zip(taps, friction, strict=True):
         for far, behind in zip(taps, friction, strict=True):
             same = abs(far.flow - near.flow) <= SAME_FLOW * near.flow

@@ -1,4 +1,8 @@
-"""Band of a fit to a trial line: what was known of the slip layer before counts, and the gauges lie inside the band."""
+"""Uncertainty band of a slip layer that was fitted to pressures along a trial line.
+
+The band takes into account what was known of the layer before the measurement, and it contains the readings of the
+gauges unless their errors explain the difference.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +19,22 @@ from .losses import GRAVITY
 from .tap_model import TapModel, metre_model
 
 SCALED = "not determined by these points; what was known before of the layer changes it like the viscosity"
-"""Text on a slip yield that the measured pressures do not determine. What was known of the slip layer before the
-measurement changes it in proportion to the slip viscosity."""
+"""Text on a yield stress of the slip layer that the measured pressures do not determine. It says that the yield stress
+was multiplied by the same factor as the viscosity, when the fit was combined with earlier knowledge of the layer."""
 LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60
-"""Ranges of factors on a fitted slip layer and of its uncertainty, and number of bisection steps, in searches."""
+"""Settings of searches by bisection: range of the factor on a fitted slip layer, range of the uncertainty of the layer,
+and number of bisection steps."""
 
 
 def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
-    """Return a fit whose slip layer also counts what was known of it before the measurement.
+    """Return a fit that combines the fitted slip layer with what was known of it before the measurement.
 
-    Both pieces of knowledge are bands of the logarithm of the friction in straight pipe at the mean flow. The friction
-    becomes their mean, weighted by the inverse squares of the bands. The fitted constants of the layer are multiplied
-    by one factor that gives this friction. If the fit lies outside the earlier band, this band is widened to contain
-    the fit, so that earlier knowledge counts the less, the more the gauges contradict it.
+    `concrete` has the slip layer that was expected before, and `prior` holds the concretes at the lower and the upper
+    end of its uncertainty band. The fit and the earlier knowledge each give a friction of straight pipe at the mean
+    flow, with a band. The logarithm of the result's friction is the mean of the two logarithms, weighted by the inverse
+    squares of the widths of the bands. The fitted constants of the layer are multiplied by one factor that gives this
+    friction. If the fit lies outside the earlier band, this band is first widened to contain the fit. Earlier knowledge
+    therefore counts less if the gauges contradict it more.
     """
     pipe = metre_model(line, concrete, fit.taps)
     own = np.array([fit.constants[0].value, fit.constants[1].value, 1.0])
@@ -59,12 +66,13 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
 
 
 def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
-    """Return a fit whose band contains the gauges that it explains.
+    """Return a fit whose uncertainty band is wide enough for the readings of the gauges.
 
-    The mean reading of the gauge nearest to the pump must lie inside the band, and those of the other gauges within
-    their error of it. If this fails for the other gauges, no slip layer explains them all. The band is then widened
-    until the mean readings of all gauges lie inside, and the fit names the contradiction. With an error of 0, all
-    deviations count as scatter, so that no contradiction is found.
+    If the mean readings of all gauges lie inside the band, or outside it by at most the error limit of a gauge, the fit
+    explains the gauges. The band is then only widened to contain the mean reading of the gauge nearest to the pump.
+    Otherwise, no slip layer explains all gauges. The band is then widened to contain the mean readings of all gauges,
+    and the result names the two stretches of the line that contradict each other most. With an error limit of 0, all
+    deviations count as scatter, so that the gauges never contradict each other.
     """
     model = _at_taps(fit, line, concrete)
     places = np.array([tap.place for tap in fit.taps])
@@ -90,9 +98,10 @@ def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
 
 
 def _bisected(ends: tuple[float, float], is_below: Callable[[float], bool]) -> float:
-    """Return the largest value between the positive `ends` for which `is_below` is true, by bisection of logarithms.
+    """Return the value between the positive `ends` at which `is_below` changes from true to false.
 
-    The result lies above this value by a tiny fraction, so that `is_below` is false for it.
+    The value is found by bisection of logarithms. The result lies above it by a tiny fraction, so that `is_below` is
+    false for the result.
     """
     low, high = ends
     for _ in range(BISECTIONS):
@@ -102,7 +111,10 @@ def _bisected(ends: tuple[float, float], is_below: Callable[[float], bool]) -> f
 
 
 def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[float], np.ndarray]:
-    """Return a function of a factor on the fitted slip layer, which gives the pressures at the taps [Pa]."""
+    """Return a function that gives the pressures at the taps, which are the places of gauges [Pa].
+
+    The argument of the function is a factor by which both constants of the fitted slip layer are multiplied.
+    """
     bends = fit.constants[2] if len(fit.constants) > 2 and fit.constants[2].fitted else None
     model = TapModel(line, concrete, fit.taps, bends=bends is not None)
     eta, tau = (each.value for each in fit.constants[:2])
@@ -110,9 +122,9 @@ def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[floa
 
 
 def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:
-    """Return the two stretches of a trial line at one flow whose gauges contradict each other most.
+    """Return the two stretches of a trial line at one flow whose measured frictions disagree most.
 
-    Returns None if no flow was measured at two places.
+    The friction of a stretch is compared with that of the fit. Returns None if no flow was measured at two places.
     """
     weights = concrete.density * GRAVITY * np.array(TapModel(line, concrete, fit.taps).rises)
     by_flow: dict[float, dict[float, tuple[float, float]]] = {}

@@ -10,7 +10,8 @@ from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
 
 NOTICED = 0.01
-"""Smallest weight of the slip layer that was known before a measurement at which the report mentions it."""
+"""Smallest weight from 0 to 1 at which the report mentions that earlier knowledge of the slip layer was combined with
+the fit."""
 
 
 def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
@@ -68,7 +69,10 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
 
 
 def _surprise(ratio: float) -> str:
-    """Return a remark on a layer whose friction differs from what was expected by a ratio, outside the band of that."""
+    """Return a remark for the user that the gauges need another friction than was expected, outside its band.
+
+    `ratio` is the fitted friction of straight pipe, divided by the expected one.
+    """
     return (
         f"- the gauges need {ratio:.2g} times the friction in straight pipe that was expected, outside its band: check "
         "the slump, the gauges (pressure of the concrete, not of the oil), and whether concrete leaks or a plug begins"

@@ -31,7 +31,8 @@ METHODS_ON_BENDS = (
     "stones, it costs the same for a radius of 0.5 m or more, and half as much again for 0.25 m; therefore count it "
     "by its length, and allow for three times that."
 )
-"""Sentence for site engineers on the friction of bends in pipes of 150 mm, by flows and by discrete elements."""
+"""Sentence for site engineers that compares the friction of bends in pipes of 150 mm from two kinds of simulations: as
+a fluid, and with stones as discrete elements."""
 
 
 @dataclass(frozen=True)

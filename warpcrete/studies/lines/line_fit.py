@@ -80,10 +80,11 @@ class LineFit:
     gauge: float
     """Error limit of the gauges [Pa]."""
     prior_share: float = 0.0
-    """Weight in the slip layer of what was known of it before the measurement, between 0 and 1."""
+    """Weight, between 0 and 1, of what was known of the slip layer before the measurement. The weight of the
+    measurement is 1 minus this number."""
     surprise: float | None = None
-    """Friction of the fit in straight pipe, divided by what was expected before the measurement; None if the fit lies
-    inside the band of what was expected, or if nothing was."""
+    """Fitted friction of straight pipe, divided by the friction that was expected before the measurement. The value is
+    None if the fit lies inside the band of the expected friction, or if no friction was expected."""
     contradiction: Contradiction | None = None
     """Contradiction between the gauges; None if one slip layer explains them all."""
 
@@ -104,11 +105,11 @@ class LineFit:
     def variants(
         self, concrete: Concrete, before: Mapping[str, tuple[Concrete, Concrete]] | None = None
     ) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return pairs of concretes at the lower and upper ends of the bands of their properties, by cause.
+        """Return, for each cause of uncertainty, two concretes at the lower and the upper end of its band.
 
-        The cause 'slip layer' has the band of the fit. The density keeps its band in `before`, the pairs of before the
-        measurement. The constants of the bulk are no cause of their own, because the layer was fitted together with
-        them: with another bulk, the same pressures give another layer.
+        The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
+        whose concretes are in `before`. Viscosity and yield stress of the bulk are no causes of their own: an error of
+        theirs is compensated by the slip layer, because both together give the measured pressures.
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))

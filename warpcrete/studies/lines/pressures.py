@@ -184,11 +184,13 @@ class LinePressures:
         return combined(value, ends)
 
     def _friction_with(self, kind: str, end: int) -> Callable[[Loss], float]:
-        """Return a function of a part's loss that gives its friction [Pa] if fittings of a kind have another friction.
+        """Return a function that gives the friction [Pa] of a part if fittings of one kind have another friction.
 
-        These fittings are at the lower (`end` 0) or upper (1) end of their band. The layer of a fit to a trial line was
-        found with the present friction of the fittings. With another friction of theirs, the same gauges give another
-        layer, so all friction is multiplied by the factor that keeps the mean friction ahead of the gauges.
+        The argument of the function is the :class:`Loss` of the part. The fittings of this `kind`, such as bends, have
+        the friction at the lower (`end` 0) or upper (`end` 1) end of their band. If the slip layer was fitted to a
+        trial line, the fit used the present friction of the fittings. With another friction of theirs, the same gauges
+        give another layer. All friction is therefore multiplied by one factor, so that the mean pressure due to
+        friction at the gauges remains the same.
         """
 
         def changed(x: Loss) -> float:

@@ -34,13 +34,15 @@ from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures
 
 COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without a known probability"}
-"""Words on how often the band of a pressure contains the measured one, by the origin of the band. For slip layers that
-follow from the paste, 94 % of the measured concretes in straight pipe lie inside in `warpcrete validate`, and two of
-only three measured whole lines."""
+"""Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
+the slip layer, and so the band, follows from the composition of the paste; otherwise it is 'other'. For slip layers
+that follow from the paste, `warpcrete validate` finds 94 % of the measured concretes in straight pipe inside the band,
+and two of only three measured whole lines."""
 HALVINGS = 12
 """Number of bisection steps in the search for the longest stop after which a pump restarts the line."""
 WIDENED = ", widened to contain all gauges, which contradict each other"
-"""Words that follow a band whose slip layer was fitted to gauges that no slip layer explains."""
+"""Words that follow the uncertainty band of a line's pressure, if the gauges of the trial line contradict each other
+and the band was therefore widened."""
 HIGHEST_PUMP = 500e5
 """Highest pressure of concrete that a pump is known to deliver [Pa]: the Sany HBT90CH2150D of Shanghai Tower
 (https://meconstructionnews.com/6212/sany-pumps-to-586m-in-shanghai)."""
@@ -54,10 +56,10 @@ class LineResult(LinePressures):
     took: dict[str, float] = field(default_factory=dict)
     """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Failed checks of the simulations with their findings, by folder name."""
+    """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
     band_origin: str = ""
-    """Origin of the band of the slip layer: 'paste' or 'other' (see :attr:`warpcrete.mix.mix.Mix.band_origin`); empty
-    if the user chose its width."""
+    """Origin of the uncertainty band of the slip layer: 'paste' if it follows from the composition of the paste,
+    otherwise 'other'. The text is empty if the user chose the width of the band."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -183,7 +185,7 @@ class LineResult(LinePressures):
 
     @property
     def coverage(self) -> str:
-        """Words on how often the band contains the pressure, to follow the band; empty if the user chose its width."""
+        """Words that tell how often the uncertainty band contains the pressure; empty if the user chose its width."""
         if self.fit is not None:
             return WIDENED if self.fit.contradiction is not None else " in about 95 % of cases"
         return COVERAGE.get(self.band_origin, "")
@@ -226,7 +228,7 @@ class LineResult(LinePressures):
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         found += [f"part {x.part.number}: simulated as a fluid without stones, which may add to its friction, so that "
                   "its range stays; a measured 'factor' narrows it"
-                  for x in self.losses  # A bore that was not simulated has the friction of straight pipe.
+                  for x in self.losses  # Leave out an unsimulated bore; its friction is that by theory.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
             found.append(f"no concrete pump is known to deliver more than {HIGHEST_PUMP / 1e5:.0f} bar; use a wider "

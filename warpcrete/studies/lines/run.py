@@ -26,8 +26,9 @@ from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_res
 
 CELLS = 12
 """Default number of cells across the narrowest bore of a bend or reducer. In front of and behind bends of 125 mm and a
-radius of 0.5 m, the friction of straight pipe deviates from theory by -0.5 to 1.4 % with 12 cells, for the concrete no1
-and for concretes of 310 and 600 Pa whose wall stress is 400 Pa. With 8 cells it deviates by 2.2 to 3.1 %."""
+radius of 0.5 m, the friction of straight pipe deviates from theory by -0.5 to 1.4 % with 12 cells. This holds for the
+concrete no1, and for concretes with yield stresses of 310 and 600 Pa and a wall stress of 400 Pa. With 8 cells, the
+friction deviates by 2.2 to 3.1 %."""
 TUBE_CELLS = 20
 """Number of cells across the bore of a simulated straight pipe. It is larger than in bends and reducers because a
 periodic pipe is short and cheap to simulate."""
@@ -35,7 +36,7 @@ STRAIGHT_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer, divided by the larger of the part's
 diameters."""
 CURE = "; usual cure: "
-"""Words in the text of a failed check. The parameters of the scene that may mend the failure follow them."""
+"""Words in the text of a failed check, in front of the names of those scene parameters that may mend the failure."""
 LINE_CURES = {"friction upstream": "a larger --cells", "friction downstream": "a larger --cells"}
 """Options of `warpcrete line` that may mend a failed check of a simulated part, by name of the check."""
 Progress = Callable[[str, float, dict[str, Any]], None]

@@ -53,7 +53,7 @@ def line_by_theory(
 
     - the error of these factors,
     - the concrete: the resistance of the slip layer is multiplied and divided by `layer_factor`, or the pairs of
-      concretes in `variants` are used; `band_origin` is then the mix's.
+      concretes in `variants` are used; `band_origin` then tells where the mix's band comes from.
 
     With a `stop`, the result includes the pressures that restart the line. If `line` and `concrete` come from a fit to
     measured pressures, `fit` is this fit, which the report then describes. With a folder `out`, the result is written

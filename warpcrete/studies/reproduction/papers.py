@@ -44,7 +44,7 @@ class Row:
 
     @property
     def is_hydrated(self) -> bool:
-        """True if the varied parameter describes hydrated bonds, which are the stiffer ones among bonds of elements."""
+        """True if the varied parameter describes hydrated bonds, the stiffer of two kinds of bonds between elements."""
         return self.parameter.startswith("hydration")
 
     @property

@@ -23,9 +23,10 @@ RECORD = "reproduction.json"
 KNOWN_RESULTS = "known.json"
 """Name of the file to which results from earlier reproductions are copied."""
 QUICK = ("literal", "calibrated")
-"""Concretes in a quick reproduction."""
+"""Names of the only concretes that a quick reproduction simulates."""
 HYDRATED = ("calibrated", "literal")
-"""Concretes that are run with hydrated bonds by default; the concrete "stiff stones" would need ten times the steps."""
+"""Names of the concretes that are also run with hydrated bonds, the stiffer of two kinds of bonds between elements. The
+concrete "stiff stones" is not among them, because its runs would need ten times as many time steps."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

@@ -79,7 +79,8 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 def _kinds_of_aggregates(given: Any) -> tuple[bool, bool]:
     """Return whether a flow has aggregates of grouped particles, and whether it has rigid bodies in the mortar."""
-    # The parameters of vessels have a method of the name `aggregates`, those of channels and tubes a switch.
+    # Compare the attribute `aggregates` with True. It is True or False in the parameters of channels and tubes, but a
+    # function in those of vessels.
     grouped = getattr(given, "aggregates", None) is True
     return grouped, not grouped and bool(getattr(given, "aggregate_fraction", None))
 

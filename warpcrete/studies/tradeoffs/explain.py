@@ -40,7 +40,7 @@ class Saving:
     what: str
     """Name of the simplification, for the user."""
     ratio: float
-    """Wall time with the simplification, divided by that of the scene as given."""
+    """Wall time with the simplification, divided by that of the unchanged scene."""
     error: str
     """Measured error that the simplification causes, in words, or a note that it was not measured."""
 

@@ -40,7 +40,7 @@ class Error:
 
     @property
     def within_scatter(self) -> bool:
-        """True if the scatter between seeds alone can explain the difference."""
+        """True if the scatter between random seeds alone can explain the error."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 
@@ -91,10 +91,11 @@ def prediction_bound(shifts: Sequence[float]) -> float:
 
 
 def distance_to_limit(widths: Sequence[float], values: Sequence[float], value: float) -> float:
-    """Return how far `value` is from the limit of fine cells, divided by this limit.
+    """Return the relative difference of `value` from the value that is extrapolated to infinitely fine cells.
 
-    A straight line through the `values` at the `widths` of the cells, by least squares, gives the limit at the width 0.
-    Of two widths this is Richardson's extrapolation of first order. The result is infinite for fewer than two widths.
+    The extrapolated value is that at the width 0 of a straight line, which is fitted to the `values` at the `widths` of
+    the cells by least squares. For two widths, this is Richardson's extrapolation of first order. The result is
+    infinite for fewer than two widths.
     """
     if len(set(widths)) < 2:
         return math.inf

@@ -16,7 +16,7 @@ from .points import REFERENCE, Setting
 
 
 class Judging(ABC):
-    """Settings of a trade-off study with their results, from which it computes errors and promises."""
+    """Base class of trade-off studies, which computes errors and their bounds from the results of all settings."""
 
     knobs: list[Knob]
     quantities: list[Quantity]
@@ -133,7 +133,11 @@ class Judging(ABC):
         return found
 
     def _converging(self, knob: Knob, quantity: str) -> tuple[list[float], list[float]]:
-        """Return the values of a knob at its measured levels, and the mean result of a quantity at each of them."""
+        """Return the measured values of a knob, and the mean of a result quantity at each of them.
+
+        A knob is a parameter that trades accuracy for run time. The values are those with a result for every seed, in
+        runs that change no other knob.
+        """
         widths, means = [], []
         for number, level in enumerate(knob.levels):
             point = self.alone(knob, number)

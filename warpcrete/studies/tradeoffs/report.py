@@ -185,6 +185,7 @@ def _number(value: float) -> str:
 
 FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
+RIGHT = 0.88  # place along the figure from which labels stand left of their points
 NEAR = 0.05  # labels closer than this fraction of the figure would overlap
 
 
@@ -251,6 +252,8 @@ def _name_levels(axes: Any, trade: Trade) -> None:
 
     A label that would overlap another one is left out, because the table lists all values.
     """
+    from matplotlib.patheffects import withStroke
+
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()
     for point in trade.measured:
@@ -260,5 +263,8 @@ def _name_levels(axes: Any, trade: Trade) -> None:
         x, y = into_figure.transform(at)
         if all(abs(x - u) > 2 * NEAR or abs(y - v) > NEAR for u, v in placed):
             text = trade.label(point).removeprefix(f"{point.origin} ")
-            axes.annotate(text, at, (4, 4), textcoords="offset points", fontsize=7.5, color="0.35")
+            # Near the right edge, a label stands left of its point, because the legend is beside the plot.
+            side, apart = ("right", -4) if x > RIGHT else ("left", 4)
+            label = axes.annotate(text, at, (apart, 4), textcoords="offset points", fontsize=8, color="0.35", ha=side)
+            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # The front may pass below it.
             placed.append((x, y))

@@ -89,7 +89,7 @@ class Trade(Judging):
 
     @property
     def given(self) -> Setting:
-        """Setting in which all accuracy parameters have the values of the scene as given."""
+        """Setting in which all accuracy parameters have the values that the user stated, or their default values."""
         return self.points[0]
 
     @property

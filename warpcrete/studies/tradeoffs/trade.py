@@ -280,12 +280,12 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
 
 
 def promises_from_runs(trade: Trade, settings: Sequence[Setting]) -> None:
-    """Judge the runs of `settings` that exist already, and find the promises that they allow, without further runs."""
+    """Judge `settings` by their existing runs, and find the cheapest one for each wanted error, without new runs."""
 
     def tell(phase: str, fraction: float, figures: Mapping[str, Any]) -> None:
         pass
 
-    trade.interrupted = True  # An interrupted study reads the runs that exist and begins no others.
+    trade.interrupted = True  # Mark the study as interrupted, so that it reads existing runs and starts no others.
     trade.run_all(settings, trade.seeds, tell)
     trade.points = [point for point in trade.points if point.results or point.failures]
     trade.judge()

@@ -54,7 +54,8 @@ def run_worker_job(
         elapsed = time.perf_counter() - start_time
         if found and elapsed + elapsed / len(found) > trial.time_left:
             break
-        outcome = previous_outcome(folder / case.name)  # A worker that was lost may have finished this case before.
+        # Look for the result of an earlier run first, because a worker that was lost may have finished this case.
+        outcome = previous_outcome(folder / case.name)
         if outcome is None:
             outcome, load_kernels = _run(record, module, folder, case, load_kernels, stop_requested), False
         found.append(outcome)

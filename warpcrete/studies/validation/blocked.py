@@ -10,7 +10,7 @@ from .cases import Case
 from .predictions import mix_of_case
 
 BAD = ("risky", "blocks")
-"""Verdicts by which a rule warns of blocking."""
+"""Verdicts with which a rule of practice warns that concrete may block a pump line."""
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,15 @@ from ...dem.measure.blockage import STANDING_RATIO
 from .scene import PartSuspensionScene
 
 BLOCKED_OVERLAP = 0.2
-"""Overlap, divided by the radius of an aggregate, at which a part whose aggregates stand still counts as blocked at
-once. The inflow then pushes aggregates into each other."""
+"""Overlap, divided by the radius of an aggregate, that shows a blockage. If aggregates stand still in a part of a pump
+line and overlap further than this, the inflow pushes them into each other, and the part counts as blocked at once."""
 
 
 def is_blocked(scene: PartSuspensionScene, rows: list[dict[str, float]]) -> bool:
-    """Return whether the part counts as blocked at the end of a time series.
+    """Return whether a part of a pump line counts as blocked at the end of a time series.
 
     It is blocked if the frictional pressure at its start has exceeded the scene's limit in two successive rows. It is
-    also blocked if a part of the aggregates has stood still while the inflow has advanced far enough, and the pressure
-    has risen meanwhile.
+    also blocked if some of the aggregates have stood still while the inflow advanced far enough and the pressure rose.
     """
     weight = scene.density * scene.gravity * scene.rise
     if len(rows) > 2 and all(row["pressure"] - weight > scene.pressure_limit for row in rows[-2:]):
@@ -34,9 +33,10 @@ def is_blocked(scene: PartSuspensionScene, rows: list[dict[str, float]]) -> bool
 
 
 def blocked_place(scene: PartSuspensionScene, s: np.ndarray, friction: np.ndarray) -> float:
-    """Return the arc length with the steepest loss over the largest diameter of the aggregates [m].
+    """Return the arc length at which the frictional pressure falls most steeply [m].
 
-    `friction` is the loss from the arc lengths `s` [m] to the end of the part [Pa].
+    The slope at an arc length is the mean over a stretch as long as the largest diameter of the aggregates. `friction`
+    is the loss from the arc lengths `s` [m] to the end of the part [Pa].
     """
     half = scene.diameters[1] / 2
     low, high = np.maximum(s - half, s[0]), np.minimum(s + half, s[-1])

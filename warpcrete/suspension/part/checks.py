@@ -20,7 +20,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_part(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a finished run by name: whether each one passed, and what it found."""
+    """Return the checks of a finished run by name: whether each one passed, and the measured value as text."""
     result = run.result
     if "pressure" not in result:
         return NO_SAMPLE

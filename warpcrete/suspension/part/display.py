@@ -13,7 +13,7 @@ from .scene import PartSuspensionScene
 
 
 class PartSuspensionDisplay(SphereDisplay, PartDisplay):
-    """Display of a part with aggregates.
+    """Display of mortar with aggregates in a part of a pump line.
 
     The mortar in front of the middle of the pipe is left out, so that the aggregates in it are visible.
     """
@@ -24,7 +24,7 @@ class PartSuspensionDisplay(SphereDisplay, PartDisplay):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane, which contains the start of the axis."""
+        """Coordinate y [m] of the cutting plane, which contains the first point of the pipe's axis."""
         return float(self._suspension.axis.at(0.0)[0][0, 1])
 
     def surface(self, cut: bool = False) -> Surface:

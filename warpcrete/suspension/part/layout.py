@@ -19,9 +19,11 @@ from ..placing import aggregates_within
 from .scene import PartSuspensionScene
 
 MARGIN_CELLS = 2
-"""Distance behind the plane, in cells, at which aggregates that enter appear in the box of cells."""
+"""Number of cells between the plane through which aggregates enter and the place behind it at which an entering
+aggregate is added to the simulated box."""
 STRETCHES = 400
-"""Number of stretches of the axis between which places of aggregates are drawn in proportion to their volumes."""
+"""Number of stretches into which the pipe's axis is divided to draw random places for aggregates. The probability of a
+stretch is proportional to its volume."""
 
 
 def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Aggregates, Entrance]:
@@ -42,7 +44,7 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
 
     def distance(x: np.ndarray) -> np.ndarray:
         s = axis.along(frame.to_scene(x))
-        # Behind the plane the bore is that at the plane.
+        # Behind the plane through which aggregates enter, the bore has the same cross-section as at this plane.
         found = bore(x - np.minimum(s, 0.0)[:, None] * way)
         found = np.minimum(found, np.minimum(s + behind, axis.length - s))
         return np.minimum(found, x[:, 1]) if half else found
@@ -71,10 +73,10 @@ def placed_entering(scene: PartSuspensionScene, layout: GridLayout) -> tuple[Agg
 def _times(
     aggregates: Aggregates, along: Distance, speed: float, scene: PartSuspensionScene, layout: GridLayout
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times at which aggregates have entered entirely, and from which they are partly in the box [s].
+    """Return the times at which aggregates have entered entirely, and from which they are in the simulated box [s].
 
-    `along` gives the arc lengths of points [m], and `speed` is that of the plane [m/s]. An aggregate has entered when
-    it does not touch the plane any more.
+    `along` gives the arc lengths of points [m], and `speed` is that of the plane through which aggregates enter [m/s].
+    An aggregate has entered when it does not touch the plane any more.
     """
     parts = Spheres(aggregates)
     depth = along(parts.centres(aggregates.centre, aggregates.turns))

@@ -1,4 +1,4 @@
-"""Record through which the program finds, runs, draws and reports parts of pump lines with aggregates."""
+"""Interface through which the program finds, runs, draws and reports parts of pump lines with aggregates."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ RIGHT_OF_AXIS = 1.2
 
 
 def plot_part_with_aggregates(run: Run) -> Any:
-    """Return a figure of pressures as of a part without aggregates, and of the fraction of aggregates along the axis.
+    """Return a figure of the pressures, as `plot_part` draws it, with the fraction of aggregates along the axis.
 
-    Loss and fraction along the axis are means over the late part of the run.
+    The loss and the fraction along the axis are means over the last half of the run.
     """
     figure = plot_part(run)
     along = figure.axes[0]
@@ -27,7 +27,7 @@ def plot_part_with_aggregates(run: Run) -> Any:
     fraction.set(ylim=(0, max(0.7, 1.05 * float(values.max()))))
     fraction.set_ylabel("fraction of aggregates", color=rgb(SECOND))
     if (legend := along.get_legend()) is not None:
-        # The second axis has its numbers and its label where the legend stands otherwise.
+        # Move the legend aside, because the numbers and the label of the second vertical axis lie at its usual place.
         legend.set_bbox_to_anchor((RIGHT_OF_AXIS, 0.5), transform=along.transAxes)
     return figure
 

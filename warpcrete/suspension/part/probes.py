@@ -18,11 +18,11 @@ from ..flow import SuspensionFlow
 from .scene import PartSuspensionScene
 
 UNITS = PART_UNITS | {"aggregates_present": "1", "aggregates_entered": "1", "aggregates_left": "1", "slowest_part": "1"}
-"""Units of the columns of the time series, without those that all mortars with aggregates have."""
+"""Units of the columns of the time series, except for the columns that every flow of mortar with aggregates has."""
 
 
 class Census:
-    """Positions of the aggregates along the axis of the part at the present time."""
+    """Positions of the aggregates along the pipe's axis at the present time."""
 
     def __init__(self, flow: SuspensionFlow, enters: np.ndarray) -> None:
         scene: PartSuspensionScene = flow.scene
@@ -36,9 +36,9 @@ class Census:
         self.entered = (enters > 0) & (enters <= flow.time)
         """Mask of the aggregates that have entered entirely since the start, shape (n,)."""
         self.seen = is_inside(self.centre)
-        """Mask of the aggregates that are not far away, shape (n,)."""
+        """Mask of the aggregates that are at least partly in the simulated box, shape (n,)."""
         self.place = np.full(len(self.radius), np.nan)
-        """Arc length of each aggregate [m], shape (n,); NaN for aggregates that are far away."""
+        """Arc length of each aggregate [m], shape (n,); NaN for aggregates that are outside the simulated box."""
         self.place[self.seen] = scene.axis.along(self.frame.to_scene(self.centre[self.seen]))
 
     def _area(self, s: np.ndarray) -> np.ndarray:
@@ -47,9 +47,10 @@ class Census:
         return scene.simulated_share * np.pi * scene.bore(np.clip(s, 0.0, scene.axis.length)) ** 2
 
     def ahead(self, s: np.ndarray, share: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Return, for each arc length in `s` [m], the sum of the shares of the chosen aggregates beyond it.
+        """Return, for each arc length in `s` [m], the sum of a quantity of the `chosen` aggregates that lie beyond it.
 
-        An aggregate that reaches across an arc length counts with the part of its volume that lies beyond.
+        `share` holds the quantity for each aggregate, such as its volume. An aggregate that reaches across an arc
+        length counts with the fraction of its volume that lies beyond.
         """
         place, radius = self.place[chosen], self.radius[chosen]
         beyond = np.clip((place - s[:, None]) / radius, -1.0, 1.0)
@@ -58,7 +59,8 @@ class Census:
     def fractions(self, s: np.ndarray) -> np.ndarray:
         """Return the volume fraction of aggregates around the arc lengths `s` [m].
 
-        Each fraction is that in a stretch of one diameter of the largest aggregate, without what lies outside the part.
+        Each fraction is the mean over a stretch as long as the diameter of the largest aggregate. The stretch is cut
+        off at the ends of the part.
         """
         scene, wide = self.scene, self.scene.diameters[1] / 2
         low, high = np.maximum(s - wide, 0.0), np.minimum(s + wide, scene.axis.length)
@@ -97,20 +99,23 @@ class Census:
         ends = np.sort(self.place[np.stack([own, other])], axis=0)
         middle = np.clip(ends.mean(0), 0, scene.axis.length)
         tangent = scene.axis.at(middle)[1] @ self.frame.axes.T
-        # The sign of the normal's component tells on which side of the cross-section the sphere lies.
+        # The sign of the normal's component along the pipe's axis tells on which side of the cross-section the sphere
+        # lies.
         upstream = np.sign(np.sum(found.normal[between] * tangent, 1))
         pushing = -upstream * np.sum(found.force[between] * tangent, 1)
-        # A pair of free aggregates occurs twice, and a pair of a free one and one that is entering once.
+        # Two aggregates that have both entered occur twice as a pair. A pair with an aggregate that is still entering
+        # occurs once.
         share = np.where(self.free[other], 0.5, 1.0)
         stress = share * pushing / self._area(middle)
         return np.sum(np.where((ends[0] < s[:, None]) & (ends[1] >= s[:, None]), stress, 0.0), axis=1)
 
     def slowest(self, before: np.ndarray, travel: float) -> float:
-        """Return the smallest advance of a part of the aggregates, divided by the advance of the inflow `travel` [m].
+        """Return how far the slowest aggregates have advanced, divided by the advance of the inflow `travel` [m].
 
-        `before` holds the arc lengths of the aggregates at the previous measurement [m]. Advances count by volume, as
-        in discrete elements: that of a part of the aggregates in a narrow bore is its advance there times the ratio of
-        the areas of this bore and of the bore at the start.
+        `before` holds the arc lengths of the aggregates at the previous measurement [m]. The advance of an aggregate is
+        multiplied by the area of the bore around it and divided by the area at the start of the part, so that concrete
+        which flows evenly through a taper advances by the same amount everywhere. `least_advance` finds the slowest
+        aggregates, for discrete elements too.
         """
         if travel <= 0:
             return 1.0

@@ -17,9 +17,9 @@ from .blockage import is_blocked
 from .scene import PartSuspensionScene
 
 LATE = 0.5
-"""Part of the simulated time, at its end, over which results are averaged, because the pressure fluctuates."""
+"""Last fraction of the simulated time, over which results are averaged because the pressure fluctuates."""
 BLOCKS = 5
-"""Number of equal parts of the late time whose means give the standard error of a mean."""
+"""Number of equal parts of the last half of the run, whose means give the standard error of a mean over this half."""
 
 
 def late_rows(time: np.ndarray) -> np.ndarray:
@@ -33,14 +33,14 @@ class SuspensionData(RunData):
 
     scene: PartSuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
     place: float = np.nan
-    """Arc length of the steepest loss at the end [m]."""
+    """Arc length at which the frictional pressure falls most steeply at the end of the run [m]."""
 
     def final(self, name: str) -> float:
-        """Return the mean of a column of the time series over the late part of the run."""
+        """Return the mean of a column of the time series over the last half of the run."""
         return float(self.series[name][late_rows(self.series["time"])].mean())
 
     def error(self, name: str) -> float | None:
-        """Return the standard error of the mean of a column; None if the late part of the run has too few rows."""
+        """Return the standard error of the mean of a column; None if the last half of the run has too few rows."""
         values = self.series[name][late_rows(self.series["time"])]
         if len(values) < 2 * BLOCKS:
             return None
@@ -53,13 +53,13 @@ class SuspensionData(RunData):
 
     @property
     def blocked(self) -> bool:
-        """True if the part was blocked when the run ended."""
+        """True if aggregates blocked the part of the pump line when the run ended."""
         names = list(self.series)
         rows = [dict(zip(names, map(float, row), strict=True)) for row in zip(*self.series.values(), strict=True)]
         return is_blocked(self.scene, rows)
 
     def if_blocked(self, value: float) -> float | None:
-        """Return a value if the part was blocked, otherwise None."""
+        """Return a value if aggregates blocked the part of the pump line, otherwise None."""
         return value if self.blocked else None
 
 
@@ -99,11 +99,11 @@ QUANTITIES = (
              meaning="Pressure at the inlet at the end of a blocked run", only_if=BLOCKED),
 )  # fmt: skip
 """Results of a part with aggregates. Pressures and losses are means over the last half of the run, and the theory is
-that of the mortar alone. Names of blockages are those of discrete elements."""
+that of the mortar alone. Results of a blockage have the same names as in simulations with discrete elements."""
 
 
 def report_part(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield further lines of the report: those of a part without aggregates, and whether the part was blocked."""
+    """Yield further lines of the report: the loss of each section, and whether aggregates blocked the pipe."""
     yield from report(run)
     yield from aggregate_lines(run)
     if run.result.get("blocked"):

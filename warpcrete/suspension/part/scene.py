@@ -11,12 +11,12 @@ from ...mps.part.scene import PartScene
 from ..scene import AggregateParameters, SphereFields
 
 MAX_PART = 0.9
-"""Largest diameter of an aggregate, divided by the width of the narrowest simulated bore."""
+"""Largest accepted diameter of an aggregate, divided by the width of the narrowest simulated bore."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockageSettings(Declared):
-    """Settings that decide whether a part with aggregates counts as blocked, which ends the run."""
+    """Settings that decide whether aggregates count as a blockage of the pump line, which ends the run."""
 
     common: ClassVar[tuple[str, ...]] = ()
 
@@ -75,7 +75,7 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
 
 
 def part_scene(parameters: AggregateParameters, **given: Any) -> PartScene:
-    """Return the scene of a part, with aggregates if their volume fraction is above 0."""
+    """Return the scene of a part of a pump line, with aggregates if their volume fraction is above 0."""
     if parameters.aggregate_fraction > 0:
         settings = {f.name: getattr(parameters, f.name) for f in fields(BlockageSettings)}
         return PartSuspensionScene(**given, **settings, **parameters.aggregates())

@@ -27,7 +27,10 @@ STEADINESS = 0.05
 
 
 class PartSuspensionSimulation(AggregateRun, PartSimulation):
-    """Simulation of a part with aggregates; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of mortar with aggregates in a part of a pump line.
+
+    Parameters and errors are those of :class:`warpcrete.Simulation`.
+    """
 
     scene_type = PartSuspensionScene
     scene: PartSuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -71,7 +74,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return row | self.aggregate_columns()
 
     def ended_early(self) -> bool:
-        """Find whether the flow is steady, and return whether the part is blocked."""
+        """Update the attribute `steady`, and return whether the part is blocked, which ends the run."""
         rows, scene = self._rows, self.scene
         time, pressure = (np.array([row[name] for row in rows]) for name in ("time", "pressure"))
         pressure = pressure - scene.density * scene.gravity * scene.rise
@@ -82,7 +85,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return len(rows) > 1 and is_blocked(scene, rows)
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a reason and a sentence."""
+        """Return why a complete run has ended: a short reason such as "blocked", and a sentence."""
         if len(self._rows) > 1 and is_blocked(self.scene, self._rows):
             return "blocked", f"the part was blocked at t = {self.flow.time:.4g} s"
         # The run lasts as long as the scene states, even if the flow is steady.
@@ -90,7 +93,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
 
     @property
     def fraction(self) -> float:
-        """Volume of the placed aggregates, in the part and behind its start, over the volume of the concrete there."""
+        """Volume fraction of the placed aggregates in the concrete, both in the part and in the pipe before it."""
         return self.scene.simulated_fraction
 
     def sizes(self) -> dict[str, Any]:
@@ -103,7 +106,10 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return place, friction
 
     def _late(self) -> np.ndarray:
-        """Return arc lengths [m], and the means over late rows of losses [Pa] and fractions, shape (3, stations)."""
+        """Return arc lengths [m], and losses [Pa] and fractions of aggregates there, shape (3, stations).
+
+        The losses and fractions are means over the rows of the last half of the run.
+        """
         late = late_rows(np.array([row["time"] for row in self._rows]))
         return np.mean(np.array(self._profiles)[late], axis=0)
 
@@ -119,7 +125,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return result, tables | {"stations": with_fraction}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the flow, the rows so far, and what the next row and the results depend on."""
+        """Return the state of the flow, all rows of the time series and profiles, and the places of the aggregates."""
         return super().state_dict() | {"profiles": np.array(self._profiles), "places": self._places}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from ...core.units import number
 from ..checks import no_overlap, steadiness
 
 BALANCE = 0.02
-"""Largest relative difference between the friction at the wall and the force of the pressure gradient."""
+"""Largest accepted relative difference between the friction at the wall and the force of the pressure gradient."""
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
     "steady": "a longer --duration",
@@ -19,7 +19,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_stretch(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a run by name: whether each one passed, and what it found."""
+    """Return the checks of a run by name: whether each one passed, and the measured value as text."""
     result = run.result
     if "flow" not in result:
         return NO_SAMPLE

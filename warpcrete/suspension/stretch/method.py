@@ -1,4 +1,4 @@
-"""Entry of stretches of pipe in the list of methods, through which the program runs, draws and reports them."""
+"""Interface through which the program finds, runs, draws and reports stretches of an endless pipe."""
 
 from __future__ import annotations
 

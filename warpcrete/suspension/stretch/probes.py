@@ -15,7 +15,8 @@ from .scene import StretchScene
 POINTS = 12
 """Number of sample points along the diameter of an aggregate, from which its volume in each ring follows."""
 CORE_RINGS = 4
-"""Minimum number of cells from the axis to the edge of the core, to which a parabola is fitted."""
+"""Minimum number of cells from the axis to the edge of the core. The core is the region around the axis in which a
+parabola is fitted to the velocities."""
 UNITS = {
     "time": "s",
     "flow": "m3/s",
@@ -30,7 +31,7 @@ UNITS = {
     "pressure_iterations": "1",
     "steps": "1",
 }
-"""Units of the columns of the time series, without those that all mortars with aggregates have."""
+"""Units of the columns of the time series, except for the columns that every flow of mortar with aggregates has."""
 
 
 @cache
@@ -42,7 +43,10 @@ def _points() -> np.ndarray:
 
 
 def _columns(flow: SuspensionFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance of each column of cells from the axis [m] and the number of its ring, shape (ny, nx)."""
+    """Return the distance of each column of cells from the axis [m] and the number of its ring around the axis.
+
+    Both arrays have the shape (ny, nx).
+    """
     room = flow.state.layout.room
     x, y = (o + (np.arange(n) + 0.5) * h for o, n, h in zip(room.origin, room.cells[:2], room.width, strict=False))
     radius = flow.scene.aside(x, y[:, None])
@@ -90,17 +94,17 @@ def fraction_profile(flow: SuspensionFlow) -> np.ndarray:
 
 
 def mean_radius(flow: SuspensionFlow) -> float:
-    """Return the mean distance of the aggregates' centres from the axis over the pipe's radius, weighted by volume."""
+    """Return the mean distance of the aggregates from the axis, weighted by volume and divided by the pipe's radius."""
     centre, volume = flow.aggregates.bodies.centre.numpy().astype(float), flow.aggregates.radius**3
     aside = flow.scene.aside(centre[:, 0], centre[:, 1])
     return float(np.sum(aside * volume) / volume.sum() / flow.scene.radius)
 
 
 def section_of_cells(flow: SuspensionFlow) -> float:
-    """Return the area of a cell's section across the flow [m2].
+    """Return the cross-sectional area of a cell [m2], by which velocities are multiplied to get the volume flow.
 
-    Flows between planes count as in a round pipe with the same mean velocity, whose radius is half the distance of the
-    planes. The area is then that of a cell times the ratio of the sections of this pipe and of the simulated flow.
+    For a flow between planes, the area is scaled so that the volume flow becomes that of a round pipe with the same
+    mean velocity. The radius of this pipe is half the distance of the planes.
     """
     scene, width = flow.scene, flow.state.layout.room.width
     ratio = np.pi * scene.radius / (2 * scene.depth) if scene.depth else 1.0
@@ -117,11 +121,11 @@ def has_core(scene: StretchScene) -> bool:
 
 
 def core(scene: StretchScene, radius: np.ndarray, velocity: np.ndarray, gradient: float) -> tuple[float, float]:
-    """Return the relative viscosity of the core, and the velocity of its parabola at the wall [m/s].
+    """Return the relative viscosity of the suspension around the axis, and its apparent slip velocity [m/s].
 
-    `gradient` is the pressure gradient of the friction [Pa/m]. The core reaches to within one mean diameter of an
-    aggregate from the wall. The parabola is fitted to the velocities in the core, weighted by area. Its velocity at the
-    wall is the apparent slip velocity.
+    Both follow from a parabola that is fitted to the velocities in the core, weighted by area. The core reaches to
+    within one mean diameter of an aggregate from the wall. The slip velocity is the value of the parabola at the wall.
+    `gradient` is the pressure gradient of the friction [Pa/m].
     """
     inside = radius < scene.radius - scene.mean_diameter
     weight = np.ones(inside.sum()) if scene.depth else np.sqrt(radius[inside])

@@ -14,7 +14,7 @@ from ..quantities import aggregate_lines
 from .scene import StretchScene
 
 LATE = 0.5
-"""Part of the simulated time, at its end, over which velocities are averaged."""
+"""Last fraction of the simulated time, over which velocities are averaged."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class RunData:
     series: dict[str, np.ndarray]
 
     def mean(self, name: str) -> float | None:
-        """Return the mean of a column over the late part of the run, or None if there is no such column."""
+        """Return the mean of a column over the last half of the run, or None if there is no such column."""
         if name not in self.series:
             return None
         time = self.series["time"]
@@ -50,7 +50,10 @@ def _fixed(value: Callable[[RunData], float | None]) -> Callable[[RunData], floa
 
 
 def _pressure(k: RunData, gradient: float | None) -> float | None:
-    """Return the pressure difference of the stretch for a friction [Pa/m], with the weight of the concrete [Pa]."""
+    """Return the pressure difference over the stretch [Pa], which balances friction and the weight of the concrete.
+
+    `gradient` is the pressure gradient that balances the friction [Pa/m].
+    """
     return None if gradient is None else k.scene.length * (gradient + k.scene.density * k.scene.gravity)
 
 
@@ -123,5 +126,5 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the part of the stated aggregates that is simulated, for a sieve curve."""
+    """For aggregates with a sieve curve, yield the line of a report that states which part of them is simulated."""
     yield from aggregate_lines(run)

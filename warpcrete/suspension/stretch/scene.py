@@ -22,8 +22,9 @@ from ..scene import SphereFields
 MIN_LENGTH = 3.0
 """Minimum length of the stretch, in diameters of the largest aggregate."""
 NEWTONIAN = 8 / 5.783
-"""Time constant of a Newtonian flow that starts in a pipe, divided by density times mean velocity over the pressure
-gradient. The number 5.783 is the square of the first zero of the Bessel function J0."""
+"""Constant c in the time constant c rho v / G with which a Newtonian flow starts in a pipe. Here rho is the density, v
+the steady mean velocity and G the pressure gradient. The number 5.783 is the square of the first zero of the Bessel
+function J0."""
 STEADY = 0.02
 """Relative change of the flow over the last quarter of a run below which it counts as steady."""
 MIN_ACROSS = 8
@@ -84,14 +85,14 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     """Mean velocity that the driving force keeps constant [m/s]; `gradient` is then that of the mortar alone by theory.
     None if the pressure gradient is constant."""
     depth: float = 0.0
-    """Extent along y of a flow between two planes at x = -radius and x = radius, between planes of symmetry [m]; 0 for
-    a round pipe."""
+    """For a flow between two planes at x = -radius and x = radius, the extent along y [m], which ends at planes of
+    symmetry; 0 for a round pipe."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
 
     step_error: ClassVar[float] = 0.0
-    """Steps have equal lengths, so no error limits them."""
+    """Allowed error of a time step; 0, because all time steps have the same length and do not adapt to an error."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -179,10 +180,11 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         """Estimated time until the flow of a constant pressure gradient has reached 98 % of its steady value [s].
 
         The flow approaches its steady value exponentially. The time constant is that of a Newtonian fluid in a pipe
-        (Szymanski 1932), with the driving force reduced by the yield stress. On a slip layer with a yield stress, the
-        slip velocity first grows from that of a film that sticks. Every step uses the ratio of friction to velocity
-        from the step before, so that the velocity grows by at most the ratio of the stress at the wall to the yield
-        stress of the layer.
+        (Szymanski 1932), with the driving force reduced by the yield stress.
+
+        A slip layer with a yield stress delays the start. At first, the slip velocity is as low as if the mortar stuck
+        to the wall. Each step uses the ratio of friction to slip velocity from the step before. The slip velocity
+        therefore grows in a step by at most the ratio of the wall stress to the yield stress of the layer.
         """
         layer = self.slips and self.concrete.slip_yield > 0
         held = self.ways * (least_stress(self.concrete, self.line) if self.slips else self.concrete.yield_stress)

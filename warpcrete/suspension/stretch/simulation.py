@@ -57,7 +57,7 @@ class StretchSimulation(AggregateRun):
         return measured(self.flow) | self.aggregate_columns()
 
     def ended_early(self) -> bool:
-        """Find whether flow or gradient is steady, and return False: a run always lasts as long as it should."""
+        """Update the attribute `steady`, and return False, because a run always lasts as long as the scene states."""
         name = "flow" if self.scene.mean_velocity is None else "gradient"
         time, flow = (np.array([row[column] for row in self._rows]) for column in ("time", name))
         late = flow[time >= 0.75 * time[-1]]
