@@ -76,8 +76,8 @@ class ConvergenceError(InstabilityError):
         path = ", ".join(f"{history[k]:.2g}" for k in chosen if k < len(history))
         looser = "a larger tolerance, " if what == "pressure" else ""
         super().__init__(
-            f"the {what} solve did not converge in {iterations} iterations (maximum_iterations = {maximum}); residual "
-            f"{residual:.3g} after {path}",
+            f"the {what} solve did not converge in {iterations} iterations (maximum_iterations = {maximum}); its "
+            f"residual is {residual:.3g}, after {path} in earlier iterations",
             time=time,
             cure=f"a smaller 'time_step', {looser}more iterations ('maximum_iterations'), 'precision' float64",
         )
