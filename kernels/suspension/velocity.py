@@ -233,8 +233,8 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
 def gather_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
     """Build the kernel that computes the product of matrix and search direction for each aggregate.
 
-    It runs after `multiply` of `search_kernels`. It adds up the products on the aggregate's faces, and adds the terms of
-    its own inertia and of its neighbours. Its tasks work on the aggregates, which :func:`share_of_body` distributes.
+    It runs after `multiply` of `search_kernels`. It adds up the products on the aggregate's faces, and adds the terms
+    of its own inertia and of its neighbours. Its tasks work on the aggregates, which :func:`share_of_body` distributes.
     `first` is the number of partial sums that `multiply` has stored.
     """
     Grid = grid_parameters_struct(scalar, 3)
