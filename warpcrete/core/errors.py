@@ -191,7 +191,7 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
     if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
         span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
         if not math.isfinite(lower):
-            span = "a finite number"
+            span = "a finite number in" if unit else "a finite number"
         refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)
 
 
