@@ -63,8 +63,8 @@ def section(name: str, record: dict, figure: bool = True) -> str:
     own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})"
            for quantity, error in record.get("reference_errors", {}).items()]  # fmt: skip
     time = record["points"][0]["time"]["value"]
-    lines = [f"`{command}`, {record['machine']}, {time:.3g} s as given" + (
-        f"; own error of the finest setting: {', '.join(own)}:" if own else ":"), ""]  # fmt: skip
+    error = f" The finest setting itself has an error of {' and '.join(own)}." if own else ""
+    lines = [f"`{command}` ran on {record['machine']}. With unchanged settings a run takes {time:.3g} s.{error}", ""]
     lines += [f"![Error over cost: {name}](../images/trade_{name}.png)", ""] if figure else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
               "| worst of other scenes |", "|---|---|---|---|---|---|"]  # fmt: skip

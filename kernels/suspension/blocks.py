@@ -5,11 +5,13 @@ import functools
 import warp as wp
 
 from ..common.control import HALTED
+from ..mps.coarse import lane_sum, lanes
 from ..mps.grid.cells import DT, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.levels import system_structs
 from ..mps.structs import mps_types, row_place
 from .bodies import BodyKind, body_functions, body_structs, shape_functions
 from .pairs import pair_functions, pair_struct
+from .vectors import share_of_body
 
 
 @functools.cache
@@ -18,10 +20,12 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
 
     The reduced matrix is P^T A P, with the viscous matrix A of all faces and the matrix P of rigid motions, see
     `bodies.py`. An aggregate has one block for its velocity and one for its spin. The inverses precondition the
-    conjugate gradients, without the coupling of velocity and spin. The kernel runs with one task per aggregate.
+    conjugate gradients, without the coupling of velocity and spin. The tasks of the kernel work on the aggregates,
+    which :func:`share_of_body` distributes.
     """
     t = mps_types(scalar, 3)
-    vec = t.vec
+    vec, mat = t.vec, t.mat
+    all_lanes = lane_sum(vec)
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
@@ -50,12 +54,15 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
     ):
         if flags[HALTED] != 0:
             return
-        b = wp.tid()
-        dt = scalar(mesh.clock[DT])
-        resisting, turning = pair_blocks(bodies, pairs, b)
-        whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resisting
-        round = inertia(bodies, b) / dt * wp.identity(n=3, dtype=scalar) + turning
-        for k in range(cover.count[b]):
+        b, lane = share_of_body(wp.tid(), 0)
+        whole = mat()
+        round = mat()
+        if lane == 0:
+            dt = scalar(mesh.clock[DT])
+            resisting, turning = pair_blocks(bodies, pairs, b)
+            whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resisting
+            round = inertia(bodies, b) / dt * wp.identity(n=3, dtype=scalar) + turning
+        for k in range(lane, cover.count[b], lanes()):
             r = cover.faces[cover.first[b] + k]
             axis = r / g.slots
             e = unit(axis)
@@ -69,7 +76,11 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
                     other = unit(o / g.slots)
                     whole -= matrix.coefficient[place] * wp.outer(e, other)
                     round -= matrix.coefficient[place] * wp.outer(turned, wp.cross(f.lever(g, bodies, b, o), other))
-        bodies.mobility[b] = wp.inverse(whole)
-        bodies.spin_mobility[b] = wp.inverse(round)
+        for axis in range(3):
+            whole[axis] = all_lanes(whole[axis])
+            round[axis] = all_lanes(round[axis])
+        if lane == 0:
+            bodies.mobility[b] = wp.inverse(whole)
+            bodies.spin_mobility[b] = wp.inverse(round)
 
     return blocks

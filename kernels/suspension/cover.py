@@ -6,10 +6,12 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import HALTED
+from ..mps.coarse import lanes
 from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_structs
 from ..mps.grid.places import place_functions
 from ..mps.structs import mps_types
 from .bodies import COVER_LOOPS, FULL, BodyKind, body_functions, body_structs, shape_functions
+from .vectors import share_of_body
 
 
 @functools.cache
@@ -100,8 +102,8 @@ def cover_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     """Build the kernels that find the faces and samples (cells and cell edges) that aggregates cover.
 
     - `clear` deletes the results of the previous step, with one task per sample.
-    - `claim` marks covered faces and adds up the fractions of samples that aggregates fill, with one task per
-      aggregate.
+    - `claim` marks covered faces and adds up the fractions of samples that aggregates fill. Its tasks work on the
+      aggregates, which :func:`share_of_body` distributes.
     - `collect` lists the faces of each aggregate, with one task per aggregate. It runs after the kernels of
       `release_kernels`.
     """
@@ -130,30 +132,29 @@ def cover_kernels(scalar, of: GridKind, kind: BodyKind) -> SimpleNamespace:
     def claim(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, mesh: Fields, cover: Cover):
         if flags[HALTED] != 0:
             return
-        b = wp.tid()
+        b, lane = share_of_body(wp.tid(), 0)
         low, high = f.box(g, bodies, b)
-        for k in range(low[2], high[2] + 1):
-            for j in range(low[1], high[1] + 1):
-                for i in range(low[0], high[0] + 1):
-                    c = whole(i, j, k)
-                    number = places.at(g, c)
-                    for axis in range(3):
-                        middle = places.face_middle(g, c, axis)
-                        r = number + axis * g.slots
-                        if mesh.kind[r] == LIQUID:
-                            d, radius = shape.nearest(bodies, b, middle - bodies.centre[b])
-                            if wp.length(d) < radius:
-                                wp.atomic_add(cover.claims, r, 1)
-                                wp.atomic_max(cover.owner, r, b + 1)
-                            area = wp.int32(f.covered_part(g, bodies, b, middle, axis) * scalar(FULL))
-                            if area > 0:
-                                wp.atomic_add(cover.touches, r, 1)
-                                wp.atomic_max(cover.toucher, r, b + 1)
-                                wp.atomic_add(cover.covered, r, area)
-                    for sample in range(4):
-                        part = f.solid_part(g, bodies, b, body.sample_middle(g, c, sample))
-                        if part > scalar(0.0):
-                            wp.atomic_add(cover.solid, number + sample * g.slots, wp.int32(part * scalar(FULL)))
+        across = wp.max(high - low + whole(1, 1, 1), whole())
+        for n in range(lane, across[0] * across[1] * across[2], lanes()):
+            c = low + whole(n % across[0], n / across[0] % across[1], n / across[0] / across[1])
+            number = places.at(g, c)
+            for axis in range(3):
+                middle = places.face_middle(g, c, axis)
+                r = number + axis * g.slots
+                if mesh.kind[r] == LIQUID:
+                    d, radius = shape.nearest(bodies, b, middle - bodies.centre[b])
+                    if wp.length(d) < radius:
+                        wp.atomic_add(cover.claims, r, 1)
+                        wp.atomic_max(cover.owner, r, b + 1)
+                    area = wp.int32(f.covered_part(g, bodies, b, middle, axis) * scalar(FULL))
+                    if area > 0:
+                        wp.atomic_add(cover.touches, r, 1)
+                        wp.atomic_max(cover.toucher, r, b + 1)
+                        wp.atomic_add(cover.covered, r, area)
+            for sample in range(4):
+                part = f.solid_part(g, bodies, b, body.sample_middle(g, c, sample))
+                if part > scalar(0.0):
+                    wp.atomic_add(cover.solid, number + sample * g.slots, wp.int32(part * scalar(FULL)))
 
     @wp.kernel(enable_backward=False, module="unique")
     def collect(g: Grid, flags: wp.array(dtype=wp.int32), bodies: Bodies, cover: Cover):

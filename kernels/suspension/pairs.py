@@ -151,7 +151,8 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
     - `resistance` returns the force of a pair per speed of approach [N s/m].
     - `lever` returns the vector from the centre of an aggregate to the point at which a neighbour acts on it.
     - `relative` returns the velocity of a sphere relative to a neighbour.
-    - `between` returns the force and the torque by which all neighbours of an aggregate oppose the given velocities.
+    - `between` returns the force and the torque by which the neighbours of an aggregate oppose the given velocities. It
+      adds up every `by`-th neighbour from number `lane` on.
     - `blocks` returns the 3 x 3 matrices of that force as a function of the aggregate's own velocity, and of that
       torque as a function of its own spin.
     """
@@ -206,11 +207,14 @@ def pair_functions(scalar, kind: BodyKind) -> SimpleNamespace:
         return u - wp.dot(u, n) * n
 
     @wp.func
-    def between(bodies: Bodies, pairs: Pairs, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), b: wp.int32):
+    def between(
+        bodies: Bodies, pairs: Pairs, linear: wp.array(dtype=vec), angular: wp.array(dtype=vec), b: wp.int32,
+        lane: wp.int32, by: wp.int32,
+    ):  # fmt: skip
         force = vec()
         torque = vec()
         for s in range(shape.first(bodies, b), shape.end(bodies, b)):
-            for k in range(pairs.count[s]):
+            for k in range(lane, pairs.count[s], by):
                 place = s * CAPACITY + k
                 n = pairs.normal[place]
                 u = relative(bodies, pairs, linear, angular, 0, s, place)
@@ -274,7 +278,7 @@ def pair_kernels(scalar, kind: BodyKind) -> SimpleNamespace:
         if flags[HALTED] != 0:
             return
         b = wp.tid()
-        push, twist = pair.between(bodies, pairs, bodies.velocity, bodies.spin, b)
+        push, twist = pair.between(bodies, pairs, bodies.velocity, bodies.spin, b, 0, 1)
         force = -push
         torque = -twist
         for s in range(shape.first(bodies, b), shape.end(bodies, b)):

@@ -124,7 +124,7 @@ def velocity_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 
 @functools.cache
-def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> SimpleNamespace:
+def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels that compute search directions and their products with the matrix.
 
     Unless stated otherwise, the kernels run with `tasks` tasks for the faces, and further ones for the aggregates,
@@ -133,19 +133,13 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
     - `begin` computes the first search direction.
     - `turn` computes the next search direction.
     - `multiply` computes the product of the viscous matrix A and a direction on all faces, with `tasks` tasks.
-    - `gather` computes the product for each aggregate, without tasks for faces. It adds up the products on the
-      aggregate's faces, and adds the terms of its own inertia and of its neighbours. `first` is the number of partial
-      sums that `multiply` has stored.
     """
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
     Matrix, Vector = system_structs(scalar).Matrix, vector_struct(scalar)
     own, ranges, store = share_functions(serial), range_functions(scalar, serial), store_function(serial)
-    Fields = grid_structs(scalar, 3).Fields
     v = velocity_functions(scalar, of)
-    Pairs, between = pair_struct(scalar), pair_functions(scalar, kind).between
-    inertia = shape_functions(scalar, kind).inertia
     product = (row_product if serial else entry_product)(scalar, scalar)
     vec3 = types(scalar).vec3
 
@@ -232,6 +226,26 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
             result.faces[r] = q
         store(task, partial, 0, sum)
 
+    return SimpleNamespace(begin=begin, turn=turn, multiply=multiply)
+
+
+@functools.cache
+def gather_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
+    """Build the kernel that computes the product of matrix and search direction for each aggregate.
+
+    It runs after `multiply` of `search_kernels`. It adds up the products on the aggregate's faces, and adds the terms
+    of its own inertia and of its neighbours. Its tasks work on the aggregates, which :func:`share_of_body` distributes.
+    `first` is the number of partial sums that `multiply` has stored.
+    """
+    Grid = grid_parameters_struct(scalar, 3)
+    structs = body_structs(scalar)
+    Bodies, Cover = structs.Bodies, structs.Cover
+    Vector, Fields = vector_struct(scalar), grid_structs(scalar, 3).Fields
+    v, store = velocity_functions(scalar, of), store_function(serial)
+    Pairs, between = pair_struct(scalar), pair_functions(scalar, kind).between
+    inertia = shape_functions(scalar, kind).inertia
+    all_lanes = lane_sum(types(scalar).vec3)
+
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def gather(
         g: Grid, first: wp.int32, mesh: Fields, bodies: Bodies, cover: Cover, pairs: Pairs, direction: Vector,
@@ -242,9 +256,12 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
         sum = wp.float64(0.0)
         if b < bodies.centre.shape[0]:
             force, torque = v.resultant(g, cover, b, lane, result.faces)
+            push, twist = between(bodies, pairs, direction.linear, direction.angular, b, lane, lanes())
+            push = all_lanes(push)
+            if wp.static(kind.turning):
+                twist = all_lanes(twist)
             if lane == 0:
                 dt = scalar(mesh.clock[DT])
-                push, twist = between(bodies, pairs, direction.linear, direction.angular, b)
                 force += bodies.extra_mass[b] / dt * direction.linear[b] + push
                 torque += inertia(bodies, b) / dt * direction.angular[b]
                 if wp.static(kind.turning):
@@ -254,7 +271,7 @@ def search_kernels(scalar, serial: bool, of: GridKind, kind: BodyKind) -> Simple
                 sum = v.pair(direction, result, b)
         store(task, partial, first, sum)
 
-    return SimpleNamespace(begin=begin, turn=turn, multiply=multiply, gather=gather)
+    return gather
 
 
 @functools.cache

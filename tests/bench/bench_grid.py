@@ -50,7 +50,8 @@ def kernels(flow, steps: int) -> None:
     spent: dict[str, list[float]] = {}
     for result in wp.timing_end(synchronize=True):
         spent.setdefault(result.name, []).append(result.elapsed)
-    for name, times in sorted(spent.items(), key=lambda item: -sum(item[1]))[:12]:
+    print(f"    {sum(map(sum, spent.values())) / steps:8.3f} ms per step in all kernels and copies")
+    for name, times in sorted(spent.items(), key=lambda item: -sum(item[1]))[:20]:
         print(f"    {sum(times) / steps:8.3f} ms per step, {len(times) / steps:7.1f} launches: {name}", flush=True)
 
 

@@ -197,7 +197,7 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
         ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of 'diameter'"),
         ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of 'concrete'"),
         ("pipe", ["--velocity", 1e9], "velocity = 1000000000.0: must be in"),
-        ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': needs the length of pipe in a pipeline"),
+        ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': needs the lengths of the whole pipeline"),
         ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': must not be a plate in a bend"),
     ],
 )

@@ -65,7 +65,7 @@ def test_nan_stops_a_run_in_the_step_it_appears(device):
         getattr(simulation.state.spheres, name).assign(values)
         return simulation
 
-    with pytest.raises(InstabilityError, match=r"t = .*body 1: its speed rises from nan .*usual cures"):
+    with pytest.raises(InstabilityError, match=r"t = .*body 1: its speed rises in one step from nan .*usual cures"):
         with_nan("velocity", 2).stepper.take(1)
     with pytest.raises(InstabilityError, match=r"t = .*body 1: kinetic_energy is not a finite number"):
         with_nan("spin", 0).run()
@@ -73,7 +73,7 @@ def test_nan_stops_a_run_in_the_step_it_appears(device):
 
 def test_speed_limit_names_body_and_speed(device):
     scene = one_sphere(watch=Watch(speed=0.2), duration=0.1)
-    with pytest.raises(InstabilityError, match=r"t = 0\.0.*body 0: its speed rises from 0\.1.*watch\.speed = 0\.2"):
+    with pytest.raises(InstabilityError, match=r"t = 0\.0.*body 0: its speed rises .* from 0\.1.*watch\.speed = 0\.2"):
         Simulation(scene, device=device).run()
 
 

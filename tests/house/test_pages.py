@@ -98,7 +98,7 @@ QUICK = {
         lambda: printed("theory --concrete xu-no1 --flow 1500e-6", rf"paper [\d.]+ {N}", factor=1e-3)),
     "its mortar": Told("validation/mix.md", rf"its mortar \| 2190 kg/m3 \| {N} kg/m3",
         lambda: printed("mix xu-no1", rf"mortar's density {N}")),
-    "a soft mix": Told("validation/mix.md", rf"650 mm are {N} Pa, {N} to {N}\.",
+    "a soft mix": Told("validation/mix.md", rf"650 mm means a yield stress of {N} Pa, with a band of {N} to {N} Pa\.",
         lambda: printed("mix example-scc", rf"yield stress {N} Pa {N} to {N}")),
     "its viscosity": Told("explanation/mix-properties.md", rf"instead of {N} for the file of the notebook \({N} Pa s\)",
         lambda: printed("mix example-scc", r"viscosity [\d.]+ Pa s [\d.]+ to ([\d.]+)", rf"viscosity {N}")),
@@ -165,7 +165,7 @@ def test_errors_of_flows(device, row):
     result = Simulation(getattr(scenes, given.pop("name"))(concrete="no1", **given), device=device).run().result
     told = figures("validation/flow-pipes.md", rf"\| {re.escape(row)} \| [\d,]+ \| {N} % \| \+?{N} % \| {N} % \|")
     agree(told, errors(result), SIMULATED)
-    (promised,) = figures("README.md", rf"Pressure and slip of a flow within {N} % at 5 mm")
+    (promised,) = figures("README.md", rf"agree with theory within {N} % at a particle spacing of 5 mm")
     assert row.endswith("10 mm") or max(map(abs, errors(result)[:2])) < float(promised)
 
 

@@ -178,7 +178,7 @@ def test_contradictory_and_empty_mixes_are_refused_in_one_line(tmp_path, section
 @pytest.mark.parametrize(
     ("section", "says"),
     [
-        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated beside a flow"),
+        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated together with"),
         ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity = None: must be stated"),
         ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 9}}, "mix concrete: flow_index = 9.0: is"),
         ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have 'yield_stress'"),

@@ -193,7 +193,7 @@ def test_elements_have_no_layer_that_is_not_linear(tmp_path):
     path.write_text("base: no1\nflow: {slip_flow_index: 0.8}\n", encoding="utf-8")
     section = "elements: {layer_yield: 100, layer_viscosity: 900}\n"
     if not concrete("no1").elements:
-        with pytest.raises(SceneError, match=r"slip_flow_index = 0\.8: describes a slip layer that discrete elements"):
+        with pytest.raises(SceneError, match=r"slip_flow_index = 0\.8: describes a slip layer whose stress"):
             scenes.pipe(concrete=path)
     path.write_text(f"base: no1\nflow: {{slip_flow_index: 0.8}}\n{section}", encoding="utf-8")
     assert scenes.pipe(concrete=path).parameters["layer_viscosity"] == 900

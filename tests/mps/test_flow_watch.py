@@ -39,7 +39,7 @@ def row_of(scene, **changes):
         ({"force_balance_error": 0.25}, r"forces do not balance: 0\.25 of .*watch\.force_balance = 0\.2"),
         ({"force_balance_error": -0.25}, r"forces do not balance: -0\.25 of"),
         ({"force_balance_error": math.nan}, "forces do not balance: nan of"),
-        ({"volume_error": -0.02}, r"0\.02 of the volume was lost or gained \(watch\.volume = 0\.015\)"),
+        ({"volume_error": -0.02}, r"0\.02 of the volume was lost or gained; the limit is watch\.volume = 0\.015"),
     ],
 )
 def test_a_row_that_means_nothing_stops_the_flow(changes, words):

@@ -113,8 +113,8 @@ def test_factors_of_student(freedom, factor):
 @pytest.mark.parametrize(
     ("points", "says"),
     [
-        (taps()[:1], r"^fit = '1 different point': must be at least 2 to determine the slip viscosity with a band, 3 "
-         r"at two flows for the slip yield, and 4 at two places for the bends; measure at more"),
+        (taps()[:1], r"^fit = '1 different point': is too few: 2 points determine the viscosity of the slip layer, 3 "
+         r"at two flows also its yield stress, and 4 at two places also the friction of bends; measure at more"),
         ([Tap(0.0, 1e5, 0.01 * k, 2) for k in (1, 2, 3)],
          r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
@@ -306,7 +306,7 @@ def test_repeated_rows_count_once():
     once = taps(noise=3e4, flows=(15, 45), parts=(0, 1))
     fit, again = (by_scatter(LINE, TRUE, points) for points in (once, [*once, *once]))
     assert again == fit
-    with pytest.raises(SceneError, match="fit = '1 different point': must be at least 2"):
+    with pytest.raises(SceneError, match="fit = '1 different point': is too few"):
         by_scatter(LINE, TRUE, [once[0], replace(once[0], row=9)])
 
 

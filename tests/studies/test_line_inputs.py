@@ -75,7 +75,7 @@ def test_a_slump_replaces_the_concrete_of_a_file():
         (["--concrete", "no1", "--diameter", "125mm", "--length", "190m"], "flow: is missing; set it in the file"),
         (
             ["--slump", "18cm", "--diameter", "125mm", "--length", "9m", "--rest", "5 min"],
-            "flow: is missing; an answer beyond pressures at usual flows needs it",
+            "flow: is missing; without a flow, the command prints only pressures at usual flows",
         ),
         (PIPE, "concrete: is missing; set it in the file of the line, with --concrete no1 or a file, or with --slump"),
         (["--slump", "180mm", *PIPE, "--rise", "200 m"], "rise = 200.0: must be in [-190, 190] m"),
@@ -85,7 +85,7 @@ def test_a_slump_replaces_the_concrete_of_a_file():
         (["--slump", "180mm", "--stone", "2mm", *PIPE], "stone = 0.002: must be at least 0.008 m"),
         (["--slump", "180mm", "--stone", "130mm", *PIPE], "largest_stone = 0.13: does not pass through part 1"),
         (["--slump", "180mm", "--concrete", "no1", *PIPE], "slump: cannot be given together with --concrete"),
-        (["--slump", "180mm", *PIPE, "--simulate"], "slump: alone suffices for an answer by theory only"),
+        (["--slump", "180mm", *PIPE, "--simulate"], "slump: a slump or spread alone is not enough for a simulation"),
         (["--slump", "180mm", *PIPE, "--length", "190 l"], "length = '190 l': must be a number with one of m, mm"),
         (["burj-khalifa", "--length", "3 m"], "length: cannot be given together with the file of a line"),
         (["--slump", "180mm", *PIPE, "--diameter", "0"], "diameter = 0.0: must be a finite number above 0 m"),

@@ -125,7 +125,7 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
     assert "| yielding layer | 10.5 +- 0.71 / 10.5 +- 0.71 | 12.5 +- 0.71 / 12.5 +- 0.71 |" in text
     assert "| 0.10 | 0.10 |" in text and "as a yield stress of 357 Pa" in text
     assert resume_reproduction(found.folder).results == found.results
-    with pytest.raises(SceneError, match="contains results of zhan; give a folder of zhan, quick"):
+    with pytest.raises(SceneError, match="give a folder of 'warpcrete reproduce zhan --quick'"):
         reproduce("zhan", out=tmp_path / "quick", quick=True, known=[first.folder])
 
 

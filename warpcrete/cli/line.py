@@ -90,7 +90,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         wanted = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
         if out is not None or settings["practice"] or any(settings[name] is not None for name in wanted):
             beyond = "the fit" if fit is not None else "pressures at usual flows"
-            raise click.UsageError(f"flow: is missing; an answer beyond {beyond} needs it, as in --flow '30 m3/h'")
+            raise click.UsageError(
+                f"flow: is missing; without a flow, the command prints only {beyond}; add it, as in --flow '30 m3/h', "
+                "or leave out the options that need it"
+            )
         if fit is None:
             said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
         click.echo("\n" + "\n".join(said))
@@ -219,7 +222,9 @@ def _simulated(
     parts, the friction comes from the line's file, a model, or the package's table of parts that were simulated before.
     """
     if given.guessed:
-        raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")
+        raise click.UsageError(
+            "slump: a slump or spread alone is not enough for a simulation; write a mix file, and give it as --concrete"
+        )
     job = importlib.import_module(f"{__package__}.line_simulated")
     folder = out or next_folder("line")
     with _interruptible(folder):

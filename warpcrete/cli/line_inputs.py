@@ -120,7 +120,9 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
     if not cones:
         return None
     if settings["concrete"] is not None:
-        raise click.UsageError(f"{next(iter(cones))}: cannot be given together with --concrete; state it in its file")
+        raise click.UsageError(
+            f"{next(iter(cones))}: cannot be given together with --concrete; state it in the file of the concrete"
+        )
     entries: dict[str, Any] = {"density": DENSITY, **cones}
     if stone is not None:
         if stone < 2 * SMALLEST:

@@ -76,8 +76,8 @@ class ConvergenceError(InstabilityError):
         path = ", ".join(f"{history[k]:.2g}" for k in chosen if k < len(history))
         looser = "a larger tolerance, " if what == "pressure" else ""
         super().__init__(
-            f"the {what} solve did not converge in {iterations} iterations (maximum_iterations = {maximum}); residual "
-            f"{residual:.3g} after {path}",
+            f"the {what} solve did not converge in {iterations} iterations (maximum_iterations = {maximum}); its "
+            f"residual is {residual:.3g}, after {path} in earlier iterations",
             time=time,
             cure=f"a smaller 'time_step', {looser}more iterations ('maximum_iterations'), 'precision' float64",
         )
@@ -191,7 +191,7 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
     if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
         span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
         if not math.isfinite(lower):
-            span = "a finite number"
+            span = "a finite number in" if unit else "a finite number"
         refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)
 
 

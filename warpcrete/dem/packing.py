@@ -334,7 +334,7 @@ class _Growth:
         result.spin = np.zeros_like(result.spin)
         reached = sums.virial / (3 * self.container.volume)
         if pressure is not None and self.container is self.fill.container:
-            found = f"reached {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
+            found = f"reached {reached:.3g} Pa after all sizes were multiplied by {factor:.3f}"
             if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
                 refuse(
                     "packing pressure",

@@ -149,7 +149,8 @@ class Course:
                 "split a larger bend into two, and leave out a smaller one",
             )
         if way in ("up", "down", "level") and angle > whole + 1e-6:
-            refuse(f"{field}: angle", angle, f"turns beyond {way!r}, which is at {whole:.4g} degrees",
+            refuse(f"{field}: angle", angle, f"turns the line beyond the direction {way!r}, "
+                   f"which it reaches at {whole:.4g} degrees",
                    "leave out 'angle' for a bend that ends in this direction")  # fmt: skip
         turn = math.radians(angle)
         across = across / np.linalg.norm(across)
@@ -221,8 +222,9 @@ class Course:
         bends = [piece for piece in pieces if isinstance(piece, Arc)]
         sharpest = min((piece.radius for piece in bends), default=math.inf)
         if self.diameter > BEND_EXTRA_LOSS[0][-1] * sharpest:
-            refuse(f"{field}: points", given, f"bend the hose to a radius of {sharpest:.3g} m",
-                   f"use points for a radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
+            refuse(f"{field}: points", given, f"bend the hose to a radius of {sharpest:.3g} m, but it must "
+                   f"be at least {at_least(self.diameter / BEND_EXTRA_LOSS[0][-1])} m",
+                   "move the points so that the hose bends less sharply")  # fmt: skip
         more = (
             sum(arc.length * float(np.interp(self.diameter / arc.radius, *BEND_EXTRA_LOSS)) for arc in bends) / length
         )

@@ -110,7 +110,7 @@ def of_line(name: str, value: float, off: float, unit: str, way: str, count: int
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):
-        refuse(f"mix {name}", round(value, 6), f"follows from a straight line through {way}, but is impossible",
-               "check the points and their units")  # fmt: skip
+        refuse(f"mix {name}", round(value, 6), f"follows from a straight line through {way}, but must be "
+               f"{'above 0' if viscous else '0 or more'} {unit}", "check the points and their units")  # fmt: skip
     source = "straight line, 95 %" if count > 2 else "straight line; two points give no uncertainty"
     return Figure(name, value, max(value - off, 0.1 * value if viscous else 0.0), value + off, unit, way, source)

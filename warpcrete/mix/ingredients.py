@@ -183,7 +183,8 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
                "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3")  # fmt: skip
     if load and not whole and isinstance(value, str) and not is_amount(value, "kg/m3") and value.strip()[-1:].isalpha():
         units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
-        refuse(field, value, "must be a number with one of {} for the whole load, or with one of {}".format(*units),
+        refuse(field, value, "must be a number with one of {} for the whole load, or with one of {} for a volume of "
+               "concrete".format(*units),
                "leave out separators of thousands" if "," in value else "")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 

@@ -254,7 +254,7 @@ def mix_of(
             # only. For a law whose flow curve is not straight, the mix must state the viscosity itself.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
-                refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",
+                refuse("mix viscosity", None, "must be stated together with a flow index or a quadratic viscosity",
                        "add it to the same section")  # fmt: skip
         if tells:
             bulk[wanted], more = reconciled(tells)

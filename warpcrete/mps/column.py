@@ -223,8 +223,8 @@ def column_scene(
     check_velocity("flow", flow, flow / area)
     if aggregates is not None and (slip := _slip_share(concrete, given, bulk, flow, dimensions)) < MIN_SLIP_RATIO:
         warn(f"aggregates: slip carries {100 * slip:.0f} % of the flow by theory, but a column of particles needs "
-             f"{100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; simulate one phase without "
-             "aggregates where less slips")  # fmt: skip
+             f"{100 * MIN_SLIP_RATIO:.0f} % to keep its volume and its balance of forces; leave out "
+             "'aggregates' to simulate one phase")  # fmt: skip
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
         name=name,

@@ -39,24 +39,24 @@ class WatchedFlow:
         if limits.speed is not None and row["fastest"] > limits.speed * self.top_speed:
             raise self._unstable(
                 row, f"the fastest particle moves at {row['fastest']:.3g} m/s, but theory gives at most "
-                     f"{self.top_speed:.3g} m/s (watch.speed = {limits.speed:g})"
+                     f"{self.top_speed:.3g} m/s; the limit is watch.speed = {limits.speed:g} times theory"
             )  # fmt: skip
         if limits.pressure is not None and abs(row["pressure"]) > limits.pressure * abs(self.pressure):
             raise self._unstable(
                 row, f"the pressure on the piston is {row['pressure']:.4g} Pa, but theory gives {self.pressure:.4g} "
-                     f"Pa (watch.pressure = {limits.pressure:g})"
+                     f"Pa; the limit is watch.pressure = {limits.pressure:g} times theory"
             )  # fmt: skip
         if limits.volume is not None and abs(row["volume_error"]) > limits.volume:
             raise self._unstable(
-                row, f"{abs(row['volume_error']):.3g} of the volume was lost or gained (watch.volume = "
-                     f"{limits.volume:g})"
+                row, f"{abs(row['volume_error']):.3g} of the volume was lost or gained; the limit is watch.volume = "
+                     f"{limits.volume:g}"
             )  # fmt: skip
         balance = row["force_balance_error"]
         # Do not check the balance of forces before the first step, when the wall stress is still zero.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
             raise self._unstable(
-                row, f"forces do not balance: {balance:.3g} of the piston's force is left over (watch.force_balance = "
-                     f"{limits.force_balance:g})"
+                row, f"forces do not balance: {balance:.3g} of the piston's force is left over; the limit is "
+                     f"watch.force_balance = {limits.force_balance:g}"
             )  # fmt: skip
 
     def _unstable(self, row: dict[str, float], what: str) -> InstabilityError:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..dem.engine.stages import warp_width
 from ..kernels.common.control import HALTED
 from ..kernels.mps.grid.advection import advect_kernel
 from ..kernels.mps.grid.bins import bin_kernels, lift_kernel
@@ -57,7 +58,7 @@ class SuspensionStep(GridStep):
         """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
         bins, serial = bin_kernels(scalar, kind), not flow.parallel
-        bodies = flow.aggregates.kind
+        bodies, abreast = flow.aggregates.kind, flow.aggregates.count * warp_width(flow.device)
         cover, free = cover_kernels(scalar, kind, bodies), release_kernels(scalar, kind)
         motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
         neighbours, leaving = neighbour_kernels(scalar, kind, bodies), leaving_kernels(scalar, bodies)
@@ -76,7 +77,7 @@ class SuspensionStep(GridStep):
             *(self._alone(leaving.park, count, opens=flow.opens) if flow.opens else []),
             *self._entering("guide"),
             *self._alone(cover.clear, 4 * slots),
-            *self._alone(cover.claim, count),
+            *self._alone(cover.claim, abreast),
             *self._alone(free.close, slots),
             *self._alone(free.shut, 3 * slots),
             *self._alone(free.share, slots),
@@ -130,7 +131,8 @@ class SuspensionStep(GridStep):
     def blocks(self) -> list[Any]:
         """Return the stages that invert the diagonal block of each aggregate in the matrix of the viscous solve."""
         kernel = block_kernel(self.scalar, not self.flow.parallel, self.kind, self.flow.aggregates.kind)
-        inverse = self._alone(kernel, self.flow.aggregates.count, matrix=self.flow.viscous.matrix)
+        tasks = self.flow.aggregates.count * warp_width(self.flow.device)
+        inverse = self._alone(kernel, tasks, matrix=self.flow.viscous.matrix)
         return [*inverse, *self._entering("fix")]
 
     def after(self) -> list[Any]:

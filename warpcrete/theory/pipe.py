@@ -357,7 +357,12 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     for law, part in ((concrete.bulk_law, ""), (concrete.layer_law, "slip_")):
         if law.name != BINGHAM:
             name, value = ("flow_index", law.index) if law.index != 1 else ("quadratic_viscosity", law.quadratic)
-            refuse(part + name, value, f"cannot be used with Kaplan's model, which has no {law.name} law", "use steady")
+            refuse(
+                part + name,
+                value,
+                "cannot be used with Kaplan's model, which holds for Bingham's law only",
+                "use warpcrete.theory.pipe.steady",
+            )
     between("flow", flow, 0, np.inf, "[m3/s]")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
     slip = mean

@@ -66,8 +66,11 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
             mesh.sorted_particles[mesh.begin[c] + mesh.place[p]] = p
 
     @wp.kernel(enable_backward=False, module="unique")
-    def order(flags: wp.array(dtype=wp.int32), mesh: Fields, worker: wp.int32, workers: wp.int32):
-        """Sort the particles of each cell by their numbers, so that sums are reproducible, with one task per cell."""
+    def order(flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Fields, worker: wp.int32, workers: wp.int32):
+        """Sort the particles of each cell by their numbers, so that sums are reproducible, with one task per cell.
+
+        Then copy the positions and masses of the particles in this order, because many cells and faces read them.
+        """
         if flags[HALTED] != 0:
             return
         c = item(wp.tid(), worker, workers)
@@ -79,6 +82,10 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 mesh.sorted_particles[begin + b] = mesh.sorted_particles[begin + b - 1]
                 b -= 1
             mesh.sorted_particles[begin + b] = own
+        for k in range(begin, begin + mesh.count[c]):
+            p = mesh.sorted_particles[k]
+            mesh.sorted_position[k] = particles.position[p]
+            mesh.sorted_mass[k] = particles.mass[p]
 
     return SimpleNamespace(clear=clear, tally=tally, allot=allot, sort=sort, order=order)
 

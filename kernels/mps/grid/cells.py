@@ -202,6 +202,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cell, shape (n,).
+        sorted_position: wp.array(dtype=t.vec)  # Positions of the particles in this order [m], shape (n,).
+        sorted_mass: wp.array(dtype=scalar)  # Relative masses of the particles in this order, shape (n,).
 
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
         # (axes * slots,).

@@ -112,7 +112,7 @@ def fill_kernel(scalar, of: GridKind):
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Fields, Geometry = structs.Particles, structs.Fields, structs.Geometry
+    Fields, Geometry = structs.Fields, structs.Geometry
     f = grid_functions(scalar, of)
     t = mps_types(scalar, dims)
     vec, whole = t.vec, t.whole
@@ -122,9 +122,8 @@ def fill_kernel(scalar, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def fill(
-        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Fields,
-        worker: wp.int32, workers: wp.int32,
-    ):  # fmt: skip
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
         number = item(wp.tid(), worker, workers)
@@ -147,14 +146,14 @@ def fill_kernel(scalar, of: GridKind):
                 if f.in_grid(g, o):
                     other = f.at(g, o)
                     for k in range(mesh.count[other]):
-                        p = mesh.sorted_particles[mesh.begin[other] + k]
-                        d = particles.position[p] - place
+                        at = mesh.begin[other] + k
+                        d = mesh.sorted_position[at] - place
                         near = scalar(1.0)
                         for b in range(dims):
                             near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
                         if n == wp.static(around // 2):
                             near += behind(g, mesh, c, d)
-                        sum += near * particles.mass[p]
+                        sum += near * mesh.sorted_mass[at]
             particle_density = sum * g.volume / geometry.weighted_volume[number]
             part = wp.clamp(
                 wp.where(film(mesh, g, c), lies(particle_density), level(particle_density)), scalar(0.0), scalar(1.0)

@@ -103,15 +103,16 @@ def gather_kernel(scalar, of: GridKind):
             if there:
                 other = f.at(g, o)
                 for k in range(mesh.count[other]):
-                    p = mesh.sorted_particles[mesh.begin[other] + k]
-                    d = place - particles.position[p]
+                    at = mesh.begin[other] + k
+                    d = place - mesh.sorted_position[at]
                     if wp.static(of.periodic):
                         length = scalar(g.n[last]) * g.width[last]
                         d[last] = d[last] - length * wp.round(d[last] / length)
-                    weight = particles.mass[p]
+                    weight = mesh.sorted_mass[at]
                     for b in range(dims):
                         weight *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
                     if weight > scalar(0.0):
+                        p = mesh.sorted_particles[at]
                         carried = particles.velocity[p] + particles.gradient[p] * d
                         total += weight
                         sum += weight * carried[axis]

@@ -368,8 +368,8 @@ class JointArrays:
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(
-                f"{struct}: {self.sphere_count} spheres need a list of {new[-1]} entries, but at most {most} "
-                "are possible; use fewer spheres"
+                f"spheres = {self.sphere_count}: need a list of {new[-1]} {struct}, but at most {most} are possible; "
+                "use fewer spheres"
             )
         for name in names:
             before: DeviceArray = getattr(getattr(self, struct), name)

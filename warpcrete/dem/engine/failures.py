@@ -36,19 +36,22 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
         cures = "stiffer contacts, slower bodies or walls"
     elif np.any(ways > 0.999):
         what = (
-            f"a speed of {speed} moves it by {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, so that "
+            f"a speed of {speed} moves it by {ways.max():.3g} times its radius in a step of {state.dt:.3g} s, so that "
             "contacts are missed"
         )
         cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s or an automatic one, or slower bodies"
     elif np.any(together > 0.999):
         what = (
             f"a speed of {speed} and mesh walls that move at up to {model.mesh_speed:.3g} m/s bring it closer to a "
-            f"wall by {together.max():.3g} of its radius in a step of {state.dt:.3g} s, so that contacts are missed"
+            f"wall by {together.max():.3g} times its radius in a step of {state.dt:.3g} s, so that contacts are missed"
         )
         cures = f"a time_step below {0.5 * state.dt / together.max():.2g} s or an automatic one, or slower walls"
     else:
         limit = model.scene.watch.speed
-        what = f"its speed rises from {speed} above watch.speed = {limit:g} m/s in one step, or is not a number"
+        what = (
+            f"its speed rises in one step from {speed} to more than watch.speed = {limit:g} m/s, or to a value that is "
+            "not a number"
+        )
         cures = ""
     return unstable(state.time, body, what, cures, model.scene)
 

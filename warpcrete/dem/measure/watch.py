@@ -63,9 +63,8 @@ class Watch:
             raise unstable(
                 time,
                 deepest_sphere(self.model, self.state),
-                f"a sphere overlaps its neighbour or wall by {deepest:.3g} of the overlap at which it would pass "
-                "through "
-                f"(watch.overlap = {limits.overlap:g})",
+                f"a sphere overlaps its neighbour or a wall by {deepest:.3g} times the overlap at which it would pass "
+                f"through; the limit is watch.overlap = {limits.overlap:g}",
                 "stiffer contacts, bodies that do not overlap at the start, slower walls, or a higher watch.overlap "
                 "(the scene's parameter 'overlap_limit')",
                 self.model.scene,
@@ -75,8 +74,8 @@ class Watch:
             raise unstable(
                 time,
                 farthest_body(self.state),
-                f"positions are rounded to {resolution:.2g} of the smallest sphere's radius at {row['reach']:.4g} m "
-                "from the origin",
+                f"positions {row['reach']:.4g} m from the origin are rounded to {resolution:.2g} of the smallest "
+                f"sphere's radius; the limit is {MAX_ROUNDING:g}",
                 "'precision' float64, or positions nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
@@ -89,9 +88,9 @@ class Watch:
             raise unstable(
                 time,
                 fastest_body(self.model, self.state),
-                f"energy grew by {free - self.least:.3g} J without work of a wall or drive, "
-                f"{(free - self.least) / max(self.scale, 1e-300):.2g} of all energy in the scene "
-                f"(watch.energy = {limits.energy:g})",
+                f"energy grew by {free - self.least:.3g} J without work of a wall or drive, which is "
+                f"{(free - self.least) / max(self.scale, 1e-300):.2g} of all energy in the scene; the limit is "
+                f"watch.energy = {limits.energy:g}",
                 scene=self.model.scene,
             )
 

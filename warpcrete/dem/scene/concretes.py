@@ -71,8 +71,13 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
         )
     for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):
         if flow.get(name, plain) != plain and not layer_given:
-            refuse(f"concrete flow {name}", flow[name], "describes a slip layer that discrete elements do not have: "
-                   "theirs is linear", "give layer_yield and layer_viscosity in the section 'elements'")  # fmt: skip
+            refuse(
+                f"concrete flow {name}",
+                flow[name],
+                "describes a slip layer whose stress does not grow linearly with velocity, which discrete elements "
+                "cannot simulate",
+                "give layer_yield and layer_viscosity in the section 'elements'",
+            )
     stiffer, thicker = (flow.get(name, plain) for name, plain in FACTORS.items())
     return {
         "bulk_density": flow["density"],

@@ -304,7 +304,7 @@ class Scene(Parametrised):
             refuse("segregation", self.segregation, "needs a pipe", "set Scene.pipe")
         driven = [drive.group for drive in self.drives]
         if len(set(driven)) != len(driven):
-            refuse("drives", driven, "may name each group once")
+            refuse("drives", driven, "must name each group at most once")
         groups = {bodies.group for bodies in self.bodies if bodies.group and len(bodies.positions)}
         for group in [drive.group for drive in self.drives] + list(self.group_bonds):
             if group not in groups:

@@ -27,8 +27,8 @@ FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "
 """Names of the arrays of the struct `Fields` with one entry per face. EDGE_ARRAYS names those with one entry per edge,
 and PARTICLE_LISTS those with one entry per particle. Most other arrays of the struct have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
-PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles")
-SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
+PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_position", "sorted_mass")
+SLOT_BYTES = {2: 4 * 277, 3: 4 * 557}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
 by number of axes."""
 

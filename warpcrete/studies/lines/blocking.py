@@ -179,7 +179,11 @@ def _counted(study: Study, part: Part, elements: Elements) -> BlockingProbabilit
     results = list(study.results.values())
     if not results:
         first = next(iter(study.failures.values()), "")
-        refuse("blocking", len(study.cases), f"found nothing: no run finished; the first failed with: {first}")
+        refuse(
+            "blocking",
+            len(study.cases),
+            f"gives no result, because no run finished; the first run failed with: {first}",
+        )
     blocked = [bool(number(result["blocked"])) for result in results]
     given = modules()[SCENE].scene(**study.cases[0].parameters)
     return BlockingProbability(

@@ -119,8 +119,8 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
         refuse(
             "fit",
             counted,
-            "must be at least 2 to determine the slip viscosity with a band, 3 at two flows for the slip yield, and 4 "
-            "at two places for the bends",
+            "is too few: 2 points determine the viscosity of the slip layer, 3 at two flows also its yield stress, and "
+            "4 at two places also the friction of bends",
             "measure at more places, or at other flows",
         )
     rises = TapModel(line, concrete, taps).rises

@@ -135,8 +135,8 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
     record = read_record(folder / RECORD)
     if (record.get("paper"), record.get("quick")) != (paper, quick):
         refuse("known", str(folder), "contains results of "
-                                     f"{record.get('paper')}{', quick' if record.get('quick') else ''}",
-               f"give a folder of {paper}{', quick' if quick else ''}")  # fmt: skip
+               f"'warpcrete reproduce {record.get('paper')}{' --quick' if record.get('quick') else ''}'",
+               f"give a folder of 'warpcrete reproduce {paper}{' --quick' if quick else ''}'")  # fmt: skip
     return read_json(folder / "results.json")["results"]
 
 
