@@ -124,7 +124,7 @@ def test_a_changed_scene_goes_on_in_python_from_its_own_checkpoint_alone(tmp_pat
     again = simulation(changed)
     again.resume(path)
     assert again.run().finished
-    assert "its scene was changed (velocity) after" in refused("run", "--resume", tmp_path / "run")
+    assert "the scene was changed in Python (velocity) after" in refused("run", "--resume", tmp_path / "run")
 
 
 def test_a_mesh_that_changed_or_went_is_not_taken_for_the_one_of_the_run(tmp_path):
