@@ -140,7 +140,8 @@ def test_options_know_the_limits(arguments):
 
 
 MEANT = [
-    ("flow", 35.0, "m3/s", "35 m3/h?"), ("diameter", 125.0, "m", "125 mm?"), ("density", 2.35, "kg/m3", "2.35 t/m3?"),
+    ("flow", 35.0, "m3/s", "35 m3/h or 35 yd3/h?"), ("diameter", 125.0, "m", "125 mm?"),
+    ("density", 2.35, "kg/m3", "2.35 t/m3?"), ("slump", 8.0, "m", "8 mm or 8 in?"),
     ("pressure", 1e12, "Pa", ""), ("size_max", 16.0, "m", "16 mm?"), ("velocity", 300.0, "m/s", "300 cm/s?"),
 ]  # fmt: skip
 
@@ -152,10 +153,11 @@ def test_an_impossible_number_is_refused_with_the_unit_that_was_meant(name, valu
 
 
 def test_bare_numbers_are_taken_for_what_they_were_meant():
-    assert "35 m3/h?" in refused(lambda: line_of({"diameter": 0.125, "flow": 35, "parts": [{"straight": 10}]}), "flow")
+    line = {"diameter": 0.125, "flow": 35, "parts": [{"straight": 10}]}
+    assert "35 m3/h or 35 yd3/h?" in refused(lambda: line_of(line), "flow")
     assert "125 mm?" in refused(lambda: line_of({"diameter": 125, "parts": [{"straight": 10}]}), "diameter")
     assert "125 mm?" in refused(lambda: scenes.tube(diameter=125), "diameter")
-    assert "35 m3/h?" in refused(lambda: scenes.tube(flow=35), "flow")
+    assert "35 m3/h or 35 yd3/h?" in refused(lambda: scenes.tube(flow=35), "flow")
     assert "250 mm?" in refused(
         lambda: line_of({"diameter": 0.125, "parts": [{"reducer": {"to": 250, "length": 1}}]}), "part 1, reducer: to"
     )

@@ -118,6 +118,7 @@ def test_factors_of_student(freedom, factor):
         ([Tap(0.0, 1e5, 0.01 * k, 2) for k in (1, 2, 3)],
          r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
         ([Tap(0.0, 8e5, 0.005, 2), Tap(0.0, 7.5e5, 0.01, 3), Tap(0.0, 7.4e5, 0.02, 4)], r"is impossible"),
+        ([Tap(0.0, 4e7, 0.01, 2), Tap(60.0, 3e7, 0.01, 3)], r"more friction than a concrete of 60 Pa s and 80 Pa has"),
     ],
 )  # fmt: skip
 def test_points_that_do_not_suffice_are_refused(points, says):
@@ -146,6 +147,7 @@ def test_points_that_do_not_suffice_are_refused(points, says):
             "part,pressure [bar],flow [m3/h]\n1,0,20\n",
             r"pressure = 0\.0: must be a finite number above 0 Pa; leave out",
         ),
+        ("part,pressure [bar],flow [m3/h]\n1,,20\n", r"line 2: pressure = '': is empty; write a number, or leave"),
         ("part,pressure [bar],flow [m3/h]\n1,20,20000\n", r"flow = 5\.5.*: is impossible"),
     ],
 )

@@ -9,9 +9,12 @@ from click.testing import CliRunner
 from warpcrete.cli.main import cli
 from warpcrete.mix.mix import read_mix
 from warpcrete.studies.lines.answers import ON_CONCRETE
+from warpcrete.studies.lines.fit import fit_line
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
+from warpcrete.studies.lines.taps import Tap
 from warpcrete.studies.lines.theory_line import line_by_theory
+from warpcrete.theory.pipe import Concrete
 
 TICKET = {"parts": {"cement": 320, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1020, "superplasticizer": 3.2},
           "sizes": ["4 mm", "16 mm"], "slump": "200 mm"}  # fmt: skip
@@ -99,6 +102,16 @@ def test_the_picture_shows_gauges_pump_and_restart_in_the_units_of_the_line(tmp_
     axes = line_by_theory(line, found.concrete, 0.01).plot().axes[0]
     assert axes.get_xlabel() == "position along the line [ft]" and axes.get_ylabel() == "pressure [psi]"
     assert axes.get_xlim()[1] == pytest.approx(300) and "diameter 5 in" in axes.get_title()
+
+
+def test_the_picture_tells_gauges_at_the_flow_of_the_line_from_others():
+    line = line_of({"diameter": "125 mm", "parts": [{"straight": 100}, {"hose": 4}]})
+    concrete = Concrete(density=2400.0, viscosity=60.0, yield_stress=80.0, slip_viscosity=700.0, slip_yield=25.0)
+    taps = [Tap(place, 8e5 * flow, flow / 100, 0) for place, flow in ((0, 1.0), (10, 1.0), (0, 0.5))]
+    found = line_by_theory(line, concrete, 0.01, fit=fit_line(line, concrete, taps))
+    shown = {x.get_label(): (list(x.get_xdata()), x.get_markerfacecolor()) for x in found.plot().axes[0].lines}
+    assert shown["gauges"][0] == [0, 10] and shown["gauges at other flows"] == ([0], "white")
+    assert shown["gauges"][1] != "white" and line.parts[1].label == "hose"
 
 
 def test_the_name_in_the_file_of_a_concrete_is_that_of_the_result(site):

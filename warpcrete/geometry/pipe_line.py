@@ -78,7 +78,7 @@ class Part:
         if self.mesh:
             return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
         if self.kind == "hose":
-            return f"hose, rises {self.rise:.3g} m"
+            return f"hose, rises {self.rise:.3g} m" if round(self.rise, 9) else "hose"
         if self.kind == "valve":
             return "valve"
         slope = self.rise / self.length

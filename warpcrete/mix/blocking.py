@@ -146,7 +146,7 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
     flowing = mix is not None and (mix.spread or 0) >= SELF_COMPACTING
     limit = ROUNDED if round_ones and not flowing else CRUSHED
     kind = "rounded" if round_ones else "crushed" if mix is not None and mix.shape is not None else "unknown shape"
-    words = f"{1e3 * stone:g} mm in {1e3 * bore:.4g} mm is {ratio:.2g}; {SAFE:g} is safe, {limit:.2g} the limit ({kind}"
+    words = f"{1e3 * stone:g} mm in {1e3 * bore:.4g} mm is {ratio:.3g}; {SAFE:g} is safe, {limit:.2g} the limit ({kind}"
     words += ", self-compacting)" if flowing else ")"
     widths = f"use a bore of {1e3 * stone / SAFE:.4g} mm, or stones up to {1e3 * SAFE * bore:.3g} mm"
     if ratio > limit * (1 + 1e-9):

@@ -203,7 +203,7 @@ def density_of(name: str) -> float | None:
         refuse("mix parts", name, "is not a known ingredient", meant)
     warn(
         f"mix parts: {quoted(name)} is not a known ingredient: it counts neither as powder nor as stone, and the "
-        "sum of the volumes cannot be checked; use a name such as 'cement', 'fly ash', 'sand' or 'gravel'"
+        "sum of the volumes cannot be checked; use a name such as 'cement', 'sand', 'gravel' or 'superplasticizer'"
     )
     return None
 
@@ -234,5 +234,6 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
     if filled > POSSIBLE_VOLUMES[1] or (complete and filled < POSSIBLE_VOLUMES[0]):
         refuse("mix parts", ", ".join(parts), f"{words} without air", "list all ingredients of a cubic metre, in kg/m3")
     if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
-        left = f"which leaves {100 * (1 - filled):.2g} % of air; check the masses, or state it, as in 'air: 8 %'"
+        room = f"{100 * (1 - filled):.2g} %"
+        left = f"which leaves {room} of air; check the masses and the moisture of the sand, or state 'air: {room}'"
         warn(f"mix parts: {words}, {left if filled < 1 else 'and leave no room for air; check the masses'}")

@@ -58,6 +58,9 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
             if key in LARGEST_NAMES:
                 size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
                 refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
+            if "moist" in str(key).casefold():
+                refuse("mix key", key, "is not an entry of a mix",
+                       "subtract the surface moisture from the sand, and add it to the water")  # fmt: skip
             if (own := OTHER_NAMES.get(re.sub(r"[\W_]+", " ", str(key).casefold()).strip())) is not None:
                 refuse("mix key", key, f"is the entry {own!r} of a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)

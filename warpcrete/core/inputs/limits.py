@@ -13,7 +13,7 @@ import warnings
 from dataclasses import dataclass
 
 from ..errors import PlausibilityWarning, refuse
-from .amounts import UNITS
+from .amounts import CUSTOMARY, UNITS
 
 
 @dataclass(frozen=True)
@@ -156,16 +156,18 @@ def warn(text: str) -> None:
 
 
 def _meant(value: float, unit: str, limit: Limit) -> str:
-    """Return a question such as "did you mean 125 mm?", with a unit in which the number would be usual.
+    """Return a question such as "did you mean 5 cm or 5 in?", with units in which the number would be usual.
 
-    Return an empty text if there is no such unit.
+    Name the first such unit, and the first customary US unit. Return an empty text if there is no such unit.
     """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits of all quantities in one unit are too wide to show which unit was meant.
     if not 1e-2 <= abs(value) <= 1e6:
         return ""  # A number this small or large does not result from a wrong unit, so suggest none.
-    for other, factor in UNITS.get(unit, {}).items():
-        if factor != 1.0 and low <= abs(value) * factor <= high:
-            return f"did you mean {value:g} {other}?"
-    return ""
+    possible = [other for other, factor in UNITS.get(unit, {}).items()
+                if factor != 1.0 and low <= abs(value) * factor <= high]  # fmt: skip
+    # An inch or a cubic yard may be as usual as a metric unit, and only the user knows which one was meant.
+    customary = next((other for other in possible if other in CUSTOMARY), None)
+    shown = possible[:1] + ([customary] if customary not in (None, *possible[:1]) else [])
+    return f"did you mean {' or '.join(f'{value:g} {other}' for other in shown)}?" if shown else ""

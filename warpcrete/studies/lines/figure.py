@@ -9,6 +9,7 @@ import numpy as np
 from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THEORY, legend_beside, open_frame, rgb
 from .answers import CUSTOMARY_SIZES
 from .pressures import LinePressures
+from .taps import Tap
 
 MIN_STRIPE = 0.004
 """Smallest width of the stripe that marks a bend in the figure, divided by the length of the pump line."""
@@ -68,9 +69,11 @@ def draw(result: LinePressures) -> Any:
         )
     _draw_pump(axes, result, size)
     if result.fit is not None:
-        taps = result.fit.taps
-        axes.plot([tap.place / metre for tap in taps], [tap.pressure / size for tap in taps], "o", markersize=5,
-                  color=rgb(MEASURED), clip_on=False, label="gauges" + _flows_of(result))  # fmt: skip
+        at_flow, others = _taps(result)
+        for taps, fill, name in (at_flow, rgb(MEASURED), "gauges"), (others, "white", "gauges at other flows"):
+            if taps:
+                axes.plot([tap.place / metre for tap in taps], [tap.pressure / size for tap in taps], "o", markersize=5,
+                          color=rgb(MEASURED), markerfacecolor=fill, clip_on=False, label=name)  # fmt: skip
     axes.set(xlabel=f"position along the line [{'ft' if us else 'm'}]", ylabel=f"pressure [{'psi' if us else 'bar'}]",
              xlim=(0, places[-1]), ylim=(0, None))  # fmt: skip
     axes.set_title(_title(result), fontsize=10)
@@ -91,11 +94,12 @@ def _draw_pump(axes: Any, result: LinePressures, size: float) -> None:
                       color=rgb(RUN if result.simulated else SECOND), label="restart at full flow")  # fmt: skip
 
 
-def _flows_of(result: LinePressures) -> str:
-    """Return words for the legend if gauges were read at other flows than that of the line, otherwise an empty text."""
+def _taps(result: LinePressures) -> tuple[list[Tap], list[Tap]]:
+    """Return the taps whose gauges were read at the flow of the line, within 2 %, and those read at other flows."""
     assert result.fit is not None
-    others = any(abs(tap.flow - result.flow) > 0.02 * result.flow for tap in result.fit.taps)
-    return " (also at other flows)" if others else ""
+    taps = result.fit.taps
+    at_flow = [tap for tap in taps if abs(tap.flow - result.flow) <= 0.02 * result.flow]
+    return at_flow, [tap for tap in taps if tap not in at_flow]
 
 
 def _title(result: LinePressures) -> str:

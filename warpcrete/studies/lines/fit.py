@@ -37,6 +37,9 @@ Below this limit, the measured pressures do not determine all constants, and one
 LEAST = (1e-2, -1.0, 0.0)
 """Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
 friction factor of bends. A fit in which a constant does not exceed its limit is refused as impossible."""
+NO_SLIP = 1e6
+"""Slip viscosity [Pa s/m] at which concrete practically sticks to the wall. Slip layers have 100 to 10000 Pa s/m. A
+larger fitted value hardly changes the friction any more, so it means that no slip layer explains the pressures."""
 NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
 """Reasons why a constant was left out of a fit: NO_YIELD for the yield stress of the slip layer, which is then zero,
@@ -161,7 +164,7 @@ def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: boo
             else:
                 reasons[1] = NO_YIELD
             found = _least_squares(model, measured, start, free)
-    _check_result(found, free)
+    _check_result(found, free, concrete)
     fitted = model.pressures(found)
     slopes = model.sensitivities(found, free)
     squares = _squares(fitted - measured, taps, len(free), gauge)
@@ -213,8 +216,14 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
     return free
 
 
-def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
+def _check_result(found: np.ndarray, free: Sequence[int], concrete: Concrete) -> None:
     """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
+    if found[0] > NO_SLIP:
+        raise SceneError(
+            f"fit: the gauges need more friction than a concrete of {concrete.viscosity:.4g} Pa s and "
+            f"{concrete.yield_stress:.4g} Pa has, even where it sticks to the wall; check the gauges (pressure of the "
+            "concrete, not of the oil), their unit and places, the flows, and the viscosity of the concrete"
+        )
     for place in free:
         if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
             unit = f" {UNITS[place]}" if UNITS[place] else ""

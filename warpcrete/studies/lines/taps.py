@@ -46,7 +46,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
     columns, rows = read_columns(path, "fit")
     for name in columns:
         if name not in COLUMNS:
-            refuse("fit", str(path), f"has an unknown column {name!r}", example)
+            refuse("fit", str(path), f"has an unknown column {name!r}; possible columns are 'place' (distance from the "
+                   "pump along the line), 'part', 'pressure' and 'flow'", example)  # fmt: skip
     if ("place" in columns) == ("part" in columns):
         refuse("fit", str(path), "must have one of the columns 'place' and 'part'", example)
     for name in ("pressure", *(() if flow is not None else ("flow",))):
@@ -59,7 +60,9 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
         values = {"flow": flow or 0.0}
         for name, (place, unit) in columns.items():
             field = f"{path.name}, line {row}: {name}"
-            values[name] = amount(field, f"{cells[place].strip()} {unit}".strip(), COLUMNS[name])
+            if not (cell := cells[place].strip()):
+                refuse(field, "", "is empty", "write a number, or leave out the row")
+            values[name] = amount(field, f"{cell} {unit}".strip(), COLUMNS[name])
             if name in ("pressure", "flow"):
                 positive(field, values[name], COLUMNS[name], "leave out rows without pressure")
                 check_limit(field, values[name], COLUMNS[name], name)
