@@ -296,7 +296,7 @@ def body_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def sample_middle(g: Grid, c: whole, sample: wp.int32) -> vec:
-        """Return the midpoint of cell `c` if `sample` is 0, or of its lowest edge for the pair of axes `sample` - 1."""
+        """Return the midpoint of cell `c` if `sample` is 0, or that of one of its edges, chosen by `sample` - 1."""
         x = vec()
         for axis in range(3):
             on_edge = (sample == 1 and axis < 2) or (sample == 2 and axis != 1) or (sample == 3 and axis > 0)

@@ -98,7 +98,10 @@ def test_changed_and_hand_built_scenes_are_recorded_loaded_and_not_repeated(tmp_
     assert record["modified"]["velocity"] == made.velocity and record["modified"]["concrete"]["name"] == "no1"
     for words in (["run", tmp_path / "changed" / "scene.json", "--out", tmp_path / "out"],
                   ["run", "--resume", tmp_path / "changed"]):  # fmt: skip
-        assert "its scene was changed (tolerance, velocity) after its function had built it" in refused(*words)
+        assert (
+            "the scene was changed in Python (tolerance, velocity) after a function such as scenes.pipe() had built it"
+            in refused(*words)
+        )
     for words in (["run", tmp_path / "by-hand" / "scene.json", "--out", tmp_path / "out"],
                   ["run", "--resume", tmp_path / "by-hand"]):  # fmt: skip
         assert "its scene was built in Python" in refused(*words)
@@ -121,7 +124,7 @@ def test_a_changed_scene_goes_on_in_python_from_its_own_checkpoint_alone(tmp_pat
     again = simulation(changed)
     again.resume(path)
     assert again.run().finished
-    assert "its scene was changed (velocity) after" in refused("run", "--resume", tmp_path / "run")
+    assert "the scene was changed in Python (velocity) after" in refused("run", "--resume", tmp_path / "run")
 
 
 def test_a_mesh_that_changed_or_went_is_not_taken_for_the_one_of_the_run(tmp_path):

@@ -162,7 +162,7 @@ def test_a_law_that_text_does_not_tell_whole_is_recorded_but_not_repeated(tmp_pa
         assert scene.contact == law and changed_fields(scene) == ["contact"]
         record = saved(scene, tmp_path)
         assert json.loads(record.read_text(encoding="utf-8"))["modified"]["contact"]["push"] == 1.0
-        assert "its scene was changed (contact) after" in refused("run", record, "--out", tmp_path / "out")
+        assert "the scene was changed in Python (contact) after" in refused("run", record, "--out", tmp_path / "out")
         with pytest.raises(SceneError, match="cannot be rebuilt in another run or process"):
             run_trade("pipe", pipe_module, base={"contact": law}, out=tmp_path / "out", budget=1.0, device="cpu")
         with pytest.raises(SceneError, match="cannot be rebuilt in another run or process"):

@@ -1,10 +1,12 @@
 """Scenes built in Python: general checks, the warning about a coarse step, and what a loaded run offers."""
 
 import dataclasses
+import math
 import pickle
 import re
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from warpcrete.cli.run import report
 from warpcrete.core.errors import InstabilityError, SceneError
 from warpcrete.dem.engine.failures import unstable
 from warpcrete.dem.laws import BinghamMortar, Contact, LubricationLayer, RollingResistance, own_laws
+from warpcrete.dem.measure import watch
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene.checks import energy_check, overlap_words, warn_of_coarse_step
 from warpcrete.dem.scene.clumps import sphere
@@ -195,10 +198,15 @@ def test_an_energy_balance_that_fails_names_a_law_from_outside_of_the_package():
     assert own_laws(within.laws()) == "Own" and own_laws([BinghamMortar(), RollingResistance()]) == ""
 
 
-def test_an_unstable_run_names_a_law_from_outside_of_the_package():
+def test_an_unstable_run_names_a_law_from_outside_of_the_package(monkeypatch):
     hint = "or the opposite sign in force() of Own, if that force pulls where it should push"
     for law, told in ((Own(), True), (Contact(), False)):
         assert (hint in str(unstable(0.1, 0, "a speed", scene=drop(contact=law)))) is told
+        watched = SimpleNamespace(model=SimpleNamespace(scene=drop(contact=law)), state=None, limits=Watch())
+        monkeypatch.setattr(watch, "fastest_body", lambda model, state: 0)
+        with pytest.raises(InstabilityError, match="pressure is not a finite number") as error:
+            watch.Watch.__call__(watched, {"time": 0.1, "pressure": math.nan})
+        assert (hint in str(error.value)) is told
 
 
 @pytest.mark.thorough

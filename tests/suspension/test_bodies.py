@@ -8,6 +8,7 @@ from warpcrete.suspension.aggregates import Aggregates
 from warpcrete.suspension.flow import CUTOFF_CELLS
 from warpcrete.suspension.solve import Tolerances
 from warpcrete.verification.suspensions import DENSITY, RADIUS, VISCOSITY, mortar_flow
+from warpcrete.verification.suspensions_many import suspension
 
 WIDTH = RADIUS / 2
 VOLUME = 4 / 3 * np.pi * RADIUS**3
@@ -61,15 +62,25 @@ def vectors(flow, seed):
     return x
 
 
+def give(flow, x):
+    """Set the velocities in `x` of the faces that move with spheres, as the rigid motions in `x` demand."""
+    cover, values = flow.aggregates.cover, x.faces.numpy()
+    first, count, faces, lever = (getattr(cover, name).numpy() for name in ("first", "count", "faces", "lever"))
+    for b, (velocity, spin) in enumerate(zip(x.linear.numpy(), x.angular.numpy())):
+        own = slice(first[b], first[b] + count[b])
+        moved = velocity + np.cross(spin, lever[own])
+        values[faces[own]] = moved[np.arange(count[b]), faces[own] // flow.state.slots]
+    x.faces.assign(values)
+
+
 def products(flow, x, y):
     """The product y . K x of the reduced viscous matrix, over mortar faces and spheres."""
     solve, owner = flow.coupled, flow.aggregates.cover.owner.numpy()
-    # A spread of the rigid motions on the faces is part of the first search direction.
     for each in (x, y):
-        solve._launch(solve.forces.spread, flow.aggregates.count, x=each)
+        give(flow, each)
     effect = solve._vector()
     solve._launch(solve.search.multiply, solve.tasks, direction=x, result=effect)
-    solve._launch(solve.search.gather, flow.aggregates.count, direction=x, result=effect)
+    solve._launch(solve.gather, solve.for_bodies, direction=x, result=effect)
     mortar = np.where(owner == 0, effect.faces.numpy() * y.faces.numpy(), 0.0).sum()
     bodies = (effect.linear.numpy() * y.linear.numpy()).sum() + (effect.angular.numpy() * y.angular.numpy()).sum()
     return float(mortar + bodies)
@@ -197,3 +208,14 @@ def test_a_plane_of_symmetry_acts_like_the_mirror_image(device):
     # The force is that at twice the speed of approach.
     image = 6 * np.pi * VISCOSITY * reduced**2 * (1 / gap - 1 / cutoff)
     assert flow.aggregates.pairs.lubrication.numpy()[0] == pytest.approx(2 * image, rel=0.02)
+
+
+def test_particles_of_a_periodic_grid_stay_in_their_cells(device):
+    """The box begins at a negative coordinate; particles once moved up by half its length."""
+    flow = suspension(0.2, 0, device, "float32", wide=4, long=4, rate=10.0)
+    flow.take(3)
+    inner = flow.mesh.count.numpy().reshape(flow.state.shape)[1:-1, 1:-1, 1:-1]
+    assert inner.sum() == flow.count and inner.min() >= 4 and inner.max() <= 12  # measured 7 to 9 of 8
+    x = flow.particles.position.numpy()
+    low, length = flow.state.layout.room.origin[2], 16 * flow.state.layout.spacing
+    assert low <= x[:, 2].min() and x[:, 2].max() < low + length

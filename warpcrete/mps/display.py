@@ -161,7 +161,7 @@ class FlowDisplay(Display):
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of the space that the concrete passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
-        # The picture always shows the whole box between the lowest and the highest corner. For a short column, the box
-        # is made higher than the column, so that the picture has room for the width of the pipe.
+        # A picture shows the whole box between the two corners, and is as wide as this box is high. The box of a short
+        # column is therefore made higher than the column, so that the pipe fits into the picture.
         across = max(0.0, 4 * self.simulation.scene.radius - size)
         return np.array([[0.0, 0.0, -0.5 * across], [0.0, 0.0, size + 0.5 * across]])

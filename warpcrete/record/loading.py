@@ -125,8 +125,9 @@ def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
     if not record.get("parameters"):
         raise RunFolderError(f"'{path}': its scene was built in Python, not with a scene function; repeat or "
                              "resume the run in Python")  # fmt: skip
-    raise RunFolderError(f"'{path}': its scene was changed ({', '.join(changed)}) after its function had built it, "
-                         "so its parameters are not enough; repeat or resume the run in Python")  # fmt: skip
+    raise RunFolderError(f"'{path}': the scene was changed in Python ({', '.join(changed)}) after a function such as "
+                         "scenes.pipe() had built it, so the parameters in this file do not describe it; repeat or "
+                         "resume the run in Python")  # fmt: skip
 
 
 def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -57,7 +57,8 @@ class Watch:
         time, limits = row["time"], self.limits
         broken = [name for name, value in row.items() if not math.isfinite(value)]
         if broken:
-            raise unstable(time, fastest_body(self.model, self.state), f"{broken[0]} is not a finite number")
+            text = f"{broken[0]} is not a finite number"
+            raise unstable(time, fastest_body(self.model, self.state), text, scene=self.model.scene)
         deepest = row["deepest_overlap"]
         if limits.overlap is not None and deepest > limits.overlap:
             raise unstable(

@@ -111,9 +111,10 @@ class PartScene(Parametrised, PartSettings):
     """Triangle mesh whose inner surface, as seen from the axis (:class:`InnerSurface`), is the bore; None for a round
     pipe."""
     insert: tuple[float, float] | None = None
-    """Arc lengths at which a mesh begins and ends that is shorter than the part [m]; None for a mesh of full length.
+    """Two places along the axis between which a mesh that is shorter than the part lies, as arc lengths [m].
 
-    Before and after the mesh, the bore has the cross-section of the mesh's nearer end.
+    Before and behind the mesh, the bore has the cross-section of that end of the mesh which is nearer. None stands for
+    a mesh of full length.
     """
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()

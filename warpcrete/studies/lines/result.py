@@ -359,7 +359,7 @@ def _table(result: LineResult) -> list[str]:
 
 
 def _span(band: Band, us: bool) -> str:
-    """Return a pressure with its band in bar, and in psi as well if `us` is true."""
+    """Return a text with a pressure and its uncertainty band in bar; if `us` is true, also in psi."""
     text = f"{band.value / 1e5:.4g} ({band.low / 1e5:.3g} to {band.high / 1e5:.3g}) bar"
     if not us:
         return text
