@@ -6,6 +6,10 @@ import json
 import os
 import sys
 
+# Matrices here are small: threads of linear algebra would wait for one another longer than they compute. NumPy reads
+# this when it is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 from shortcuts import SHORTCUTS

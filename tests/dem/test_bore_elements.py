@@ -157,13 +157,14 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, changed, words):
 
 @pytest.mark.thorough
 def test_a_line_by_elements_runs_its_bore_and_knows_it_by_what_the_file_holds(tmp_path):
-    tube(tmp_path / "bore.stl", [0.04, 0.03], length=0.2)
+    tube(tmp_path / "bore.stl", [0.04, 0.036], length=0.2)
     (tmp_path / "site.yaml").write_text(
-        "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.3\n"
-        "  - bore: {file: bore.stl, scale: 0.001, length: 0.2, outlet: 60 mm}\n",
+        "diameter: 80 mm\nflow: 10 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.3\n"
+        "  - bore: {file: bore.stl, scale: 0.001, length: 0.2, outlet: 72 mm}\n",
         encoding="utf-8",
     )
     command = ["line", str(tmp_path / "site.yaml"), "--method", "dem", "--device", "cpu", "--quiet"]
+    command += ["--coarse", "1.35"]
     first = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "one")], catch_exceptions=False)
     record = json.loads((tmp_path / "one" / "line-dem.json").read_text(encoding="utf-8"))
     assert first.exit_code == 0 and not record["failed_checks"], first.output
@@ -175,7 +176,8 @@ def test_a_line_by_elements_runs_its_bore_and_knows_it_by_what_the_file_holds(tm
     assert second["wall_time"] == {} and second["pressure"]["value"] == pytest.approx(record["pressure"]["value"]), (
         again
     )
-    tube(tmp_path / "bore.stl", [0.04, 0.0301], length=0.2)
+    # Only the middle of the bore differs, which no parameter of the part states.
+    tube(tmp_path / "bore.stl", [0.04, 0.0385, 0.036], length=0.2)
     CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "three")])
     third = json.loads((tmp_path / "three" / "line-dem.json").read_text(encoding="utf-8"))
     assert [name.split("-")[0] for name in third["wall_time"]] == ["bore"]

@@ -207,11 +207,12 @@ def test_a_line_is_put_together_from_its_end():
 @pytest.mark.thorough
 def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     (tmp_path / "line.yaml").write_text(
-        "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.4\n"
+        "diameter: 80 mm\nflow: 10 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.4\n"
         "  - bend: {to: up, radius: 0.12}\n  - straight: 0.2\n",
         encoding="utf-8",
     )
     command = ["line", str(tmp_path / "line.yaml"), "--method", "dem", "--device", "cpu", "--quiet"]
+    command += ["--coarse", "1.35"]
     first = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "one")], catch_exceptions=False)
     record = json.loads((tmp_path / "one" / "line-dem.json").read_text(encoding="utf-8"))
     assert first.exit_code == 0 and not record["failed_checks"], first.output

@@ -145,6 +145,7 @@ def posterior(
     """
     import emcee
     from scipy.optimize import minimize
+    from threadpoolctl import threadpool_limits
 
     emulators = {}
     for target, found in values.items():
@@ -174,8 +175,9 @@ def posterior(
     sampler = emcee.EnsembleSampler(walkers, free, likelihood, vectorize=True)
     state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
     # Delay an interruption until the sampling ends. If it arrived inside the likelihood, emcee would print a traceback
-    # before it passed the exception on.
-    with defer_interrupts():
+    # before it passed the exception on. Linear algebra uses one thread, because the matrices are small, with one row
+    # for each run. On a busy machine with two cores, two threads took seven times as long.
+    with defer_interrupts(), threadpool_limits(1, "blas"):
         sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
     samples = np.asarray(sampler.get_chain(discard=DISCARDED_STEPS, flat=True, thin=4))
     chances = np.asarray(sampler.get_log_prob(discard=DISCARDED_STEPS, flat=True, thin=4))
