@@ -143,6 +143,11 @@ def whole_pictures():
     """Pictures are drawn as users see them."""
 
 
+@pytest.fixture(scope="session")
+def shared_packings():
+    """Simulations share packings even if the test has the fixture `monkeypatch`."""
+
+
 @pytest.fixture(scope="session", autouse=True)
 def shared_folder(tmp_path_factory):
     """Give the workers of a run one folder for what their tests share."""

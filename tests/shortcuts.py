@@ -1,8 +1,8 @@
 """Work that tests share or cut short, because no check depends on it: packings of aggregates and pictures of runs.
 
 Packing takes most of the time of a short pumping run, and pictures a large part of the time in which its folder is
-written. A test with the fixture `monkeypatch`, which may change how aggregates are packed, packs anew, and a test with
-the fixture `whole_pictures` draws as users do.
+written. A test with the fixture `monkeypatch`, which may change how aggregates are packed, packs anew unless it
+has the fixture `shared_packings` too. A test with the fixture `whole_pictures` draws as users do.
 """
 
 import hashlib
@@ -80,7 +80,7 @@ class Shortcuts:
 
     def choose(self, fixtures: list[str]) -> None:
         """Take those shortcuts that suit a test with these fixtures."""
-        self.packings.active = "monkeypatch" not in fixtures
+        self.packings.active = "monkeypatch" not in fixtures or "shared_packings" in fixtures
         self.pictures.active = "whole_pictures" not in fixtures
 
 

@@ -43,7 +43,7 @@ DRAWN = {
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", DRAWN)
-def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypatch):
+def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypatch, shared_packings):
     """Every display takes all that it draws of a moment: a recorder that lags shows the same."""
     make, colouring, network = DRAWN[name]
     found = []
