@@ -52,7 +52,13 @@ def test_the_files_of_the_benchmark_are_read(tmp_path):
 def test_a_coarse_silo_empties_as_the_published_rate_predicts(device):
     """Beverloo's law, with the common factor 1.4 of the sphere's diameter, transfers the rate to larger spheres."""
     size, narrow = 0.012, 0.06
-    process = Silo(count=1500, size=size)
+
+    class Soon(Silo):
+        """Silo whose few spheres come to rest soon."""
+
+        pouring = 0.25
+
+    process = Soon(count=1500, size=size)
     made = process.scene(poured(process, device=device), 0.6)
     found = measured(made, lambda places: (places[:, 2] > process.low).sum(), device)
     times, left = np.array(found.times), np.array(found.rows)
@@ -65,7 +71,13 @@ def test_a_coarse_silo_empties_as_the_published_rate_predicts(device):
 @pytest.mark.thorough
 def test_a_ball_stops_on_the_floor_where_it_does_in_other_programs(device):
     """The ball falls freely, and then squeezes the spheres below it against the floor, however deep the bed is."""
-    process = Impact(count=2000)
+
+    class Small(Impact):
+        """Bed of one and a half layers in a small box, which comes to rest soon."""
+
+        sides, pouring = (0.05, 0.05), 0.1
+
+    process = Small(count=650)
     found = measured(process.scene(poured(process, device=device), 0.03), lambda places: places[-1, 2], device)
     times, height = np.array(found.times), np.array(found.rows)
     falls = times < 0.02

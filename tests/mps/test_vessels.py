@@ -315,12 +315,12 @@ def test_a_box_comes_to_rest_as_level_as_its_yield_stress_lets_it(device):
 
 
 def test_same_run_in_space_same_bits_and_a_checkpoint_goes_on_with_them(device, tmp_path):
-    scene = scenes.funnel(**OWN, spacing=0.0155, duration=0.2, time_step=4e-3, sample_interval=0.04)
+    scene = scenes.funnel(**OWN, spacing=0.0155, duration=0.1, time_step=4e-3, sample_interval=0.02)
     whole = FreeSimulation(scene, device=device).run()
 
     class Cut(Recorder):
         def sample(self, simulation, row):
-            simulation.stop_requested = row["time"] > 0.1
+            simulation.stop_requested = row["time"] > 0.05
 
     path = tmp_path / "c.npz"
     FreeSimulation(scene, device=device, recorders=[Cut()], checkpoint_path=path, checkpoint_every=0).run()
