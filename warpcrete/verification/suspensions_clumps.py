@@ -115,7 +115,8 @@ def tumbling(across: int, wide: int, device: str, precision: str) -> float:
 
 
 SETTLING, PERIOD, SPIN = 0.085, 0.05, 0.085
-# Largest accepted errors with 4 cells across a sphere. With 8 cells, the period is 1.6 % too long.
+# Largest accepted relative errors of three cases with 4 cells across a sphere: settling speed of a clump, period of a
+# turning clump, and spin of a clump. With 8 cells across a sphere, the period is 1.6 % too long.
 
 
 def settling_case(device: str, precision: str) -> list[Row]:

@@ -69,7 +69,7 @@ def unit_case(unit: str, quick: bool) -> dict[str, Any]:
 def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
     """Return the peak pressures [Pa] at each value of a varied parameter, one for every seed that has a result.
 
-    `name` is the column of the report, which determines the concrete.
+    `name` is a column heading of the report's tables, such as "calibrated". Each column is a concrete.
     """
     group = f"{name}, hydrated" if row.is_hydrated else name
     return [found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")
