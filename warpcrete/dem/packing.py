@@ -43,6 +43,7 @@ CLOSE_FRACTION = 0.75  # Solid fraction that no packing of aggregates reaches at
 # consecutive evaluations in which it was always too high, or always too low, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # Largest factor by which the adjustment of sizes to a wanted pressure is sped up.
+
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
 # error the relaxation may take twice as many steps.
 NEAR_TARGET = 0.15

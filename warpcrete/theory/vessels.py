@@ -75,10 +75,11 @@ def heap_depth(
 def heap_at_rest(
     volume: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> tuple[float, float]:
-    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists stretching.
+    """Return the radius or half-width [m] and the central depth [m] of a heap of concrete that has come to rest.
 
-    `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per metre of depth
-    [m2]. The theory leaves out inertia and holds for heaps wider than high.
+    The closed form counts the yield stress in shear and in stretching. It leaves out inertia and holds for heaps wider
+    than high. `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per
+    metre of depth [m2].
     """
     widest = 1.0
     while heap_volume(widest, yield_stress, density, gravity, form) < volume:

@@ -74,7 +74,7 @@ class PartSimulation(FlowRun):
         return self.steady
 
     def sizes(self) -> dict[str, Any]:
-        """Return sizes of the model and of the part, such as the number of cells, for the run's result."""
+        """Return the number of cells and other sizes of this run, for its results."""
         scene, layout = self.scene, self.flow.state.layout
         return {
             "cells": math.prod(layout.cells),

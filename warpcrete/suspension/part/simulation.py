@@ -97,7 +97,7 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return self.scene.simulated_fraction
 
     def sizes(self) -> dict[str, Any]:
-        """Return sizes of the model and of the part, such as the number of cells, for the run's result."""
+        """Return the number of cells and other sizes of this run, for its results."""
         return super().sizes() | self.aggregate_sizes()
 
     def friction_profile(self) -> tuple[np.ndarray, np.ndarray]:
