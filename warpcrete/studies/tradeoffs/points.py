@@ -26,8 +26,8 @@ class Setting:
     """One choice of values for the accuracy parameters of a scene, and the results of its runs."""
 
     origin: str
-    """How this setting came about. If only one accuracy parameter differs from the user's scene, this is the name of that
-    parameter. Otherwise it is "as given" (the user's scene), "finest" (every parameter at its most accurate value),
+    """How this setting came about. If only one accuracy parameter differs from the user's scene, this is its name.
+    Otherwise it is "as given" (the user's scene), "finest" (every parameter at its most accurate value),
     "combined" (several parameters changed), or "carried" (a setting repeated in a variant of the scene)."""
     levels: dict[str, int]
     """Index of the level (value) of each accuracy parameter that differs from the scene as given, by the parameter's
