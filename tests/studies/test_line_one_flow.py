@@ -38,7 +38,7 @@ def test_the_band_at_other_flows_covers_the_pressures_of_unknown_layers():
 def test_one_flow_leaves_the_band_at_this_flow_and_widens_it_at_others():
     one, two = (fit_line(KNOWN, TRUE, taps(flows=flows), known(TRUE, 2)) for flows in ((30,), (20, 30)))
     assert two.open_yield is None and two.later_uncertainty is None
-    assert one.later_uncertainty > 1.1 * one.uncertainty
+    assert one.later_uncertainty is not None and one.later_uncertainty > 1.1 * one.uncertainty
 
     def factor(flow, cause):
         ends = {"slip layer": one.variants(TRUE)["slip layer"]} if cause else one.variants(TRUE)

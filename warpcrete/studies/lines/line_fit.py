@@ -128,8 +128,9 @@ class LineFit:
 
         The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
         whose concretes are in `before`. The cause `OPEN_YIELD` is present if the measured pressures do not determine
-        the yield stress of the layer. It has no effect at the measured flow. Viscosity and yield stress of the bulk are no causes of their own: an error of
-        theirs is compensated by the slip layer, because both together give the measured pressures.
+        the yield stress of the layer. It has no effect at the measured flow. Viscosity and yield stress of the bulk are
+        no causes of their own: an error of theirs is compensated by the slip layer, because both together give the
+        measured pressures.
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
