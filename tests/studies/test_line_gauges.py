@@ -101,7 +101,9 @@ def test_gauges_that_agree_by_chance_keep_the_error_of_a_gauge():
 def test_a_pasted_fit_gives_the_band_of_the_fit(tmp_path):
     """The gauges contradict each other, so that the band is wide."""
     ticket = {"parts": {"cement": 320, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1020}, "slump": "200 mm"}
-    (tmp_path / "taps.csv").write_text("place [m],pressure [bar],flow [m3/h]\n5,52,35\n80,12,35\n", encoding="utf-8")
+    (tmp_path / "taps.csv").write_text(
+        "place [m],pressure [bar],flow [m3/h]\n5,52,35\n80,12,35\n5,40,20\n80,9,20\n", encoding="utf-8"
+    )
     (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": ticket}), encoding="utf-8")
     parts = [{"straight": 57}, {"bend": "up"}, {"straight": 24}, {"bend": "level"}, {"straight": 60}]
     site = {"diameter": "125 mm", "flow": "35 m3/h", "concrete": "mix.yaml", "parts": parts}

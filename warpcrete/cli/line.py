@@ -82,7 +82,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     said: list[str] = []
     if settings["fit"] is not None:
         taps = read_taps(settings["fit"], pipes, given.flow)
-        fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps))
+        fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
+                       _known_yields(given))  # fmt: skip
         said = [*fit_lines(fit, pipes), ""]
         layer = {"variants": fit.variants(concrete, layer.get("variants"))}
         pipes, concrete = fit.line(pipes), fit.concrete(concrete)
@@ -210,6 +211,14 @@ def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete,
         return layer["variants"].get("slip layer")
     low, high = (with_layer_factor(given.concrete, x) for x in (1 / layer["layer_factor"], layer["layer_factor"]))
     return low, high
+
+
+def _known_yields(given: LineInputs) -> tuple[float, float] | None:
+    """Return the range of the slip layer's yield stress that the mix gives [Pa], or None without a mix or estimate."""
+    if given.mix is None or given.mix.given.layer != Layer():
+        return None
+    ends = given.mix.variants.get("slip layer")
+    return None if ends is None else (ends[0].slip_yield, ends[1].slip_yield)
 
 
 def _simulated(

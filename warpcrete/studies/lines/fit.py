@@ -15,7 +15,8 @@ from ...core.errors import SceneError, refuse
 from ...geometry.pipe_line import PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
-from .fit_band import with_gauges, with_known
+from .fit_band import with_expected, with_gauges, with_known
+from .fit_flows import with_open_yield
 from .fittings import MODEL_ERRORS
 from .line_fit import FittedConstant, LineFit
 from .losses import GRAVITY
@@ -63,6 +64,7 @@ def fit_line(
     taps: Sequence[Tap],
     prior: tuple[Concrete, Concrete] | None = None,
     gauge: float | None = None,
+    yields: tuple[float, float] | None = None,
 ) -> LineFit:
     """Fit the slip layer and the factor of bends to pressures along a pump line, by least squares.
 
@@ -80,6 +82,9 @@ def fit_line(
 
     `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge have the
     same error. The scatter of the pressures about the fit adds to it if there are enough pressures, or if `gauge` is 0.
+
+    `yields` is the range of the layer's yield stress that the mix states [Pa]. If the pressures do not determine the
+    yield stress, the band at other flows follows from this range (:func:`.with_open_yield`).
 
     Points with the same place, flow and pressure count once, because a repeated row makes the band narrower without a
     further measurement.
@@ -103,7 +108,9 @@ def fit_line(
         fit = _fitted(line, concrete, taps, False, gauge)
     if prior is not None:
         fit = with_known(fit, line, concrete, prior)
-    return with_gauges(fit, line, concrete)
+    fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
+    own = fit.constants[1]
+    return fit if own.fitted or own.reason == NO_YIELD else with_open_yield(fit, line, concrete, yields)
 
 
 def _is_better_than_published(factor: FittedConstant) -> bool:

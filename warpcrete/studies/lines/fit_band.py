@@ -97,6 +97,21 @@ def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
                    contradiction=None if explained else _contradiction(fit, line, concrete))  # fmt: skip
 
 
+def with_expected(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete] | None) -> LineFit:
+    """Return a fit that is compared with the slip layer of `concrete`, and with the band of this layer in `prior`."""
+    pipe = metre_model(line, concrete, fit.taps)
+    own = fit.concrete(concrete)
+    friction, expected = (
+        float(pipe.pressures(np.array([each.slip_viscosity, each.slip_yield, 1.0]))[0]) for each in (own, concrete)
+    )
+    outside = []
+    for name, each in zip(("slip_viscosity", "slip_yield"), fit.constants[:2], strict=True):
+        if prior is not None and each.fitted:
+            low, high = (getattr(end, name) for end in prior)
+            outside += [] if low <= each.value <= high else [f"{each.name} ({low:.4g} to {high:.4g} {each.unit})"]
+    return replace(fit, expected=friction / expected, outside=tuple(outside))
+
+
 def _bisected(ends: tuple[float, float], is_below: Callable[[float], bool]) -> float:
     """Return the value between the positive `ends` at which `is_below` changes from true to false.
 

@@ -24,6 +24,7 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
+    stated = fit.uncertainty if fit.later_uncertainty is None else fit.later_uncertainty
     found = [
         f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 % for gauges that are "
         f"off by up to {fit.gauge / 1e5:.2g} bar{beside(line.customary, 'psi', fit.gauge)}, see --gauge)",
@@ -34,6 +35,8 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
             if fit.prior_share >= NOTICED
             else []
         ),
+        f"- {_meaning(fit)}",
+        *([f"- {_open_yield(fit, line.customary)}"] if fit.open_yield is not None else []),
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
@@ -45,8 +48,17 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         "30 %, that of other deliveries):",
         "",
         f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
-        f"uncertainty: {max(100 * fit.uncertainty, 0.1):.3g} %, from: pipe}}",
+        f"uncertainty: {max(100 * stated, 0.1):.3g} %, from: pipe}}",
         "",
+        *(
+            [
+                f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
+                f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
+                "",
+            ]
+            if fit.later_uncertainty is not None
+            else []
+        ),
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
     if bends and bends[0].fitted:
@@ -66,6 +78,28 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
                  f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
+
+
+def _meaning(fit: LineFit) -> str:
+    """Return a sentence that compares the fitted friction and the fitted constants with those that were expected."""
+    text = f"the friction in straight pipe is {fit.expected:.3g} times that expected from the concrete's file"
+    if fit.outside:
+        text += f"; outside of the band expected from it: {', '.join(fit.outside)}"
+    return text
+
+
+def _open_yield(fit: LineFit, customary: bool) -> str:
+    """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which it widens the band."""
+    assert fit.open_yield is not None, "the yield stress is known"
+    unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
+    (_, low), (_, high) = fit.open_yield
+    flows = sorted({f"{tap.flow / size:.4g}" for tap in fit.taps}, key=float)
+    many = "All gauges were read at" if len(flows) == 1 else "The gauges were read at"
+    more = "read gauges at a second flow" if len(flows) == 1 else "read more gauges at these flows"
+    return (
+        f"{many} {' and '.join(flows)} {unit}; at another flow the band is wider, because the pressures do not "
+        f"determine the yield stress of the slip layer, which may be {low:.3g} to {high:.3g} Pa; {more}"
+    )
 
 
 def _surprise(ratio: float) -> str:
@@ -100,5 +134,5 @@ def warning_of(fit: LineFit, customary: bool) -> str:
         f"WARNING: no slip layer explains all gauges, so the band was widened until it contains them. The gauges need "
         f"{low.measured / size:.2g} {named} of friction {where(low)}, but {high.measured / size:.2g} {named} "
         f"{where(high)}; the fitted layer gives {low.fitted / size:.2g} and {high.fitted / size:.2g}. Check the place "
-        "of the rise, the hose and reducer, and the gauges"
+        "of the rise, the hose and reducer, and the gauges, or the gauges were read on another line"
     )

@@ -15,6 +15,9 @@ from ...theory.pipe import Concrete
 from .losses import with_layer_factor
 from .taps import Tap, is_free
 
+OPEN_YIELD = "unknown yield stress of the slip layer"
+"""Cause of uncertainty of a line's pressure at another flow than that of the gauges, as it is named in reports."""
+
 
 @dataclass(frozen=True)
 class FittedConstant:
@@ -88,6 +91,22 @@ class LineFit:
     contradiction: Contradiction | None = None
     """Contradiction between the gauges; None if one slip layer explains them all."""
 
+    open_yield: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers with the smallest and the largest yield stress
+    that the measured pressures do not distinguish from the fitted layer; None if they determine the yield stress."""
+    later_uncertainty: float | None = None
+    """Uncertainty u of the friction of straight pipe at 0.5 to 2 times the measured flow, for a layer that is used
+    later; None if the pressures determine the yield stress of the layer."""
+    expected: float = 1.0
+    """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
+    outside: tuple[str, ...] = ()
+    """Names of the fitted constants that lie outside the band that the mix, or the assumed layer, gave them."""
+
+    @property
+    def open_layers(self) -> tuple[tuple[float, float], ...]:
+        """Slip layers of `open_yield`, or none."""
+        return self.open_yield or ()
+
     @property
     def scatter(self) -> float:
         """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
@@ -108,12 +127,17 @@ class LineFit:
         """Return, for each cause of uncertainty, two concretes at the lower and the upper end of its band.
 
         The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
-        whose concretes are in `before`. Viscosity and yield stress of the bulk are no causes of their own: an error of
-        theirs is compensated by the slip layer, because both together give the measured pressures.
+        whose concretes are in `before`. The cause `OPEN_YIELD` is present if the measured pressures do not determine
+        the yield stress of the layer. It has no effect at the measured flow. Viscosity and yield stress of the bulk are
+        no causes of their own: an error of theirs is compensated by the slip layer, because both together give the
+        measured pressures.
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         found = {"slip layer": (low, high)}
+        if self.open_yield is not None:
+            thin, thick = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.open_yield)
+            found[OPEN_YIELD] = (thin, thick)
         if before is not None and "density" in before:
             found["density"] = (self.concrete(before["density"][0]), self.concrete(before["density"][1]))
         return found
@@ -138,6 +162,9 @@ class LineFit:
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
                           for x in self.constants},
             "uncertainty": self.uncertainty,
+            "later_uncertainty": self.later_uncertainty,
+            "open_yield": None if self.open_yield is None else [quantity(tau, "Pa") for _, tau in self.open_yield],
+            "over_expected": self.expected,
             "prior_share": self.prior_share,
             "surprise": self.surprise,
             "gauge_error": quantity(self.gauge, "Pa"),
