@@ -20,7 +20,7 @@ from .taps import Tap
 
 SHIPPED_YIELDS = (0.0, 251.0)
 """Range of the yield stress of a slip layer [Pa] if no mix states one. The upper end is the largest value of the
-concretes of this package, that of no3."""
+concretes of this package, that of no1."""
 THINNEST = 100.0
 """Smallest viscosity of a slip layer [Pa s/m] with which a larger yield stress is combined. Measured layers have 100 to
 10000 Pa s/m."""
