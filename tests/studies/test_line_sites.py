@@ -6,6 +6,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from warpcrete import SceneError
 from warpcrete.cli.main import cli
 from warpcrete.mix.mix import read_mix
 from warpcrete.studies.lines.answers import ON_CONCRETE
@@ -190,3 +191,8 @@ def test_the_record_holds_the_longest_stop(site, tmp_path):
     site("--rest", "40 min", "--out", tmp_path / "out")
     record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["restart"]["longest_stop"]["unit"] == "s"
+
+
+def test_a_hose_with_a_diameter_is_told_to_use_a_reducer():
+    with pytest.raises(SceneError, match=r"diameter.*put 'reducer: \{to: 4 in\}' before it"):
+        line_of({"diameter": "5 in", "parts": [{"straight": 3}, {"hose": {"length": 4, "diameter": "4 in"}}]})
