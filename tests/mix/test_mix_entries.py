@@ -9,7 +9,8 @@ from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.mix.ingredients import is_plasticizer, is_thickener, paste_volumes
-from warpcrete.mix.mix import mix_of
+from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.mix.stones import read_sizes
 
 LOAD = {"cement": 573, "fly ash": 101, "water": 295, "sand": 1315, "gravel": 1702}
 """Ingredients of a cubic yard [lb]."""
@@ -190,3 +191,27 @@ def test_laws_that_a_mix_cannot_have(section, says):
     with pytest.raises(SceneError) as caught:
         mix_of({"density": 2300, **section})
     assert str(caught.value).startswith(says) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("number", "sizes"), [("#57", (4.75e-3, 25e-3)), ("# 8", (2.36e-3, 9.5e-3))])
+def test_size_numbers_of_astm_are_sizes(number, sizes):
+    assert read_sizes(number) == sizes
+
+
+def test_a_number_sign_without_quotes_is_explained(tmp_path):
+    path = tmp_path / "mix.yaml"
+    for text, says in (("mix:\n  density: 2350\n  sizes: #57\n", "because # starts a comment"),
+                       ("mix: {density: 2350, sizes: #57}\n", "put quotes around a value with #")):  # fmt: skip
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(SceneError, match=says):
+            read_mix(path)
+    with pytest.raises(SceneError, match=r"mix sizes = '#99': must be one of #57, #67"):
+        read_sizes("#99")
+
+
+def test_a_mix_that_leaves_much_air_points_to_moist_sand():
+    parts = {"cement": 320, "water": 150, "sand": 760, "gravel": 980}
+    with pytest.warns(
+        PlausibilityWarning, match=r"if the sand was weighed moist, move its surface water to 'water' \(not"
+    ):
+        mix_of({"parts": parts, "slump": "180 mm", "sizes": "20 mm"})

@@ -134,7 +134,9 @@ def test_points_that_do_not_suffice_are_refused(points, says):
         ("place [m],pressure [bar]\n0,20\n", r"has no column 'flow'"),
         ("pressure [bar],flow [m3/h]\n20,20\n", r"must have one of the columns 'place' and 'part'"),
         ("place [m],part,pressure [bar],flow [m3/h]\n0,1,20,20\n", r"must have one of the columns 'place' and 'part'"),
-        ("place [m],pressure [bar],flow [m3/h],temperature\n0,20,20,20\n", r"has an unknown column 'temperature'"),
+        ("place [m],distance [m],pressure [bar],flow [m3/h]\n0,0,20,20\n", r"'place' and 'distance', which mean the"),
+        ("place [m],pressure [bar],flow [m3/h],note,note\n0,20,20,a,b\n", r"note"),
+        ("place [m],pressure [bar],flow [m3/h]\n0,20,20,7\n", r"line 2"),
         (
             "place [m],pressure [bar],flow [m3/h]\n200,20,20\n",
             r"taps\.csv, line 2: place = 200\.0: must be at least 0 and below 158",
@@ -156,6 +158,19 @@ def test_files_of_taps_that_are_wrong_are_refused(tmp_path, text, says):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError, match=says):
         read_taps(path, LINE)
+
+
+def test_foreign_columns_are_ignored_and_named_in_one_remark(tmp_path):
+    path, plain = tmp_path / "taps.csv", tmp_path / "plain.csv"
+    path.write_text("gauge no.,distance [m],time,pressure [bar],flow [m3/h]\nA,0,9:30,30,20\nB,60,9:30,22,20\n",
+                    encoding="utf-8")  # fmt: skip
+    plain.write_text("place [m],pressure [bar],flow [m3/h]\n0,30,20\n60,22,20\n", encoding="utf-8")
+    assert read_taps(path, LINE) == read_taps(plain, LINE)
+    call = ["line", "--slump", "200 mm", "--diameter", "125 mm", "--length", "150 m", "--fit"]
+    done, other = (CliRunner().invoke(cli, [*call, str(each)]) for each in (path, plain))
+    assert done.exit_code == other.exit_code == 0, done.output
+    remark = "ignored columns of taps.csv, which a fit does not use: gauge no., time\n"
+    assert done.output.count(remark) == 1 and "ignored columns" not in other.output
 
 
 def test_the_command_fits_a_trial_line(tmp_path):

@@ -6,12 +6,14 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from warpcrete import SceneError
 from warpcrete.cli.main import cli
 from warpcrete.mix.mix import read_mix
 from warpcrete.studies.lines.answers import ON_CONCRETE
 from warpcrete.studies.lines.fit import fit_line
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
+from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.taps import Tap
 from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.pipe import Concrete
@@ -37,11 +39,11 @@ def site(tmp_path):
     return call
 
 
-def result(tmp_path, bar, rest):
+def result(tmp_path, bar, rest, growth=0.5, assumed=((0.1, 1.0),)):
     (tmp_path / "ticket.yaml").write_text(yaml.safe_dump({"mix": TICKET}), encoding="utf-8")
     mix = read_mix(tmp_path / "ticket.yaml")
     line = line_of({"diameter": "125 mm", "pump": f"{bar} bar", "parts": PARTS})
-    stop = Stop(rest, 0.5, (0.1, 1.0))
+    stop = Stop(rest, growth, *assumed)
     return line_by_theory(line, mix.concrete, 35 / 3600, variants=mix.variants, stop=stop)
 
 
@@ -52,7 +54,10 @@ def test_the_pump_is_compared_with_the_restart(tmp_path, bar, verdict):
     assert begins.value < 85e5 < full.high < 200e5 and begins.value > 50e5
     assert found.restart_margin.verdict == verdict and verdict in found.restart_margin.sentence()
     assert found.record()["restart"]["verdict"] == verdict
-    assert (found.record()["restart"]["longest_stop"] is None) == (verdict == "restarts")
+    longest = found.record()["restart"]["longest_stop"]["value"]
+    assert (longest > 2400.0) == (verdict == "restarts")
+    text = "\n".join(lines_of(found))
+    assert f"longest stop after which the pump restarts the line: {longest // 60:.0f} min" in text
 
 
 def test_the_longest_stop_just_needs_the_whole_pressure_of_the_pump(tmp_path):
@@ -60,9 +65,43 @@ def test_the_longest_stop_just_needs_the_whole_pressure_of_the_pump(tmp_path):
     longest = found.restart_margin.longest
     assert 60 < longest < 2400
     assert result(tmp_path, 85, longest).restart(found.flow).high == pytest.approx(85e5, rel=2e-3)
-    assert f"move the concrete at least every {longest / 60:.2g} min" in found.restart_margin.sentence()
+    assert f"move the concrete at least every {longest // 60:.0f} min" in found.restart_margin.sentence()
     weak = result(tmp_path, 30, 2400.0).restart_margin
     assert weak.longest is None and "do not interrupt the flow" in weak.sentence()
+    assert weak.longest_sentence().endswith("restarts the line: less than 1 min")
+    strong = result(tmp_path, 500, 600.0).restart_margin
+    assert strong.longest == 3600 and strong.longest_sentence().endswith("at least 60 min")
+
+
+def test_an_assumed_growth_is_judged_at_the_highest_published_rate_too(tmp_path):
+    """The advice must agree with the answers for stated rates, whose bands contain no error of the rate."""
+    found = result(tmp_path, 85, 900.0, assumed=((0.1, 1.0), 1.7))
+    margin, stated = found.restart_margin, result(tmp_path, 85, 900.0, 1.7, ())
+    assert margin.verdict == "restarts" and stated.restart_margin.verdict != "restarts"
+    high, longest = stated.restart(stated.flow).high, stated.restart_margin.longest
+    assert (margin.fast.high, margin.fast.longest) == pytest.approx((high, longest)) and high > 85e5
+    for factor, verdict in ((0.99, "restarts"), (1.01, "may fail")):
+        assert result(tmp_path, 85, 900.0, factor * margin.fast.bearable, ()).restart_margin.verdict == verdict
+    assert f"if the yield stress grows by at most {margin.fast.bearable - 0.005:.2f} Pa/s" in margin.sentence()
+    assert (f"at 1.7 Pa/s, the highest published rate, up to {high / 1e5:.4g} bar; in that case move the concrete at "
+            f"least every {longest // 60:.0f} min") in margin.sentence()  # fmt: skip
+    assert margin.longest_sentence().endswith(f"{margin.longest // 60:.0f} min (at 1.7 Pa/s: {longest // 60:.0f} min)")
+    assert found.record()["restart"]["fast_growth"]["longest_stop"]["value"] == longest
+    assert "these bands assume a growth of 0.1 to 1 Pa/s" in "\n".join(lines_of(found))
+    assert "these bands assume" not in "\n".join(lines_of(stated))
+    enough = result(tmp_path, 300, 1200.0, assumed=((0.1, 1.0), 1.7)).restart_margin.sentence()
+    assert enough.startswith("the pump restarts the line: ") and "in that case" not in enough
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [(["--out", "line"], "--out"), (["--pump-pressure", "85 bar"], "--pump-pressure"), (["--practice"], "--practice"),
+     (["--rest", "20 min", "--practice"], "--rest and --practice")],
+)  # fmt: skip
+def test_options_that_need_a_flow_are_named(options, named):
+    call = ["line", "--slump", "180 mm", "--diameter", "125 mm", "--length", "90 m", *options]
+    done = CliRunner().invoke(cli, call)
+    assert done.exit_code == 2 and f"leave out {named}" in " ".join(done.output.split()), done.output
 
 
 def test_the_file_contains_all_that_is_printed(site, tmp_path):
@@ -96,12 +135,16 @@ def test_the_picture_shows_gauges_pump_and_restart_in_the_units_of_the_line(tmp_
     found = result(tmp_path, 85, 2400.0)
     axes = found.plot().axes[0]
     names = axes.get_legend_handles_labels()[1]
-    assert "pump" in names and "restart at full flow" in names
+    assert "pump" in names and "restart at full flow after 40 min" in names
+    assert {"bend", "reducer", "hose", "weight alone"} <= set(names)
+    bar = next(each for each in axes.containers if each.get_label().startswith("restart"))
+    assert 0 < bar[0].get_xdata()[0] < 0.05 * axes.get_xlim()[1]
     assert "diameter 125 to 100 mm" in axes.get_title() and axes.get_ylabel() == "pressure [bar]"
     line = line_of({"diameter": "5 in", "pump": "1233 psi", "parts": [{"straight": "300 ft"}]})
     axes = line_by_theory(line, found.concrete, 0.01).plot().axes[0]
     assert axes.get_xlabel() == "position along the line [ft]" and axes.get_ylabel() == "pressure [psi]"
     assert axes.get_xlim()[1] == pytest.approx(300) and "diameter 5 in" in axes.get_title()
+    assert "weight alone" not in axes.get_legend_handles_labels()[1]
 
 
 def test_the_picture_tells_gauges_at_the_flow_of_the_line_from_others():
@@ -152,3 +195,8 @@ def test_the_record_holds_the_longest_stop(site, tmp_path):
     site("--rest", "40 min", "--out", tmp_path / "out")
     record = json.loads((tmp_path / "out" / "line.json").read_text(encoding="utf-8"))
     assert record["restart"]["longest_stop"]["unit"] == "s"
+
+
+def test_a_hose_with_a_diameter_is_told_to_use_a_reducer():
+    with pytest.raises(SceneError, match=r"diameter.*put 'reducer: \{to: 4 in\}' before it"):
+        line_of({"diameter": "5 in", "parts": [{"straight": 3}, {"hose": {"length": 4, "diameter": "4 in"}}]})

@@ -32,12 +32,12 @@ from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.losses import with_layer_factor
 from ..studies.lines.pressures import Stop
 from ..studies.lines.result import lines_of
-from ..studies.lines.taps import Tap, read_taps
+from ..studies.lines.taps import Tap, foreign_columns, read_taps
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory, write_lines
 from ..theory.pipe import Concrete
 from .exits import CHECK_FAILED, INTERRUPTED
 from .line_inputs import LineInputs, line_inputs
-from .option_amounts import THIXOTROPY_BAND, growth_of, option_amount
+from .option_amounts import HIGHEST_THIXOTROPY, THIXOTROPY_BAND, growth_of, option_amount
 
 ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5.0}
 """Options of `warpcrete line` that affect only simulations by discrete elements, with their default values."""
@@ -58,7 +58,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     rest, grown = (option_amount(key, settings[key], u) for key, u in (("rest", "s"), ("thixotropy", "Pa/s")))
     _check_options(method, simulate, theory, settings)
     growth = growth_of(rest, grown)
-    stop = None if rest is None else Stop(rest, growth, THIXOTROPY_BAND if grown is None else None)
+    assumed = (THIXOTROPY_BAND, HIGHEST_THIXOTROPY) if grown is None else ()
+    stop = None if rest is None else Stop(rest, growth, *assumed)
     given = line_inputs(line, settings)
     if settings["blocking"] is not None:
         if given.guessed:
@@ -85,15 +86,19 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
                        _known_yields(given))  # fmt: skip
         said = [*fit_lines(fit, pipes), ""]
+        if ignored := foreign_columns(settings["fit"]):
+            said[:0] = [
+                f"ignored columns of {settings['fit'].name}, which a fit does not use: {', '.join(ignored)}",
+                "",
+            ]
         layer = {"variants": fit.variants(concrete, layer.get("variants"))}
         pipes, concrete = fit.line(pipes), fit.concrete(concrete)
     if given.flow is None:
-        wanted = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
-        if out is not None or settings["practice"] or any(settings[name] is not None for name in wanted):
+        if needing := _options_that_need_a_flow(out, settings):
             beyond = "the fit" if fit is not None else "pressures at usual flows"
             raise click.UsageError(
                 f"flow: is missing; without a flow, the command prints only {beyond}; add it, as in --flow '30 m3/h', "
-                "or leave out the options that need it"
+                f"or leave out {' and '.join(needing)}"
             )
         if fit is None:
             said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
@@ -122,6 +127,14 @@ def _check_rest(stated: str | None) -> None:
     if 0 < number < SHORTEST_REST:
         raise click.UsageError(f"rest: {number:g} without a unit is {number:g} s; did you mean '{number:g} min'? For "
                                f"seconds, write '{number:g} s'")  # fmt: skip
+
+
+def _options_that_need_a_flow(out: Path | None, settings: Mapping[str, Any]) -> list[str]:
+    """Return the options among those that the user chose, such as '--rest', which have no answer without a flow."""
+    names = ("rest", "blocking", "pump_pressure", "pump_flow", "pump_power")
+    chosen = [name for name in names if settings[name] is not None]
+    chosen += [name for name, is_chosen in (("practice", settings["practice"]), ("out", out is not None)) if is_chosen]
+    return [f"--{name.replace('_', '-')}" for name in chosen]
 
 
 def _at_usual_flows(line: PipeLine, concrete: Concrete, layer: Mapping[str, Any]) -> list[str]:

@@ -13,6 +13,8 @@ THIXOTROPY = 0.5
 THIXOTROPY_BAND = (0.1, 1.0)
 """Usual range of the yield stress's growth rate at rest [Pa/s], for a concrete whose growth rate was not measured. The
 lower end stands for hardly any stiffening, and the upper end for strong stiffening (Roussel 2006)."""
+HIGHEST_THIXOTROPY = 1.7
+"""Highest published growth rate of the yield stress at rest [Pa/s] (Roussel 2006)."""
 
 
 def option_amount(field: str, given: str | None, unit: str) -> float | None:

@@ -81,6 +81,10 @@ class Course:
             if str(key)[:1].isdecimal():
                 refuse(field, key, f"must be one of {', '.join(PARTS[kind])}",
                        "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'")  # fmt: skip
+            if kind == "hose" and key == "diameter":
+                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}; a hose is as wide as the "
+                       "part before it",
+                       f"put 'reducer: {{to: {said[key]}}}' before it")  # fmt: skip
             one_of(field, key, PARTS[kind])
 
         def get(key: str, unit: str, default: Any = None) -> float:

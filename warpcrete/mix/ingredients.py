@@ -64,6 +64,8 @@ usually 1 to 3 %. The calculated content may be negative, because the densities 
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
 """Two deviations of the volume of all ingredients and the stated air from one cubic metre [m3/m3]. A deviation above
 the first causes a warning, and a mix with a deviation above the second is refused."""
+MOIST_SAND = "if the sand was weighed moist, move its surface water to 'water' (notebooks/how-to/pump-pressure.md)"
+"""Advice about a mix that does not fill its volume."""
 
 
 def _words(name: str) -> list[str]:
@@ -228,7 +230,7 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         if gap < -VOLUME_ERROR or (complete and gap > VOLUME_ERROR):
             refuse("mix parts", ", ".join(parts), words, "list all ingredients of a cubic metre, in kg/m3")
         if gap < -VOLUME_WARNING or (complete and gap > VOLUME_WARNING):
-            warn(f"mix parts: {words}; check the masses and the air content")
+            warn(f"mix parts: {words}; check the masses and the air content{f'; {MOIST_SAND}' if gap > 0 else ''}")
         return
     words = f"fill {filled:.3f} m3 of 1 m3"
     if filled > POSSIBLE_VOLUMES[1] or (complete and filled < POSSIBLE_VOLUMES[0]):
@@ -236,4 +238,5 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
     if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
         room = f"{100 * (1 - filled):.2g} %"
         left = f"which leaves {room} of air; check the masses and the moisture of the sand, or state 'air: {room}'"
+        left += f"; {MOIST_SAND}"
         warn(f"mix parts: {words}, {left if filled < 1 else 'and leave no room for air; check the masses'}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..core.errors import between, refuse, suggested
+from ..core.errors import between, one_of, refuse, suggested
 from ..core.inputs.amounts import amount, bare_number
 
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
@@ -17,6 +17,10 @@ SMALLEST = 4e-3
 """Diameter of the smallest coarse aggregate that is assumed if only the largest is stated [m]."""
 FINEST, COARSEST = 1e-3, 0.3
 """Smallest and largest diameter of coarse aggregate that a mix may state [m]. Finer grains belong to the mortar."""
+SIZE_NUMBERS = {"#57": (4.75e-3, 25e-3), "#67": (4.75e-3, 19e-3), "#6": (9.5e-3, 19e-3), "#7": (4.75e-3, 12.5e-3),
+                "#78": (2.36e-3, 12.5e-3), "#8": (2.36e-3, 9.5e-3)}  # fmt: skip
+"""Smallest and largest nominal size of coarse aggregate [m] by its size number (ASTM C33, grading requirements for
+coarse aggregates)."""
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
@@ -56,9 +60,17 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
 def read_sizes(given: Any) -> tuple[float, float]:
     """Return the smallest and the largest size of a mix's stones [m].
 
-    If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. Raises
-    :class:`warpcrete.SceneError` if the entry is neither this nor a pair of possible sizes.
+    If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. A text such as '#57'
+    is a size number of ASTM C33. Raises :class:`warpcrete.SceneError` if the entry is neither of these nor a pair of
+    possible sizes.
     """
+    if given is None:
+        refuse("mix sizes", given, "is empty", "write '20 mm', or put a size number of ASTM C33 in quotes, as in "
+               "'#57', because # starts a comment")  # fmt: skip
+    if isinstance(given, str) and given.strip().startswith("#"):
+        number = given.replace(" ", "")
+        one_of("mix sizes", number, SIZE_NUMBERS)
+        return SIZE_NUMBERS[number]
     if isinstance(given, str | int | float) and not isinstance(given, bool):
         largest = amount("mix sizes", given, "m")
         between("largest of mix sizes", largest, 2 * SMALLEST, COARSEST, "m", "write millimetres as in '20 mm'")

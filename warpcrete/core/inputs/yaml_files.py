@@ -105,7 +105,8 @@ def parsed_yaml(text: str, path: Path) -> object:
         mark = error.problem_mark or error.context_mark
         reason = " ".join(f"is not valid YAML: {error.problem or error.context or 'it cannot be read'}".split())
         line = None if mark is None else mark.line + 1
-        raise Unreadable(reason, "write 'key: value' lines", line) from error
+        quotes = ", and put quotes around a value with #, which otherwise starts a comment" if "#" in text else ""
+        raise Unreadable(reason, f"write 'key: value' lines{quotes}", line) from error
     except Exception as error:  # Parts of the YAML parser may raise any exception.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise Unreadable(f"is not valid YAML: {reason}", "write 'key: value' lines") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -37,6 +38,9 @@ ADVICE = {
 """Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""
 SHORTEST_STOP = 60.0
 """Shortest time between two movements of concrete in a line that is recommended [s]."""
+LONGEST_STOP = 3600.0
+"""Longest stop for which the program examines whether a pump restarts the line [s], because the linear growth of the
+yield stress at rest holds for some tens of minutes only."""
 WORTHWHILE = 0.95
 """Limit for recommending a measurement: width of the pressure's band after the measurement, divided by its present
 width. A measurement that narrows the band less is not recommended."""
@@ -116,6 +120,28 @@ of the concrete. It is printed for lines with a pump."""
 
 
 @dataclass(frozen=True)
+class FastGrowth:
+    """Restart of a line for a growth rate of the yield stress above the range that its uncertainty band assumes."""
+
+    growth: float
+    """Growth rate of the yield stress at rest [Pa/s]."""
+    high: float
+    """Upper end of the band of the pressure that restarts the line at full flow after the present stop [Pa]."""
+    longest: float | None
+    """Longest stop [s] after which the pump restarts the line at this rate, as :attr:`RestartMargin.longest`."""
+    bearable: float
+    """Largest growth rate at which the pump restarts the line after the present stop [Pa/s], `growth` at most."""
+
+    def record(self) -> dict[str, Any]:
+        """Return this restart as an entry of the file line.json."""
+        return {
+            "growth": quantity(self.growth, "Pa/s"),
+            "pressure_high": quantity(self.high, "Pa"),
+            "longest_stop": None if self.longest is None else quantity(self.longest, "s"),
+        }
+
+
+@dataclass(frozen=True)
 class RestartMargin:
     """Comparison of the pressure that restarts a line after a stop with the largest pressure of the pump."""
 
@@ -125,8 +151,10 @@ class RestartMargin:
     begins: Band
     """Pressure at which the concrete begins to move [Pa], with its uncertainty band."""
     longest: float | None
-    """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band. The value
-    is None if the pump restarts it in this sense after the present stop, or not even after a short one."""
+    """Longest stop [s] after which the pump restarts the line even at the upper end of the uncertainty band, at most
+    the longest stop that is considered. The value is None if the pump does so not even after a short stop."""
+    fast: FastGrowth | None = None
+    """Restart at the highest published growth rate of the yield stress; None if the user stated the rate."""
     customary: bool = False
     """True if the text for the user gives customary US units beside metric units."""
 
@@ -139,18 +167,51 @@ class RestartMargin:
 
     def sentence(self) -> str:
         """Return a sentence that tells the user whether the pump restarts the line."""
-        limit = f"{self.pump.pressure / 1e5:.4g} bar{beside(self.customary, 'psi', self.pump.pressure)}"
         needed = f"{self.band.value / 1e5:.4g} ({self.band.low / 1e5:.3g} to {self.band.high / 1e5:.3g}) bar"
         needed += beside(self.customary, "psi", self.band.low, self.band.high)
-        text = f"it delivers {limit}, and a restart at full flow needs {needed}"
+        text = f"it delivers {self._bar(self.pump.pressure)}, and a restart at full flow needs {needed}"
+        fast = self.fast
         if self.verdict == "restarts":
-            return f"the pump restarts the line: {text}"
-        text = f"the pump {self.verdict} to restart the line: {text}; "
-        if self.longest is None or self.longest < SHORTEST_STOP:
-            text += "do not interrupt the flow, or use a stronger pump"
-        else:
-            text += f"move the concrete at least every {self.longest / 60:.2g} min, for which this pump suffices"
+            if fast is None:
+                return f"the pump restarts the line: {text}"
+            then = f"{fast.growth:g} Pa/s, the highest published rate, up to {self._bar(fast.high)}"
+            if fast.high <= self.pump.pressure:
+                return f"the pump restarts the line: {text}; at {then}"
+            return (
+                f"the pump restarts the line if the yield stress grows by at most {_down(fast.bearable)} Pa/s: {text}; "
+                f"at {then}; in that case {_movements(fast.longest)} (notebooks/theory/restarts.md)"
+            )
+        text = f"the pump {self.verdict} to restart the line: {text}; {_movements(self.longest)}"
         return f"{text} (notebooks/theory/restarts.md)"
+
+    def longest_sentence(self) -> str:
+        """Return a sentence that tells the user after how long a stop the pump still restarts the line."""
+        text = f"longest stop after which the pump restarts the line: {_stop_text(self.longest)}"
+        if self.fast is None:
+            return text
+        return f"{text} (at {self.fast.growth:g} Pa/s: {_stop_text(self.fast.longest)})"
+
+    def _bar(self, pressure: float) -> str:
+        return f"{pressure / 1e5:.4g} bar{beside(self.customary, 'psi', pressure)}"
+
+
+def _down(rate: float) -> str:
+    """Return a growth rate [Pa/s] as text, rounded down to two decimals."""
+    return f"{math.floor(100 * rate) / 100:g}"
+
+
+def _movements(longest: float | None) -> str:
+    """Return advice on how often the concrete must move, if `longest` [s] is the longest stop before a restart."""
+    if longest is None or longest < SHORTEST_STOP:
+        return "do not interrupt the flow, or use a stronger pump"
+    return f"move the concrete at least every {longest // 60:.0f} min"
+
+
+def _stop_text(longest: float | None) -> str:
+    """Return the longest stop [s] in whole minutes, rounded down."""
+    if longest is None or longest < SHORTEST_STOP:
+        return "less than 1 min"
+    return f"{'at least ' if longest >= LONGEST_STOP else ''}{longest // 60:.0f} min"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from .taps import Tap
 
 MIN_STRIPE = 0.004
 """Smallest width of the stripe that marks a bend in the figure, divided by the length of the pump line."""
+RESTART_PLACE = 0.015
+"""Position of the bar of a restart in the figure, divided by the length of the pump line."""
 
 
 def draw(result: LinePressures) -> Any:
@@ -37,16 +39,12 @@ def draw(result: LinePressures) -> Any:
     if result.simulated:
         theory = scaled(result.course(lambda x: x.theory + x.weight))
         axes.plot(*theory, "--", color=rgb(THEORY), linewidth=1.4, label="theory, as straight pipe")
-    axes.plot(
-        *scaled(result.course(lambda x: x.weight)),
-        color=rgb(MEASURED),
-        linestyle=":",
-        linewidth=1.2,
-        label="weight alone",
-    )
+    if any(x.weight for x in result.losses):
+        weight = scaled(result.course(lambda x: x.weight))
+        axes.plot(*weight, color=rgb(MEASURED), linestyle=":", linewidth=1.2, label="weight alone")
     begin = 0.0
     for x in result.losses:
-        if not x.part.is_by_length:
+        if not x.part.is_by_length or x.part.kind == "hose":
             name = x.part.kind
             first = name not in axes.get_legend_handles_labels()[1]
             # A bend is short beside a line of hundreds of metres. Give the stripe that marks it a width that remains
@@ -54,7 +52,7 @@ def draw(result: LinePressures) -> Any:
             middle = (begin + 0.5 * x.part.length) / metre
             half = 0.5 * max(x.part.length / metre, MIN_STRIPE * places[-1])
             axes.axvspan(middle - half, middle + half, color=rgb(BEND if name == "bend" else NOT_STRAIGHT), linewidth=0,
-                         zorder=0, label=name if first else "")  # fmt: skip
+                         alpha=0.45 if name == "hose" else None, zorder=0, label=name if first else "")  # fmt: skip
         begin += x.part.length
     if result.line.recorded is not None:
         axes.plot(
@@ -67,7 +65,7 @@ def draw(result: LinePressures) -> Any:
             clip_on=False,
             label="recorded",
         )
-    _draw_pump(axes, result, size)
+    _draw_pump(axes, result, RESTART_PLACE * places[-1], size)
     if result.fit is not None:
         at_flow, others = _taps(result)
         for taps, fill, name in (at_flow, rgb(MEASURED), "gauges"), (others, "white", "gauges at other flows"):
@@ -82,16 +80,20 @@ def draw(result: LinePressures) -> Any:
     return figure
 
 
-def _draw_pump(axes: Any, result: LinePressures, size: float) -> None:
-    """Draw the largest pressure of the pump and the pressure of a restart at full flow, in units of `size` [Pa]."""
+def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> None:
+    """Draw the largest pressure of the pump and the pressure of a restart at full flow, in units of `size` [Pa].
+
+    The restart is drawn at the horizontal position `place`, beside the vertical axis, which would hide it.
+    """
     if result.line.pump is not None:
         axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", linewidth=1.4,
                      label="pump")  # fmt: skip
     if result.stop is not None:
         band = result.restart(result.flow)
+        label = f"restart at full flow after {result.stop.rest / 60:.3g} min"
         value, low, high = (x / size for x in (band.value, band.low, band.high))
-        axes.errorbar([0], [value], [[value - low], [high - value]], fmt="s", capsize=4, clip_on=False,
-                      color=rgb(RUN if result.simulated else SECOND), label="restart at full flow")  # fmt: skip
+        axes.errorbar([place], [value], [[value - low], [high - value]], fmt="s", capsize=4, clip_on=False,
+                      color=rgb(RUN if result.simulated else SECOND), label=label)  # fmt: skip
 
 
 def _taps(result: LinePressures) -> tuple[list[Tap], list[Tap]]:

@@ -68,6 +68,9 @@ class Stop:
     band: tuple[float, float] | None = None
     """Lowest and highest growth rate of the yield stresses at rest [Pa/s], between which the true rate is expected;
     None if `growth` has no uncertainty."""
+    highest: float | None = None
+    """Highest published growth rate of the yield stresses at rest [Pa/s], for which the restart is judged too; None if
+    `growth` was stated by the user."""
 
 
 @dataclass(repr=False)

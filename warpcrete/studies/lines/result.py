@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,9 +18,11 @@ from .answers import (
     ADVICE,
     CUSTOMARY_SIZES,
     EFFICIENCY,
+    LONGEST_STOP,
     MEASUREMENTS,
     ON_CONCRETE,
     WORTHWHILE,
+    FastGrowth,
     PumpMargin,
     RestartMargin,
     band_sentences,
@@ -31,7 +34,7 @@ from .figure import draw
 from .fittings import METHODS_ON_BENDS, is_in_library
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
-from .pressures import LinePressures
+from .pressures import LinePressures, Stop
 
 COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without a known probability"}
 """Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
@@ -39,7 +42,8 @@ the slip layer, and so the band, follows from the composition of the paste; othe
 that follow from the paste, `warpcrete validate` finds 94 % of the measured concretes in straight pipe inside the band,
 and two of only three measured whole lines."""
 HALVINGS = 12
-"""Number of bisection steps in the search for the longest stop after which a pump restarts the line."""
+"""Number of bisection steps in the search for the longest stop, or the fastest growth of the yield stress, after which
+a pump restarts the line."""
 WIDENED = ", widened to contain all gauges, which contradict each other"
 """Words that follow the uncertainty band of a line's pressure, if the gauges of the trial line contradict each other
 and the band was therefore widened."""
@@ -137,23 +141,26 @@ class LineResult(LinePressures):
             None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow, self.line.customary)
         )
 
-    @property
+    @functools.cached_property
     def restart_margin(self) -> RestartMargin | None:
         """Comparison of the restart at full flow with the pump; None if the line names no pump, or does not stop."""
         pump, stop = self.line.pump, self.stop
         if pump is None or stop is None:
             return None
 
-        def suffices(rest: float) -> bool:
-            return replace(self, stop=replace(stop, rest=rest)).restart(self.flow).high <= pump.pressure
+        def suffices(other: Stop) -> bool:
+            return replace(self, stop=other).restart(self.flow).high <= pump.pressure
 
-        low, high = 0.0, 0.0 if suffices(stop.rest) else stop.rest
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if suffices(middle) else (low, middle)
-        return RestartMargin(
-            pump, self.restart(self.flow), self.restart(), low if low > 0 else None, self.line.customary
-        )
+        def longest(of: Stop) -> float | None:
+            return _largest(lambda rest: suffices(replace(of, rest=rest)), LONGEST_STOP) or None
+
+        fast = None
+        if stop.highest is not None:
+            worst = Stop(stop.rest, stop.highest)
+            high = replace(self, stop=worst).restart(self.flow).high
+            bearable = _largest(lambda growth: suffices(replace(worst, growth=growth)), stop.highest)
+            fast = FastGrowth(stop.highest, high, longest(worst), bearable)
+        return RestartMargin(pump, self.restart(self.flow), self.restart(), longest(stop), fast, self.line.customary)
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
         """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
@@ -176,6 +183,7 @@ class LineResult(LinePressures):
         if margin is not None:
             record["verdict"] = margin.verdict
             record["longest_stop"] = None if margin.longest is None else quantity(margin.longest, "s")
+            record["fast_growth"] = None if margin.fast is None else margin.fast.record()
         return record
 
     @property
@@ -319,11 +327,12 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         begins, full = result.restart(), result.restart(result.flow)
         found += [
             f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
-            f"(theory), it starts to move at {_span(begins, us)}, and at full flow with {_span(full, us)}",
+            f"(theory), it starts to move at {_span(begins, us)}, and at full flow with "
+            f"{_span(full, us)}{_assumed_growth(result.stop)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
     if result.restart_margin is not None:
-        found.append(f"- {result.restart_margin.sentence()}")
+        found += [f"- {result.restart_margin.sentence()}", f"- {result.restart_margin.longest_sentence()}"]
     if result.line.pump is not None:
         found.append(f"- {ON_CONCRETE}")
     if result.line.recorded is not None:
@@ -356,6 +365,26 @@ def _table(result: LineResult) -> list[str]:
                  cell(x.weight, 1e3, "psi")]  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
+
+
+def _largest(suffices: Callable[[float], bool], limit: float) -> float:
+    """Return the largest number up to `limit` that `suffices`, by bisection; all smaller numbers suffice as well."""
+    low, high = 0.0, limit
+    if suffices(limit):
+        return limit
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if suffices(middle) else (low, middle)
+    return low
+
+
+def _assumed_growth(stop: Stop) -> str:
+    """Return words on the growth rates that the bands of a restart assume, or nothing if the user stated the rate."""
+    if stop.band is None:
+        return ""
+    low, high = stop.band
+    return (f"; these bands assume a growth of {low:g} to {high:g} Pa/s, and combine this error with the others as "
+            "independent errors, so they are narrower than with all errors at their worst")  # fmt: skip
 
 
 def _span(band: Band, us: bool) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.errors import at_least_and_below, positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.limits import check_limit, check_velocity
-from ...core.inputs.text_files import read_columns
+from ...core.inputs.text_files import read_columns, read_rows
 from ...geometry.pipe_line import Part, PipeLine
 
 COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
@@ -37,17 +37,13 @@ class Tap:
 def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
     """Read pressures measured along a pump line from a CSV file.
 
-    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place of a
-    gauge, the column `part` may give the number of the part before which the gauge sits. Without a column of flows, all
-    pressures belong to the flow rate `flow` [m3/s]. Raises :class:`SceneError` for a missing column or an impossible
-    number.
+    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. The column of places
+    may also be called `distance`, and other columns are ignored. Instead of the place of a gauge, the column `part` may
+    give the number of the part before which the gauge sits. Without a column of flows, all pressures belong to the flow
+    rate `flow` [m3/s]. Raises :class:`SceneError` for a missing column or an impossible number.
     """
     example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
-    columns, rows = read_columns(path, "fit")
-    for name in columns:
-        if name not in COLUMNS:
-            refuse("fit", str(path), f"has an unknown column {name!r}; possible columns are 'place' (distance from the "
-                   "pump along the line), 'part', 'pressure' and 'flow'", example)  # fmt: skip
+    columns, rows, _ = _columns(path)
     if ("place" in columns) == ("part" in columns):
         refuse("fit", str(path), "must have one of the columns 'place' and 'part'", example)
     for name in ("pressure", *(() if flow is not None else ("flow",))):
@@ -79,6 +75,27 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
         found.append(Tap(values["place"], values["pressure"], values["flow"], row))
     return tuple(found)
+
+
+def foreign_columns(path: Path) -> list[str]:
+    """Return the names of the columns in a CSV file of measured pressures that a fit does not use."""
+    return _columns(path)[2]
+
+
+def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, list[str]]], list[str]]:
+    """Return the columns and rows as :func:`read_columns`, but only the columns that a fit uses, and the other names.
+
+    The name `distance` means `place`. Raises :class:`SceneError` if the file has both.
+    """
+    columns, rows = read_columns(path, "fit")
+    if "distance" in columns:
+        if "place" in columns:
+            refuse("fit", str(path), "has the columns 'place' and 'distance', which mean the same", "leave out one")
+        columns["place"] = columns.pop("distance")
+    used = {name: column for name, column in columns.items() if name in COLUMNS}
+    places = [place for place, _ in used.values()]
+    header, _ = read_rows(path, "fit")
+    return used, rows, [head.strip() for place, head in enumerate(header) if place not in places]
 
 
 def is_free(part: Part) -> bool:
