@@ -189,7 +189,7 @@ def search_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             )  # fmt: skip
         else:
             b, lane = share_of_body(task, tasks)
-            if b < cover.first.shape[0]:
+            if b < cover.count.shape[0]:
                 linear = result.linear[b] + beta * direction.linear[b]
                 angular = result.angular[b] + beta * direction.angular[b]
                 v.give(g, cover, b, lane, linear, angular, direction.faces)
@@ -352,7 +352,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def reduce(g: Grid, cover: Cover, forces: wp.array(dtype=scalar), factor: scalar, result: Vector):
         """Add a multiple of the forces on the faces that move with an aggregate to the aggregate's force and torque."""
         b, lane = share_of_body(wp.tid(), 0)
-        if b < cover.first.shape[0]:
+        if b < cover.count.shape[0]:
             force, torque = v.resultant(g, cover, b, lane, forces)
             if lane == 0:
                 result.linear[b] = result.linear[b] + factor * force
@@ -365,7 +365,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
         The mortar bears only the force on the uncovered part of a face, so the kernel subtracts the covered part there.
         """
         b, lane = share_of_body(wp.tid(), 0)
-        if b < cover.first.shape[0]:
+        if b < cover.count.shape[0]:
             force = vec3()
             torque = vec3()
             for k in range(lane, cover.touched[b], lanes()):
@@ -392,7 +392,7 @@ def force_kernels(scalar, of: GridKind) -> SimpleNamespace:
         The mean is that of mortar and aggregate, weighted with the fractions of the face's area that they cover.
         """
         b, lane = share_of_body(wp.tid(), 0)
-        if b < cover.first.shape[0]:
+        if b < cover.count.shape[0]:
             for k in range(cover.count[b] + lane, cover.touched[b], lanes()):
                 place = cover.first[b] + k
                 r = cover.faces[place]

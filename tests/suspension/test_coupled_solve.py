@@ -1,5 +1,7 @@
 """Coupled solve of mortar, spheres and pressure: its number of iterations, search directions and new contacts."""
 
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -111,3 +113,22 @@ def test_a_repeated_solve_gets_as_many_new_iterations_as_the_first(known, orthog
     for name in ("precondition", "multiply"):
         assert [each[1] for each in done if each[0] == name] == list(range(max(known, orthogonal), iterations))
     assert done.count(("advance", 0.0, "direction")) == begins and directions.known == iterations
+
+
+BOUNDS_CHECKED = """
+import warp as wp
+wp.config.mode = "debug"
+from warpcrete.core.device.device import divide_work_like_gpu
+from warpcrete.verification.suspensions_many import suspension
+with divide_work_like_gpu():
+    flow = suspension(0.2, 0, "cpu", "float32", wide=2, long=2, rate=10.0)
+    flow.take(2)
+print(flow.aggregates.count, "aggregates")
+"""
+
+
+@pytest.mark.thorough
+def test_kernels_of_a_gpu_stay_within_their_arrays():
+    """Whole blocks of threads run past the last aggregate. In debug mode, Warp ends the process at a wrong index."""
+    done = subprocess.run([sys.executable, "-c", BOUNDS_CHECKED], capture_output=True, text=True)
+    assert done.returncode == 0 and "3 aggregates" in done.stdout, done.stderr[-500:]
