@@ -130,5 +130,5 @@ print(flow.aggregates.count, "aggregates")
 @pytest.mark.thorough
 def test_kernels_of_a_gpu_stay_within_their_arrays():
     """Whole blocks of threads run past the last aggregate. In debug mode, Warp ends the process at a wrong index."""
-    done = subprocess.run([sys.executable, "-c", BOUNDS_CHECKED], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", BOUNDS_CHECKED], capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0 and "3 aggregates" in done.stdout, done.stderr[-500:]
