@@ -287,7 +287,8 @@ def module_pages() -> dict[str, str]:
             text += f"## {module.removeprefix('warpcrete.')}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
             text += f"   :members:\n{f'   :exclude-members: {left}' if left else ''}\n```\n\n"
             text += f"{left}: see [Python interface](../python.md).\n\n" if left else ""
-        text += "## Not covered\n\nNames that begin with an underscore, and [what may change](../stability.md).\n"
+        text += "## Not covered\n\nThis page omits names that begin with an underscore, because they are internal. "
+        text += "The page on [stability](../stability.md) says which parts may change.\n"
         pages[f"module-{package}.md"] = text
     pages["modules.md"] = (
         "# All modules\n\nWhere is the class or function that I look for? These pages list every module except the "
