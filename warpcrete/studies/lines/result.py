@@ -169,7 +169,7 @@ class LineResult(LinePressures):
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
         straight = {x.part.number: x.straight for x in self.losses}
         rows = practice_rows(self.line.parts, straight, self.concrete.density * GRAVITY)
-        return PracticeRow("this result", ours, ""), rows
+        return PracticeRow("this result", ours, self.pressure, ""), rows
 
     def _restart_record(self) -> dict[str, Any] | None:
         """Return the pressures that restart the line after a stop, as an entry of line.json; None without a stop."""
@@ -304,7 +304,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     band, us = result.band(), result.line.customary
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m{beside(us, 'ft', result.line.length)}, "
-        f"{result.line.rise:.4g} m{beside(us, 'ft', result.line.rise)} up, {result.concrete.name} at "
+        f"{_height(result.line.rise, us)}, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h{beside(us, 'yd3/h', result.flow)}",
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar"
@@ -394,6 +394,12 @@ def _span(band: Band, us: bool) -> str:
         return text
     value, low, high = (f"{x / CUSTOMARY_SIZES['psi']:.4g}" for x in (band.value, band.low, band.high))
     return f"{text}, or {value} ({low} to {high}) psi"
+
+
+def _height(rise: float, us: bool) -> str:
+    """Return the height of a line's end above its start [m] as text; if `us` is true, also in feet."""
+    way = "down" if round(rise, 9) < 0 else "up"
+    return f"{abs(rise):.4g} m{beside(us, 'ft', abs(rise))} {way}"
 
 
 def _time(seconds: float) -> str:
