@@ -117,6 +117,16 @@ def test_sand_is_told_from_stones(name, masses):
     assert sand_and_stone_masses({name: 1.0}) == masses
 
 
+@pytest.mark.parametrize(("share", "warned"), [("36 %", False), ("980 kg/m3", False), ("20 %", True), ("50 %", True)])
+def test_a_share_of_aggregate_that_contradicts_the_stones_causes_a_warning(share, warned):
+    """980 kg of gravel fill 37 % of a cubic metre."""
+    parts = {"cement": 330, "fly ash": 60, "water": 175, "sand": 800, "gravel": 980, "superplasticizer": 3}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mix_of({"parts": parts, "aggregate": share, "slump": "180 mm"})
+    assert any("but the stones in 'parts' fill 37 %" in str(each.message) for each in caught) == warned
+
+
 def test_heavy_concrete_fills_its_volume():
     """350 kg of cement, 175 of water, 1,200 of sand and 1,850 of gravel of barite fill 1.014 m3, by hand."""
     heavy = {"cement": 350, "water": 175, "barite sand": 1200, "barite gravel": 1850}
@@ -168,6 +178,7 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
          "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
+        ({"density": 2300, "slump": 0.1, "volume": "9 yd3"}, "mix volume = '9 yd3': has no effect without 'parts'"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
         ({"spread": 0.6}, "mix density: is missing, and the mix lists no 'parts'"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),

@@ -29,6 +29,7 @@ from .answers import (
     beside,
     motor_power,
     pressure_text,
+    time_text,
 )
 from .figure import draw
 from .fittings import METHODS_ON_BENDS, is_in_library
@@ -319,15 +320,15 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         f"{result.motor_power / 1e3:.3g} kW{beside(us, 'hp', result.motor_power)} "
         f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
         f"- the line holds {result.volume:.3g} m3{beside(us, 'yd3', result.volume)}, and concrete passes it in "
-        f"{_time(result.residence_time)}",
+        f"{time_text(result.residence_time)}",
     ]
     if result.margin is not None:
         found.append(f"- {result.margin.sentence()}")
     if result.stop is not None:
         begins, full = result.restart(), result.restart(result.flow)
         found += [
-            f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
-            f"(theory), it starts to move at {_span(begins, us)}, and at full flow with "
+            f"- after {time_text(result.stop.rest)} of rest, with a yield stress that grows by "
+            f"{result.stop.growth:g} Pa/s (theory), it starts to move at {_span(begins, us)}, and at full flow with "
             f"{_span(full, us)}{_assumed_growth(result.stop)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
@@ -400,7 +401,3 @@ def _height(rise: float, us: bool) -> str:
     """Return the height of a line's end above its start [m] as text; if `us` is true, also in feet."""
     way = "down" if round(rise, 9) < 0 else "up"
     return f"{abs(rise):.4g} m{beside(us, 'ft', abs(rise))} {way}"
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.3g} min"
