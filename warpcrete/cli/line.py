@@ -85,7 +85,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         taps = read_taps(settings["fit"], pipes, given.flow)
         fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
                        _known_yields(given))  # fmt: skip
-        said = [*fit_lines(fit, pipes), ""]
+        said = [*fit_lines(fit, pipes, given.factors, given.mix is not None), ""]
         if ignored := foreign_columns(settings["fit"]):
             said[:0] = [
                 f"ignored columns of {settings['fit'].name}, which a fit does not use: {', '.join(ignored)}",
