@@ -141,6 +141,14 @@ def test_fittings_outside_the_library_are_told():
     assert [library_factor(x.part) for x in found.losses] == [1, 1.125, 1, 1.452, 1, 1]
 
 
+@pytest.mark.parametrize("stated", ["factor", "equivalent"])
+def test_the_friction_of_a_hose_is_not_stated_beside_its_layer(stated):
+    """A hose with the friction of 10 m of pipe has this friction, and no layer changes it."""
+    assert pumped({"hose": {"length": 5, "equivalent": 10}}).pressure == pytest.approx(10 * METRE)
+    with pytest.raises(SceneError, match=f"hose: {stated} = 10: cannot be given together with 'layer'; leave out"):
+        line({"hose": {"length": 5, stated: 10, "layer": 0.8}})
+
+
 def test_parts_that_fall_are_named_so():
     """A line that starts downwards and turns by 45 degrees falls by 10 sin 45 m in the next 10 m."""
     found = line({"straight": 2}, {"bend": {"to": "level", "angle": 45}}, {"straight": 10}, {"hose": 5}, begin="down")
