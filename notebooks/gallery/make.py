@@ -336,9 +336,9 @@ def page() -> str:
         code = entry.code.replace(" --out OUT", f" --out {entry.name}")
         lines += [f"## {entry.title}", "", f"![{entry.title}]({entry.name}.png)", "", entry.says, "",
                   f"```{language}", code, "```", ""]  # fmt: skip
-    lines += ["## Not covered", "", "The gallery does not explain recordings. The page [Look at a run]"
-              "(../how-to/view.md) says how to open them, and the page [Recordings](../reference/recordings.md) lists what they contain.",
-              ""]  # fmt: skip
+    lines += ["## Not covered", "", "The gallery does not explain recordings. The page [Look at a "
+              "run](../how-to/view.md) says how to open them, and the page [Recordings](../reference/recordings.md) "
+              "lists what they contain.", ""]  # fmt: skip
     return "\n".join(lines)
 
 
