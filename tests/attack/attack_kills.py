@@ -197,11 +197,10 @@ def times(folder: Path) -> dict[str, float]:
 
 
 def checkpoint_time(path: Path) -> float:
-    """Return the simulated time of a checkpoint's last row [s]; 0 before the first row."""
+    """Return the time of the last row in a checkpoint [s], the first column; 0 before the first row."""
     with np.load(path, allow_pickle=False) as arrays:
-        contents = json.loads(arrays["text"].tobytes())["contents"]
-        rows = arrays[contents["rows"]["array"]]
-    return float(rows[-1, contents["columns"].index("time")]) if len(rows) else 0.0
+        tables = [arrays[name] for name in arrays.files if name.rpartition("/")[2] == "rows"]
+    return float(tables[0][-1, 0]) if tables and len(tables[0]) else 0.0
 
 
 def main() -> None:
