@@ -21,13 +21,10 @@ from .fittings import MODEL_ERRORS
 from .line_fit import FittedConstant, LineFit
 from .losses import GRAVITY
 from .tap_model import TapModel, metre_model
-from .taps import Tap, is_free
+from .taps import SAME_FLOW, Tap, at_one_flow, is_free
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
-SAME_FLOW = 0.02
-"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
-distinguish the yield stress of the slip layer from its viscosity."""
 REVERSED = 1.1
 """Largest accepted ratio of two frictions at the same flow: that between a gauge and the end of the line, divided by
 that between a gauge nearer to the pump and the end. The true ratio is below 1; the tolerance is for errors of gauges
@@ -148,10 +145,9 @@ def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: boo
     """
     model = TapModel(line, concrete, taps, bends=factor)
     measured = np.array([tap.pressure for tap in taps])
-    flows = np.array([tap.flow for tap in taps])
     start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
     free = [0]
-    if len(taps) > 2 and np.ptp(flows) > SAME_FLOW * flows.mean():
+    if len(taps) > 2 and not at_one_flow(taps):
         free.append(1)
     if factor and len(taps) > len(free) + 1:
         free.append(2)

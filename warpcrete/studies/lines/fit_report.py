@@ -8,6 +8,7 @@ from ...geometry.pipe_line import PipeLine
 from .answers import CUSTOMARY_SIZES, beside
 from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
+from .taps import at_one_flow
 
 NOTICED = 0.01
 """Smallest weight from 0 to 1 at which the report mentions that earlier knowledge of the slip layer was combined with
@@ -93,11 +94,15 @@ def _open_yield(fit: LineFit, customary: bool) -> str:
     assert fit.open_yield is not None, "the yield stress is known"
     unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
     (_, low), (_, high) = fit.open_yield
-    flows = sorted({f"{tap.flow / size:.4g}" for tap in fit.taps}, key=float)
-    many = "All gauges were read at" if len(flows) == 1 else "The gauges were read at"
-    more = "read gauges at a second flow" if len(flows) == 1 else "read more gauges at these flows"
+    rates = [tap.flow / size for tap in fit.taps]
+    flows = sorted({f"{rate:.4g}" for rate in rates}, key=float)
+    if at_one_flow(fit.taps):
+        about = f"{'about ' if len(flows) > 1 else ''}{sum(rates) / len(rates):.4g}"
+        read, more = f"All gauges were read at {about}", "read gauges at a second flow"
+    else:
+        read, more = f"The gauges were read at {' and '.join(flows)}", "read more gauges at these flows"
     return (
-        f"{many} {' and '.join(flows)} {unit}; at another flow the band is wider, because the pressures do not "
+        f"{read} {unit}; at another flow the band is wider, because the pressures do not "
         f"determine the yield stress of the slip layer, which may be {low:.3g} to {high:.3g} Pa; {more}"
     )
 

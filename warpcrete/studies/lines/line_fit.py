@@ -108,6 +108,13 @@ class LineFit:
         return self.open_yield or ()
 
     @property
+    def bend_factor(self) -> float | None:
+        """Fitted friction of bends divided by that of straight pipe; None if the measured pressures do not determine
+        it."""
+        bends = self.constants[2] if len(self.constants) > 2 else None
+        return bends.value if bends is not None and bends.fitted else None
+
+    @property
     def scatter(self) -> float:
         """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
         off = self.deviations()
