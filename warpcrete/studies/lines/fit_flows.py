@@ -1,7 +1,8 @@
-"""Range of the yield stress of a slip layer that pressures of a trial line do not determine.
+"""Range of the yield stress of a slip layer that was fitted to a trial line, and its effect at other flows.
 
 Pressures at one flow determine the friction at this flow only. A layer with a larger yield stress and a smaller
-viscosity has the same friction there, but less friction at a larger flow and more at a smaller one.
+viscosity has the same friction there, but less friction at a larger flow and more at a smaller one. Pressures at two
+flows determine the yield stress with an error, which has the same effect.
 """
 
 from __future__ import annotations
@@ -33,21 +34,29 @@ BISECTIONS = 60
 """Number of bisection steps in the search for a viscosity of the slip layer."""
 
 
-def with_open_yield(
-    fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[float, float] | None = None
-) -> LineFit:
+def known_yields(concrete: Concrete, yields: tuple[float, float] | None = None) -> tuple[float, float]:
+    """Return the range of the yield stress of a slip layer before a measurement [Pa].
+
+    `yields` is the range that the mix states [Pa], by default that of the concretes of this package. The upper end is
+    at most the yield stress of the concrete, because the layer is concrete without stones.
+    """
+    low, high = SHIPPED_YIELDS if yields is None else yields
+    high = min(high, concrete.yield_stress)
+    return min(low, high), high
+
+
+def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[float, float] | None = None) -> LineFit:
     """Return a fit with two further slip layers, which the measured pressures do not distinguish from the fitted one.
 
     The layers have the smallest and the largest possible yield stress, and the same mean friction behind the gauges as
-    the fitted layer. `yields` is the range of the yield stress that the mix states [Pa], by default that of the
-    concretes of this package. The largest yield stress is at most that of the concrete, because the layer is concrete
-    without stones, and the viscosity is at least `THINNEST`. A fit that determines the yield stress is returned
-    unchanged.
+    the fitted layer. The range of the yield stress is its error band if the pressures determine it, and otherwise the
+    range from before the measurement, of :func:`known_yields`. The viscosity of the layers is at least `THINNEST`.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
     wanted = friction(eta, tau)
-    low, high = SHIPPED_YIELDS if yields is None else yields
+    own = fit.constants[1]
+    low, high = (own.low, own.high) if fit.knows_yield else known_yields(concrete, yields)
     low, high = min(low, tau), max(min(high, concrete.yield_stress), tau)
     thinnest = min(eta, THINNEST)
     if friction(thinnest, high) > wanted:
@@ -56,11 +65,11 @@ def with_open_yield(
     def layer(stress: float) -> tuple[float, float]:
         return _root((0.1 * thinnest, THICKEST), lambda x: friction(x, stress) < wanted), stress
 
-    fit = replace(fit, open_yield=(layer(low), layer(high)))
+    fit = replace(fit, yield_layers=(layer(low), layer(high)))
     wide = math.log1p(fit.uncertainty)
     for ratio in OTHER_FLOWS:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
-        off = max(abs(math.log(there(*end) / there(eta, tau))) for end in fit.open_layers)
+        off = max(abs(math.log(there(*end) / there(eta, tau))) for end in fit.yield_layers)
         wide = max(wide, math.hypot(math.log1p(fit.uncertainty), off))
     return replace(fit, later_uncertainty=math.expm1(wide))
 
