@@ -80,6 +80,13 @@ def pressure_text(pressure: float) -> str:
     return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / PSI:.4g} psi)"
 
 
+def time_text(seconds: float) -> str:
+    """Return a time [s] in seconds, in minutes from two minutes on, or in hours from three hours on."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.3g} min" if seconds < 3 * 3600 else f"{seconds / 3600:.3g} h"
+
+
 def beside(shown: bool, unit: str, *values: float) -> str:
     """Return one value, or two as a range, in a customary US unit and in parentheses, to follow the metric amount.
 
