@@ -164,9 +164,8 @@ def scene(parameters: LongBoxFlow) -> FreeScene:
     given.check_length()
     smallest = min(given.column_length, given.height, given.width / 2)
     if given.spacing > smallest / 4:
-        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the concrete and across "
-                                         "half the box",
-               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
+        problem = "is too coarse: at least four cells must fit across the concrete and across half the box"
+        refuse("spacing", given.spacing, problem, f"use {at_most(smallest / 4)} m or less")
     # Choose the cell size such that the height of the concrete is a whole number of cells, so that the cells hold its
     # full volume.
     gate, top, rows = given.column_length, given.height, round(given.height / given.spacing)
@@ -227,9 +226,8 @@ def scene_dem(parameters: LongBoxElements) -> Scene:
     gate, width, top = given.column_length, given.width, given.height
     narrowest = min(gate, width, top)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the concrete "
-                                           "at the start",
-               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
+        problem = "is too large: at least four grains must fit side by side in the concrete at the start"
+        refuse("size_max", given.size_max, problem, f"use {at_most(narrowest / 4)} m or less")
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     shut = rectangle((gate, -width, -given.size_min), (0.0, 2 * width, 0.0), (0.0, 0.0, 2 * top))
     lift = Prescribed(velocity=(0.0, 0.0, top / given.lift_time))

@@ -86,12 +86,8 @@ class RunFolder:
         if self.colour is not None and self.colour not in display.colourings:
             refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")
         if self.network and not display.has_network:
-            refuse(
-                "network",
-                True,
-                f"needs contacts between bodies, which a scene of {display.noun} does not have",
-                "leave out 'network'",
-            )
+            problem = f"needs contacts between bodies, which a scene of {display.noun} does not have"
+            refuse("network", True, problem, "leave out 'network'")
         interval = simulation.frame_interval
         settings = {
             # Store frames per second, as the user states them. Round the number, because the reciprocal of the interval

@@ -244,8 +244,8 @@ def amount(field: str, value: object, unit: str, declared: str = "") -> float:
         else:
             units = "without a unit, or with %" if unit == "1" else f"with one of {', '.join(unit_names(unit))}"
         meant = declared or ("" if unit == "1" else unit)
-        refuse(field, value, f"must be a number {units}{more and f'; {more}'}",
-               f"a number without a unit is in {meant}" if meant else "")  # fmt: skip
+        problem = f"must be a number {units}{more and f'; {more}'}"
+        refuse(field, value, problem, f"a number without a unit is in {meant}" if meant else "")
     return number
 
 

@@ -107,8 +107,8 @@ class Simulation(SimulationBase):
 
     def _use_folder(self, output: RunOutput) -> None:
         if self.checkpoint_path is not None:
-            refuse("checkpoint_path", str(self.checkpoint_path), "cannot be combined with 'out', because the run "
-                   "folder holds the checkpoint", "leave out 'checkpoint_path'")  # fmt: skip
+            problem = "cannot be combined with 'out', because the run folder holds the checkpoint"
+            refuse("checkpoint_path", str(self.checkpoint_path), problem, "leave out 'checkpoint_path'")
         self.folder = output.path
         self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
         self.recorders = [*output.recorders(self), *self.recorders]

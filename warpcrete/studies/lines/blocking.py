@@ -179,11 +179,8 @@ def _counted(study: Study, part: Part, elements: Elements) -> BlockingProbabilit
     results = list(study.results.values())
     if not results:
         first = next(iter(study.failures.values()), "")
-        refuse(
-            "blocking",
-            len(study.cases),
-            f"gives no result, because no run finished; the first run failed with: {first}",
-        )
+        problem = f"gives no result, because no run finished; the first run failed with: {first}"
+        refuse("blocking", len(study.cases), problem)
     blocked = [bool(number(result["blocked"])) for result in results]
     given = modules()[SCENE].scene(**study.cases[0].parameters)
     return BlockingProbability(

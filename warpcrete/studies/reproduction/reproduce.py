@@ -121,8 +121,7 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
         one_of("only", name, [*columns, *rows])
     columns, rows = [name for name in columns if name in only], [name for name in rows if name in only]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
-        refuse("only", list(only), "selects no runs",
-               f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")  # fmt: skip
+        refuse("only", list(only), "selects no runs", f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")
     return columns, rows
 
 

@@ -105,12 +105,8 @@ def read_cases(path: Path) -> list[Case]:
             one_of("key of a file of cases", key, FILE_KEYS)
     entries = given.get("cases")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        refuse(
-            "cases",
-            entries,
-            "must be a list of measured cases",
-            "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'",
-        )
+        problem = "must be a list of measured cases"
+        refuse("cases", entries, problem, "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'")
     sources, lines = (_mapping(given, key) for key in ("sources", "lines"))
     found = []
     for number, entry in enumerate(entries):
