@@ -78,33 +78,12 @@ LCPC_BOX = StandardTest(
     columns={"near_depth": "m", "front": "m"},
     measure=_measure,
     quantities=(
-        Quantity(
-            "spread_length",
-            "m",
-            lambda k: k.last("front"),
-            "spread length",
-            None,
-            True,
-            meaning="Length to which the concrete has spread along the box",
-        ),
-        Quantity(
-            "h0",
-            "m",
-            lambda k: k.last("near_depth"),
-            "depth where poured",
-            None,
-            True,
-            meaning="Depth of the concrete at the end where it is poured",
-        ),
-        Quantity(
-            "apparent_yield_stress",
-            "Pa",
-            _yield_stress,
-            "yield stress from L",
-            None,
-            True,
-            meaning="Yield stress that the closed form of the test gives for the measured spread length",
-        ),
+        Quantity("spread_length", "m", lambda k: k.last("front"), "spread length", None, True,
+                 meaning="Length to which the concrete has spread along the box"),
+        Quantity("h0", "m", lambda k: k.last("near_depth"), "depth where poured", None, True,
+                 meaning="Depth of the concrete at the end where it is poured"),
+        Quantity("apparent_yield_stress", "Pa", _yield_stress, "yield stress from L", None, True,
+                 meaning="Yield stress that the closed form of the test gives for the measured spread length"),
     ),
     forms=(
         ClosedForm("spread_length", "theory", "slow flow", lambda k: _at_rest(k, 2)),
@@ -113,7 +92,7 @@ LCPC_BOX = StandardTest(
     ),
     in_space=True,
     curves={"front": "position of the front", "near_depth": "depth where poured"},
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
