@@ -292,30 +292,10 @@ def _is_reference(given: PipeParameters) -> bool:
     Clump shapes may differ, because the paper gives no coordinates for them.
     """
     free = {
-        "unit",
-        "shapes",
-        "shape_spheres",
-        "fractions",
-        "wall",
-        "wall_scale",
-        "facets",
-        "seed",
-        "settle",
-        "hydration_rounds",
-        "safety",
-        "sample_interval",
-        "travel",
-        "precision",
-        "energy_balance",
-        "overlap_limit",
-        "time_step",
-        "wear",
-        "wear_coefficient",
-        "wear_patch",
-        "segregation",
-        "blocked_travel",
-        "stop_when_blocked",
-    }
+        "unit", "shapes", "shape_spheres", "fractions", "wall", "wall_scale", "facets", "seed", "settle",
+        "hydration_rounds", "safety", "sample_interval", "travel", "precision", "energy_balance", "overlap_limit",
+        "time_step", "wear", "wear_coefficient", "wear_patch", "segregation", "blocked_travel", "stop_when_blocked",
+    }  # fmt: skip
     if given.concrete not in PAPER_CONCRETES:
         return False
     its_own = {f.name: f.default for f in fields(given)} | scene.completed({"concrete": given.concrete})

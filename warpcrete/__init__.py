@@ -41,25 +41,10 @@ if not Path(__file__).with_name("kernels").exists():
     __path__.append(str(Path(__file__).parents[1]))
 
 __all__ = [
-    "CapacityError",
-    "ConvergenceError",
-    "DeviceError",
-    "InstabilityError",
-    "Recorder",
-    "RunFolder",
-    "RunFolderError",
-    "Scene",
-    "SceneError",
-    "Simulation",
-    "WarpcreteError",
-    "__version__",
-    "calibrate",
-    "explain",
-    "load",
-    "scenes",
-    "study",
-    "trade",
-]
+    "CapacityError", "ConvergenceError", "DeviceError", "InstabilityError", "Recorder", "RunFolder", "RunFolderError",
+    "Scene", "SceneError", "Simulation", "WarpcreteError", "__version__", "calibrate", "explain", "load", "scenes",
+    "study", "trade",
+]  # fmt: skip
 
 _LAZY = {
     "Simulation": "record.output",

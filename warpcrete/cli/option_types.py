@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 from click.shell_completion import CompletionItem
 
@@ -26,5 +28,6 @@ class Completed(click.ParamType):
 
 
 DEVICE = Completed("devices")
+PATH = click.Path(path_type=Path)
 LENGTH, TIME, PRESSURE, POWER = (Completed("amounts", unit) for unit in ("m", "s", "Pa", "W"))
 FLOW, GROWTH = Completed("amounts", "m3/s"), Completed("amounts", "Pa/s")

@@ -36,21 +36,9 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 def cases() -> list[Case]:
     """Return all verification cases, in the order in which the table of results lists them."""
     modules = (
-        impacts,
-        contacts,
-        bonds,
-        clumps,
-        assemblies,
-        stability,
-        flows,
-        starting,
-        vessels,
-        spreading,
-        suspensions,
-        suspensions_clumps,
-        suspensions_friction,
-        suspensions_many,
-    )
+        impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading, suspensions,
+        suspensions_clumps, suspensions_friction, suspensions_many,
+    )  # fmt: skip
     return [case for module in modules for case in module.CASES]
 
 

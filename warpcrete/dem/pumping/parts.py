@@ -52,16 +52,8 @@ class CourseParameters:
     """
 
     common: ClassVar[tuple[str, ...]] = (
-        "unit",
-        "diameter",
-        "straight",
-        "elbow_radius",
-        "angle",
-        "outlet_diameter",
-        "wall",
-        "wall_scale",
-        "line",
-    )
+        "unit", "diameter", "straight", "elbow_radius", "angle", "outlet_diameter", "wall", "wall_scale", "line",
+    )  # fmt: skip
 
     unit: Annotated[
         str,

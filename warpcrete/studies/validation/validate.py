@@ -145,15 +145,8 @@ class Validation:
 
 
 SUMMARY_COLUMNS = (
-    "kind",
-    "cases",
-    "number",
-    "groups",
-    "median ratio",
-    "median error",
-    "inside",
-    "median factor of band",
-)
+    "kind", "cases", "number", "groups", "median ratio", "median error", "inside", "median factor of band",
+)  # fmt: skip
 BLOCKING_COLUMNS = ("case", "held out", "observed", "verdict", "rules that warn", "agrees")
 CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "low", "high", "ratio", "inside")
 
