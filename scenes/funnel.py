@@ -1,7 +1,5 @@
 """V-funnel test: time in which concrete flows out of a funnel (EN 12350-9), as a three-dimensional flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """V-funnel test: time in which concrete flows out of a funnel (EN 12350-9), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar

@@ -1,7 +1,5 @@
 """J-ring test: spread of concrete through a ring of bars (EN 12350-12), as a three-dimensional flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

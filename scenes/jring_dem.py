@@ -1,7 +1,5 @@
 """J-ring test: spread of concrete through a ring of bars (EN 12350-12), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

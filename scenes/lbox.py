@@ -1,7 +1,5 @@
 """L-box test: how far and how level concrete flows, with or without bars (EN 12350-10), as a 3D flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

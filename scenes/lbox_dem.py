@@ -1,7 +1,5 @@
 """L-box test: how far concrete levels out when a gate opens (EN 12350-10), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated

@@ -3,8 +3,6 @@
 The file holds the test and its scenes for both methods: a flow (`scene`) and discrete elements (`scene_dem`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated

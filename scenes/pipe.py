@@ -4,8 +4,6 @@ The units are A `vertical` (upward), B `horizontal`, C `bend-to-horizontal` (an 
 outlet), and D `bend-to-vertical` (an elbow with horizontal inlet and upward outlet).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import fields

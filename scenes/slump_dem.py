@@ -1,7 +1,5 @@
 """Slump test and slump flow test: a cone whose mould is lifted (EN 12350-2, EN 12350-8), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated

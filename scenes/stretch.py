@@ -1,7 +1,5 @@
 """Stretch of an endless pipe: mortar with aggregates that are simulated one by one, driven by a pressure gradient."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Annotated

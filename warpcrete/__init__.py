@@ -6,8 +6,6 @@ This example runs the scene of a vertical pipe on the CPU::
     run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

@@ -1,7 +1,5 @@
 """The `warpcrete` command and its subcommands; the other modules of this package do most of the work."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

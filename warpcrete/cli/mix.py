@@ -1,7 +1,5 @@
 """Command `warpcrete mix`: properties that follow from a mix, and a file that states them instead of the mix."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

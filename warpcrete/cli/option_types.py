@@ -1,7 +1,5 @@
 """Types of options whose values the shell completes; the values are listed only when the shell asks for them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """Command `warpcrete run`: simulates a scene into a run folder and prints a report, or continues an interrupted run."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ Editors use the schemas to complete and validate a file. The folder `warpcrete/s
 with the output of :func:`schemas`, and `python tests/studies/test_schemas.py` updates it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
 from pathlib import Path

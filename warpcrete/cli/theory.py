@@ -1,7 +1,5 @@
 """Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Errors of the package; each message is one line that names field, value, what is allowed and what to try."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import sys

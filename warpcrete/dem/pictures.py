@@ -1,7 +1,5 @@
 """Figures of discrete element runs, drawn with Matplotlib."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import Any

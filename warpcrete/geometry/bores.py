@@ -3,8 +3,6 @@
 The pipe may consist of several cylinders and truncated cones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

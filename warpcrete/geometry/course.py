@@ -1,7 +1,5 @@
 """Course of a pipeline in space, built part by part from the entries of its file."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence

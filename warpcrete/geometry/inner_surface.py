@@ -1,7 +1,5 @@
 """Inner surface of a pipe, extracted from a triangle mesh that may also have an outer skin, lids or several skins."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..core.errors import refuse

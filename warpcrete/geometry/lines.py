@@ -1,7 +1,5 @@
 """Pipelines read from a file: their parts, their course in space, and checks that the parts fit together."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Pipeline parts whose bore is a mesh from a file: their axis and smallest width, and checks that they fit."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from collections.abc import Sequence

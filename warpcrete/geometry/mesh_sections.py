@@ -1,7 +1,5 @@
 """Cross-sections of a bore that is given as a mesh: a search that follows the bore from its start to its end."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

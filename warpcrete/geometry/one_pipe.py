@@ -1,7 +1,5 @@
 """Pipelines that a scene simulates as one pipe: parameters from their file or mesh, and checks of their shape."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

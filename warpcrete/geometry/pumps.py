@@ -1,7 +1,5 @@
 """Data sheet of a concrete pump: its limits of pressure, flow and power."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Walls and their motions as frozen, validated dataclasses in SI units, for flows and for discrete elements."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Ingredients of a cubic metre of concrete: their names, their densities, and a check that they fill the volume."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Measurements that a mix may state: constants of concrete, mortar and slip layer, and points from instruments."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

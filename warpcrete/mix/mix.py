@@ -1,7 +1,5 @@
 """Mix of a concrete, built from a mapping (`mix_of`) or a file (`read_mix`), and the parameters that follow from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Functions that read the description of a mix from a file, convert its entries to SI units and check them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path

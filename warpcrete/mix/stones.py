@@ -1,7 +1,5 @@
 """Read the sieve curve, the sizes and the shape of the coarse aggregate from the entries of a mix."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parameters, scenes and checks of pipe flows, shared by the scenes `channel` and `tube`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace

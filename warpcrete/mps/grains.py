@@ -1,7 +1,5 @@
 """Coarse aggregate of the two-phase model: groups of particles in a column that move as rigid grains."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

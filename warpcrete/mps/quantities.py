@@ -1,7 +1,5 @@
 """Result quantities of a pipe flow, with their units and the values that theory gives."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ In two dimensions the pipe is a channel between two parallel planes at a distanc
 round tube of radius R. The scenes follow Xu, Li & Jiang 2021, section 3.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar

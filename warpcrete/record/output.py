@@ -1,7 +1,5 @@
 """Folder of one run: the same files for `warpcrete run --out` and for `Simulation(out=...)` in Python."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

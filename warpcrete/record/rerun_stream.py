@@ -1,7 +1,5 @@
 """Stream of a Rerun recording: the parts of its file and its viewer, and what to do if one of them does not answer."""
 
-from __future__ import annotations
-
 import atexit
 import importlib
 import os

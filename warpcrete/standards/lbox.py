@@ -1,7 +1,5 @@
 """L-box test: how far and how level concrete flows when a gate opens (EN 12350-10)."""
 
-from __future__ import annotations
-
 from ..core.run.method import Quantity
 from ..theory.vessels import box_at_rest
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest

@@ -1,7 +1,5 @@
 """Slump test, slump flow test and J-ring test: a cone of concrete whose mould is lifted (EN 12350-2, -8, -12)."""
 
-from __future__ import annotations
-
 from ..core.run.method import Quantity
 from ..theory.vessels import heap_at_rest, long_heap_spread, tall_cone_slump
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest

@@ -1,7 +1,5 @@
 """Python interface of parameter studies: run a study of a scene function."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager

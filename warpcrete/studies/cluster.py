@@ -5,8 +5,6 @@ path. Folders and results equal those of a study on one machine, bit for bit. Wh
 continues its work; the cases of a study continue from their last checkpoints.
 """
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os

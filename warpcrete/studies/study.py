@@ -5,8 +5,6 @@ of their own. On a CPU, each case runs in its own process. Every case has its ow
 and a resumed study runs only unfinished cases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass, replace
 from pathlib import Path

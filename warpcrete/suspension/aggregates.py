@@ -1,7 +1,5 @@
 """Rigid aggregates in a grid flow: their initial state, and their arrays on a device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Scenes of a mortar with aggregates and a free surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, ClassVar

@@ -17,8 +17,6 @@ the layer's yield stress tau_L0, its viscosity eta_L and the slip velocity V_L. 
 :mod:`.laws` instead. The bulk fills the radius of the pipe less the thickness of the layer.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence

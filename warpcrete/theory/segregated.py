@@ -6,8 +6,6 @@ viscosity and yield stress of the concrete with the zone's own aggregate fractio
 between the zones, so their contributions to the flow add up in closed form.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

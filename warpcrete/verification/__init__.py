@@ -6,8 +6,6 @@ Modules here import `core`, `geometry`, `theory`, both simulation methods and `k
 `case`, which defines a case, and go on with `contacts`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

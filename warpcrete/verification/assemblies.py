@@ -1,7 +1,5 @@
 """Verification with many bodies: conserved momenta, energy balance, Janssen's silo, and angle of repose."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Verification of bonds: chains and beam theory, torsional oscillation, and the load at which a bond breaks."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

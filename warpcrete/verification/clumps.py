@@ -1,7 +1,5 @@
 """Verification of clumps: mass properties compared with exact integrals, and free tumbling of a triaxial body."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

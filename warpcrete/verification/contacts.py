@@ -1,7 +1,5 @@
 """Verification of single contacts: damped oscillator, rolling and sliding, stick-slip, and contact with meshes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 One parser serves files, the command and parameters in Python. The schemas of files use the same patterns.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import re

@@ -8,8 +8,6 @@ Importing a class runs the code of its module. A class named in Python or on the
 in a file is imported only if its module is loaded already, or if the user trusts the file (`warpcrete --trust`).
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import os

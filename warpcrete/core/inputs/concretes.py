@@ -13,8 +13,6 @@ The key `base` names another concrete, whose sections the values in this file co
 `calibrated` say where the numbers come from.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace

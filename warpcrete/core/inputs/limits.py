@@ -6,8 +6,6 @@ level, such as :class:`warpcrete.theory.pipe.Concrete`, take any number that the
 can be tested at its extremes.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass

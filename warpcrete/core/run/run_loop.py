@@ -3,8 +3,6 @@
 Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Sequence

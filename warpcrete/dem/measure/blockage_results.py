@@ -1,7 +1,5 @@
 """Quantities and report text that describe the blockage of a pipe."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Segregation of aggregate in a pipe: volume fractions at axis and wall, front and rear; position of large stones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Results and figures of the wear of walls."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

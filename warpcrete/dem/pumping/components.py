@@ -1,7 +1,5 @@
 """Conversion of declared parameters into the components of a pumping scene: sizes, contacts, bonds, plug, settings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace

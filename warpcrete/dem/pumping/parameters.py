@@ -1,7 +1,5 @@
 """Parameters of pumping aggregates through a pipe unit (Zhan et al. 2019), motion of the piston, accuracy settings."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Parameters of discrete element tests of fresh concrete in a vessel, and the contact laws that follow from them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar

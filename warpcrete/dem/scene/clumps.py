@@ -1,7 +1,5 @@
 """Clump templates: rigid shapes made of overlapping spheres, whose overlaps count only once in mass and inertia."""
 
-from __future__ import annotations
-
 import functools
 import heapq
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Translate a named concrete, or one from a file, to parameters of discrete elements."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any

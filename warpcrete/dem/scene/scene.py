@@ -3,8 +3,6 @@
 Defaults are the reference concrete of Zhan et al. 2019, Table 1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

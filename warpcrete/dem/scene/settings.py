@@ -1,7 +1,5 @@
 """Groups of settings of a scene: bonds, time step, settling, rest, limits, wear and blockage."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

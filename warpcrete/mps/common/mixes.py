@@ -1,7 +1,5 @@
 """Concretes for flows, by name or from a file, and the parameters of a scene that select them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass

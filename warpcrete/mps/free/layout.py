@@ -1,7 +1,5 @@
 """Layout of a vessel on a grid: its cells, its walls, and the concrete in it at the start."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.errors import refuse

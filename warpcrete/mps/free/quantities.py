@@ -1,7 +1,5 @@
 """Result quantities of flows with a free surface."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Scenes of a part of a pump line that is full of concrete, which flows through it at a stated rate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise

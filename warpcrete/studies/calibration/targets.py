@@ -1,7 +1,5 @@
 """Task of a calibration: measured quantities of scenes, and free parameters with their ranges."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -4,8 +4,6 @@ Each seed packs the stones differently. On a GPU all runs form one batch, on a C
 runs are a study in the line's folder, so an interrupted command continues with the seeds that are missing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 The pressures were measured at several places, at one or more flows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress

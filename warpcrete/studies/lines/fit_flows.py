@@ -4,8 +4,6 @@ Pressures at one flow determine the friction at this flow only. A layer with a l
 viscosity has the same friction there, but less friction at a larger flow and more at a smaller one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

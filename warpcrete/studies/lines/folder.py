@@ -1,7 +1,5 @@
 """Folder of a simulated pump line, with one run for each kind of part. An interrupted simulation continues there."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

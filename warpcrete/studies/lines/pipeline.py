@@ -1,7 +1,5 @@
 """Pressure of a whole pipeline, extrapolated from pressures of short pipe units (Zhan et al. 2019, Eq. 13)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ...core.errors import RunFolderError, at_least, between, one_of, refuse

@@ -1,7 +1,5 @@
 """Pressures that were measured at taps, the places of gauges along a trial line, read from a file."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

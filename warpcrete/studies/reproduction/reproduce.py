@@ -1,7 +1,5 @@
 """Reproduction of a paper: run the paper's cases, and judge whether the results agree with its numbers and trends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Choice of the settings that reach a wanted accuracy, from a measured trade-off between speed and accuracy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Forecast of a scene before it runs: features, memory, time step, wall time, and the most effective savings."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

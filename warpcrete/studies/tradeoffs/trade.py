@@ -7,8 +7,6 @@ and tests them with fresh seeds. Every run has its own folder, so a resumed stud
 would falsify each other's wall times. Therefore only one run at a time takes place on this machine, or on each worker.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Measured cases: their files, entries and sources, and the choice of cases that are held out (never fitted)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

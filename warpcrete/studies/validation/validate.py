@@ -1,7 +1,5 @@
 """Comparison of predictions with measured cases: ratios, medians and the share of cases inside their bands."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """Scenes of a mortar with aggregates that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Straight pipes and channels with a prescribed flow of mortar with aggregates, as stretches of endless ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace

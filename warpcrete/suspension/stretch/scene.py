@@ -1,7 +1,5 @@
 """Scenes of mortar with aggregates in a stretch of an endless pipe."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
