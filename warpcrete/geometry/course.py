@@ -267,13 +267,8 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
     _refuse_both(field, said, "factor", "equivalent")
     if "factor" in said:
         factor = get("factor", "1")
-        between(
-            f"{field}: factor",
-            factor,
-            *FACTORS,
-            "",
-            "'factor' is the friction of the part divided by that of a straight pipe of the same length",
-        )
+        hint = "'factor' is the friction of the part divided by that of a straight pipe of the same length"
+        between(f"{field}: factor", factor, *FACTORS, "", hint)
         return factor
     if "equivalent" in said:
         length = get("equivalent", "m")

@@ -82,14 +82,8 @@ def read_constants(name: str, given: Any, units: Mapping[str, str], widest: floa
     off = None
     if "uncertainty" in given:
         off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
-        between(
-            f"mix {name}: uncertainty",
-            off,
-            0,
-            widest,
-            "",
-            "give the uncertainty relative to the values, for example '15 %'",
-        )
+        hint = "give the uncertainty relative to the values, for example '15 %'"
+        between(f"mix {name}: uncertainty", off, 0, widest, "", hint)
     return Measured(values, off)
 
 

@@ -209,14 +209,8 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
                 problem = "is an amount without a name; a comma inside braces separates entries"
                 refuse("mix parts", str(name), problem, "write 1420 lb/yd3 without a comma, or one ingredient per line")
             masses[str(name)] = mass_per_volume(str(name), value, load)
-            between(
-                f"mix parts: {name}",
-                masses[str(name)],
-                MIN_AMOUNT,
-                5000,
-                "kg/m3",
-                "give the mass in a cubic metre, and leave out ingredients without mass",
-            )
+            hint = "give the mass in a cubic metre, and leave out ingredients without mass"
+            between(f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", hint)
     total = sum(masses.values())
     if own is not None and abs(total / own - 1) > DENSITY_TOLERANCE:
         problem = f"contradicts 'parts', which add up to {total:.5g} kg/m3"

@@ -266,8 +266,8 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     radius, straight = given.diameter / 2, given.straight
     narrows = given.outlet_diameter is not None
     if narrows:
-        between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
-                "for a larger change, use a 'line' from a file with several parts 'reducer'")  # fmt: skip
+        hint = "for a larger change, use a 'line' from a file with several parts 'reducer'"
+        between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m", hint)
     # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, it lies downstream, behind a
     # straight section.
     narrowing = straight + given.taper if narrows else 0.0

@@ -139,14 +139,8 @@ class PartScene(Parametrised, PartSettings):
                 if piece.radius <= wide.max():
                     problem = "must exceed the pipe's radius"
                     refuse("elbow radius", piece.radius, problem, f"use more than {wide.max():g} m")
-                between(
-                    "angle",
-                    piece.angle,
-                    1e-3,
-                    0.75 * np.pi,
-                    "rad",
-                    "in a sharper turn the pipe would cross itself; use a straight piece instead of a smaller turn",
-                )
+                hint = "in a sharper turn the pipe would cross itself; use a straight piece instead of a smaller turn"
+                between("angle", piece.angle, 1e-3, 0.75 * np.pi, "rad", hint)
                 if np.ptp(wide) > 1e-9 * wide.max():
                     refuse(
                         "bores", wide.tolist(), "must be constant in a bend", "put the taper before or behind the bend"
