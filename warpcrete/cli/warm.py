@@ -1,7 +1,5 @@
 """Command `warpcrete warm`: compile the kernels of scenes before their first run."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

@@ -1,7 +1,5 @@
 """Figure of a parameter study."""
 
-from __future__ import annotations
-
 import itertools
 import textwrap
 import warnings

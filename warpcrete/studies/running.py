@@ -1,7 +1,5 @@
 """Execution of a study's cases: together on a GPU, in separate processes on a CPU."""
 
-from __future__ import annotations
-
 import importlib
 import shutil
 import sys

@@ -3,8 +3,6 @@
 Arguments are bound to a kernel's parameters by name, never by position.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import time

@@ -1,7 +1,5 @@
 """Initial parameters of a calibration: those whose closed-form predictions are closest to the targets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Answers to a site engineer: what makes the pressure uncertain, motor power, and whether the pump is strong enough."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Pressures at the taps (places of gauges) of a line as functions of the constants that a fit determines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
