@@ -1,5 +1,7 @@
 """Figure of a parameter study."""
 
+from __future__ import annotations
+
 import itertools
 import textwrap
 import warnings
