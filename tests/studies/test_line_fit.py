@@ -61,6 +61,27 @@ def test_gauges_within_a_part_bear_the_weight_of_what_rises_behind_them():
     assert [x.value for x in fit.constants] == pytest.approx([700, 25, 2.2], rel=1e-6) and fit.scatter < 1e-3
 
 
+def test_gauges_before_a_column_that_breaks_count_from_zero():
+    """At 15 and 30 m3/h, the concrete separates in a fall of 60 m; at 60 m3/h, its friction exceeds its weight.
+
+    Gauges before the fall therefore say nothing of what lies behind it at the small flows.
+    """
+    line = line_of({"diameter": "125 mm", "parts": [{"straight": 60}, {"bend": "down"}, {"straight": 60},
+                                                    {"bend": "level"}, {"straight": 20}]})  # fmt: skip
+    found = []
+    for flow in (15 / 3600, 30 / 3600, 60 / 3600):
+        exact = line_by_theory(line, TRUE, flow)
+        assert any("separates there" in remark for remark in exact.remarks()) == (flow < 60 / 3600)
+        places, course = exact.course(lambda x: x.friction + x.weight)
+        assert (course[2] == 0) == (flow < 60 / 3600)
+        found += [Tap(float(places[k]), float(course[k]), flow, 0) for k in (0, 4)]
+    fit = by_scatter(line, GUESS, found)
+    assert [x.value for x in fit.constants[:2]] == pytest.approx([700, 25], rel=1e-6)
+    assert fit.scatter < 1e-3 and fit.contradiction is None
+    again = line_by_theory(fit.line(line), fit.concrete(GUESS), 20 / 3600)
+    assert again.pressure == pytest.approx(line_by_theory(line, TRUE, 20 / 3600).pressure, rel=1e-6)
+
+
 @pytest.mark.thorough
 def test_the_band_covers_the_true_constants_as_often_as_it_says():
     """With gauges that are off by 0.05 bar, 95 % of many fits cover each constant: 51 of 60 do at least."""

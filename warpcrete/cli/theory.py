@@ -1,7 +1,5 @@
 """Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -86,9 +84,8 @@ def _share(given: float | None, name: str) -> float:
         return given
     mix = mix_named(name)
     if mix is None or mix.given.share is None:
-        refuse("aggregate", None, "must be given for --segregation, because the concrete does not state its share of "
-                                  "aggregate",
-               "add, for example, --aggregate 0.36")  # fmt: skip
+        problem = "must be given for --segregation, because the concrete does not state its share of aggregate"
+        refuse("aggregate", None, problem, "add, for example, --aggregate 0.36")
     return mix.given.share
 
 

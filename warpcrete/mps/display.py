@@ -1,7 +1,5 @@
 """Display of pipe flows for recorders: particles, walls, curves and profiles."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

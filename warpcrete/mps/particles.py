@@ -3,8 +3,6 @@
 The module `stages.py` contains the stages of a time step.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

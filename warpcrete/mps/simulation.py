@@ -3,8 +3,6 @@
 The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

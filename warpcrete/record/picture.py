@@ -1,7 +1,5 @@
 """Recorder that draws the pictures of a run folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..core.run.files import atomic_file

@@ -1,7 +1,5 @@
 """Display of a mortar with aggregates: the surface of the concrete, and the spheres of the aggregates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Grid flow of a mortar with rigid aggregates: the stages of one time step, which the host launches one by one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes of a mortar with aggregates and a free surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
@@ -99,8 +97,8 @@ class SphereFields:
             return
         smallest, largest = self.aggregate_diameters
         if largest < smallest:
-            refuse("aggregate_largest", largest, f"must be at least 'aggregate_smallest' = {smallest:g} m",
-                   f"use {smallest:g} m for equal aggregates")  # fmt: skip
+            problem = f"must be at least 'aggregate_smallest' = {smallest:g} m"
+            refuse("aggregate_largest", largest, problem, f"use {smallest:g} m for equal aggregates")
         narrow = smallest * self.narrowest_shape
         if narrow < MIN_CELLS * self.cell_width:
             refuse("spacing", self.spacing, f"is too coarse: the smallest aggregate, {narrow:.3g} m, must be at least "
@@ -115,8 +113,8 @@ class SuspensionScene(SphereFields, FreeScene):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.depth:
-            refuse("depth", self.depth, "must be above 0, because a flow with aggregates is three-dimensional",
-                   "use half of the width")  # fmt: skip
+            problem = "must be above 0, because a flow with aggregates is three-dimensional"
+            refuse("depth", self.depth, problem, "use half of the width")
         self.check_aggregates()
 
     @property

@@ -1,7 +1,5 @@
 """Simulation of a mortar with aggregates in a vessel, from a scene to a finished run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -312,5 +312,5 @@ class Declared:
                     other = getattr(self, rule.field)
                     same = isinstance(other, Declared) and name in declared_fields(type(other))
                     instead = f"give '{rule.field}_{name}' instead" if same else f"change {rule.field!r}"
-                    refuse(name, getattr(self, name), f"has no effect unless {either} {rule.words}",
-                           f"leave out {name!r}, or {instead}")  # fmt: skip
+                    problem = f"has no effect unless {either} {rule.words}"
+                    refuse(name, getattr(self, name), problem, f"leave out {name!r}, or {instead}")

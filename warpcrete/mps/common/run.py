@@ -1,7 +1,5 @@
 """Base class for runs of flows that are computed with particles alone or with particles and a grid."""
 
-from __future__ import annotations
-
 import math
 import time as wall_clock
 from abc import abstractmethod

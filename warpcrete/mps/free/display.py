@@ -1,7 +1,5 @@
 """Display of free-surface flows for recorders: the concrete, a section through it, and the mould or the vessel."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Result quantities of flows with a free surface."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,19 +43,11 @@ class RunData:
 
 
 QUANTITIES = (
-    Quantity(
-        "rest_speed",
-        "m/s",
-        lambda k: float(k.series[MOST if MOST in k.series else FASTEST][-1]),
-        meaning="Speed at the end that no part of the concrete, or nine tenths of it in an L-box, exceed",
-    ),
-    Quantity(
-        "volume_error",
-        "1",
-        lambda k: largest(k.series["volume_error"]),
-        meaning="Largest relative change of the volume of the concrete",
-    ),
-)
+    Quantity("rest_speed", "m/s", lambda k: float(k.series[MOST if MOST in k.series else FASTEST][-1]),
+             meaning="Speed at the end that no part of the concrete, or nine tenths of it in an L-box, exceed"),
+    Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"]),
+             meaning="Largest relative change of the volume of the concrete"),
+)  # fmt: skip
 """Result quantities that every flow with a free surface has, with or without a standard test."""
 
 

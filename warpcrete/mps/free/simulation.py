@@ -3,8 +3,6 @@
 The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Surface, colours and fields of the concrete of a flow on a grid, for displays."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import ClassVar
 

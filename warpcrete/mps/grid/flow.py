@@ -11,8 +11,6 @@ The length of the time steps may adapt to the flow. The equations are discretise
 so concrete can be sheared without limit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Display of a flow through a part of a pump line for recorders: the concrete and a transparent wall."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import ClassVar
 

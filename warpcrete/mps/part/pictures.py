@@ -1,7 +1,5 @@
 """Matplotlib figures of flows through parts of a pump line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Answers to a site engineer: what makes the pressure uncertain, motor power, and whether the pump is strong enough."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -78,6 +76,13 @@ CUSTOMARY_SIZES = {"in": INCH, "ft": FOOT, "yd3": YARD**3, "yd3/h": YARD**3 / 36
 def pressure_text(pressure: float) -> str:
     """Return a pressure [Pa] in bar, MPa and psi."""
     return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / PSI:.4g} psi)"
+
+
+def time_text(seconds: float) -> str:
+    """Return a time [s] in seconds, in minutes from two minutes on, or in hours from three hours on."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.3g} min" if seconds < 3 * 3600 else f"{seconds / 3600:.3g} h"
 
 
 def beside(shown: bool, unit: str, *values: float) -> str:

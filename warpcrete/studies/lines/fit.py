@@ -3,8 +3,6 @@
 The pressures were measured at several places, at one or more flows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -129,11 +127,9 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
     rises = TapModel(line, concrete, taps).rises
     for tap, rise in zip(taps, rises, strict=True):
         if tap.pressure <= (weight := concrete.density * GRAVITY * rise):
-            refuse(
-                f"fit, line {tap.row}: pressure", tap.pressure,
-                f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
-                "check the place of the gauge, its unit and zero point, and the density of the concrete",
-            )  # fmt: skip
+            problem = f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa"
+            hint = "check the place of the gauge, its unit and zero point, and the density of the concrete"
+            refuse(f"fit, line {tap.row}: pressure", tap.pressure, problem, hint)
     _check_course(taps, np.array([tap.pressure for tap in taps]) - concrete.density * GRAVITY * np.array(rises))
 
 

@@ -4,8 +4,6 @@ The band takes into account what was known of the layer before the measurement, 
 gauges unless their errors explain the difference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

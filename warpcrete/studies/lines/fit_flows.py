@@ -5,8 +5,6 @@ viscosity has the same friction there, but less friction at a larger flow and mo
 flows determine the yield stress with an error, which has the same effect.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

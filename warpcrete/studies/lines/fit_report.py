@@ -1,7 +1,5 @@
 """Report on a fit to pressures along a trial line, with entries to copy into the files of the concrete and the line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...geometry.pipe_line import PipeLine

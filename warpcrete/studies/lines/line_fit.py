@@ -1,7 +1,5 @@
 """Result of a fit of the slip layer and of the friction factor of bends to pressures along a trial line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace

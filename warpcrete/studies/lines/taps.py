@@ -1,7 +1,5 @@
 """Pressures that were measured at taps, the places of gauges along a trial line, read from a file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,10 +71,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
                 refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
             values["place"] = float(starts[int(values["part"]) - 1])
         field = f"{path.name}, line {row}: place"
-        at_least_and_below(
-            field, values["place"], 0.0, float(starts[-1]), "m",
-            "'place' is the distance from the pump along the line, and must lie before the open end",
-        )  # fmt: skip
+        hint = "'place' is the distance from the pump along the line, and must lie before the open end"
+        at_least_and_below(field, values["place"], 0.0, float(starts[-1]), "m", hint)
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
         found.append(Tap(values["place"], values["pressure"], values["flow"], row))
     return tuple(found)

@@ -1,7 +1,5 @@
 """Forecast of a scene before it runs: features, memory, time step, wall time, and the most effective savings."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile
@@ -212,11 +210,8 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
             )
         record = read_record(trade / "trade.json")
         if record.get("scene") != scene.name:
-            refuse(
-                "trade",
-                str(trade),
-                f"must be a trade of the scene {scene.name!r}, but belongs to the scene {record.get('scene')!r}",
-            )
+            problem = f"must be a trade of the scene {scene.name!r}, but belongs to the scene {record.get('scene')!r}"
+            refuse("trade", str(trade), problem)
         return record, f"'{trade}', {record.get('machine', '')}"
     given = dict(arguments_of(scene))
     if module is None or not given:

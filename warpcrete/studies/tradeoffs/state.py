@@ -1,7 +1,5 @@
 """State of a trade-off study: the settings that it tries, the results of their runs, and their costs and errors."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

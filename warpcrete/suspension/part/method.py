@@ -1,7 +1,5 @@
 """Interface through which the program finds, runs, draws and reports parts of pump lines with aggregates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Matplotlib figures of parts of pump lines with aggregates."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

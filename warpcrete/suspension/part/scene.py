@@ -1,7 +1,5 @@
 """Scenes of a mortar with aggregates that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar
 
@@ -43,12 +41,8 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
         room = self.narrowest if self.is_half else 2 * self.narrowest
         if self.diameters[1] > MAX_PART * room:
             half = "; symmetry = 'whole' admits twice as large ones" if self.is_half else ""
-            refuse(
-                "aggregate_largest",
-                self.diameters[1],
-                f"is too large: the simulated part of the narrowest bore is {room:.3g} m wide",
-                f"use {MAX_PART * room:.3g} m or less{half}",
-            )
+            problem = f"is too large: the simulated part of the narrowest bore is {room:.3g} m wide"
+            refuse("aggregate_largest", self.diameters[1], problem, f"use {MAX_PART * room:.3g} m or less{half}")
 
     @property
     def cell_width(self) -> float:

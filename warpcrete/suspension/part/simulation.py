@@ -1,7 +1,5 @@
 """Simulation of mortar with aggregates that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

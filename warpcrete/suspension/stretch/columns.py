@@ -1,7 +1,5 @@
 """Straight pipes and channels with a prescribed flow of mortar with aggregates, as stretches of endless ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -62,8 +60,8 @@ def suspended_column(name: str, dimensions: int, given: ColumnWithAggregates) ->
                                                            "one, whose time step follows from the flow",
                    f"leave out {field.name!r}")  # fmt: skip
     if given.ends == "piston":
-        refuse("ends", given.ends, "cannot be combined with aggregates that are simulated one by one",
-               "use 'ends' = periodic")  # fmt: skip
+        problem = "cannot be combined with aggregates that are simulated one by one"
+        refuse("ends", given.ends, problem, "use 'ends' = periodic")
     concrete, radius = given.constants(), given.diameter / 2
     flow = given.volume_flow(concrete, radius, dimensions)
     velocity = flow / (math.pi * radius**2)

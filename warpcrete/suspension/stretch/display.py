@@ -1,7 +1,5 @@
 """Display of a stretch of pipe for recorders: mortar behind the axis, all aggregates, and a transparent wall."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Interface through which the program finds, runs, draws and reports stretches of an endless pipe."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ...core.run.forecast import Forecast, Probe

@@ -1,7 +1,5 @@
 """Matplotlib figure of mortar with aggregates in a stretch of pipe."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

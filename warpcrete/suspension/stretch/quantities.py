@@ -1,7 +1,5 @@
 """Result quantities of mortar with aggregates in a stretch of pipe."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Simulation of mortar with aggregates in a stretch of pipe, from a scene to a finished run."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
