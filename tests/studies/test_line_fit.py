@@ -14,7 +14,7 @@ from warpcrete.studies.lines.fit import fit_line
 from warpcrete.studies.lines.fit_report import fit_lines
 from warpcrete.studies.lines.fittings import library_factor
 from warpcrete.studies.lines.losses import line_of, with_layer_factor
-from warpcrete.studies.lines.taps import Tap, read_taps
+from warpcrete.studies.lines.taps import Tap, foreign_columns, read_taps
 from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.fits import student_t
 from warpcrete.theory.pipe import Concrete
@@ -196,6 +196,8 @@ def test_foreign_columns_are_ignored_and_named_in_one_remark(tmp_path):
     assert done.exit_code == other.exit_code == 0, done.output
     remark = "ignored columns of taps.csv, which a fit does not use: gauge no., time\n"
     assert done.output.count(remark) == 1 and "ignored columns" not in other.output
+    path.write_text("place [m],pressure [bar],flow [m3/h],\n0,30,20,\n60,22,20,\n", encoding="utf-8")
+    assert foreign_columns(path) == [] and read_taps(path, LINE) == read_taps(plain, LINE)
 
 
 def test_the_command_fits_a_trial_line(tmp_path):
