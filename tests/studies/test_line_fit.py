@@ -300,8 +300,10 @@ def test_a_fit_pasted_into_any_file_of_a_concrete_gives_its_own_pressure(tmp_pat
     band = [] if mix else ["--layer-factor", fitted.split("--layer-factor ")[1].split()[0]]
     again = CliRunner().invoke(cli, [*call, *band], catch_exceptions=False).output
     pattern = r"pressure at the pump ([0-9.]+) bar .*; ([0-9.]+) to ([0-9.]+) bar"
-    spans = [[float(x) for x in re.search(pattern, text).groups()] for text in (fitted, again)]
-    assert spans[1] == pytest.approx(spans[0], rel=2e-3)
+    own, later = ([float(x) for x in re.search(pattern, text).groups()] for text in (fitted, again))
+    assert later[0] == pytest.approx(own[0], rel=2e-3)
+    # A pasted layer has the uncertainty at other flows, which is larger. Measured: 1.1 % at either end of the band.
+    assert 0.98 * own[1] < later[1] < 1.002 * own[1] and 0.998 * own[2] < later[2] < 1.02 * own[2]
 
 
 def test_the_text_of_a_fit_names_every_tap():
