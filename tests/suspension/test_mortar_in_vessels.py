@@ -5,6 +5,7 @@ import pytest
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.core.inputs.limits import PlausibilityWarning
 from warpcrete.suspension.scene import SuspensionScene
 
 MORTAR = {
@@ -108,9 +109,9 @@ def test_aggregates_are_drawn_beside_the_surface_of_the_concrete(device):
     [{"aggregate_smallest": 0.05}, {"aggregate_largest": 0.05}, {"aggregate_density": 3000.0}, {"roughness": 0.02},
      {"friction": 0.3}],
 )  # fmt: skip
-def test_properties_of_aggregates_are_refused_without_aggregates(name, given):
+def test_properties_of_aggregates_give_a_warning_without_aggregates(name, given):
     (field,) = given
-    with pytest.raises(warpcrete.SceneError, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
+    with pytest.warns(PlausibilityWarning, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
         getattr(warpcrete.scenes, name)(**given)
 
 
@@ -123,7 +124,7 @@ def test_properties_of_aggregates_are_refused_without_aggregates(name, given):
         ("channel", {"courant": 0.4}),
     ],
 )
-def test_settings_of_flows_with_aggregates_are_refused_without_aggregates(name, given):
+def test_settings_of_flows_with_aggregates_give_a_warning_without_aggregates(name, given):
     (field,) = given
-    with pytest.raises(warpcrete.SceneError, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
+    with pytest.warns(PlausibilityWarning, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
         getattr(warpcrete.scenes, name)(**given)

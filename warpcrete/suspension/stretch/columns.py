@@ -15,7 +15,7 @@ from ...core.run.run import Run
 from ...mps.column import FlowParameters, check_flow, flow_trading
 from ...theory.pipe import Line, steady
 from ..aggregates import MIN_CELLS
-from ..scene import WITH_AGGREGATES, AggregateParameters
+from ..scene import USED_BY_AGGREGATES, AggregateParameters
 from .checks import check_stretch
 from .scene import Courant, StretchScene, StretchSettings
 
@@ -30,7 +30,7 @@ DURATION = 1.0
 """Simulated time of a flow with aggregates unless the user states it [s]."""
 UNUSED = ("time_step", "step_error", "steadiness", "rest", "rebuild_rate", "tolerated_error", "slip_thickness")
 """Parameters of columns that flows with aggregates do not have. Each must have its default."""
-ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",))
+ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",), refused=False)
 """Rule for a parameter of aggregates, be they simulated one by one or as groups of particles."""
 
 
@@ -45,7 +45,7 @@ class ColumnWithAggregates(FlowParameters, AggregateParameters):
         "is the concrete's gravel",
     ] = None  # fmt: skip
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), ANY_AGGREGATES] = 2630.0
-    courant: Annotated[Courant, WITH_AGGREGATES] = 0.5
+    courant: Annotated[Courant, USED_BY_AGGREGATES] = 0.5
 
     @property
     def suspended(self) -> bool:
