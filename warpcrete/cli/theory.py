@@ -59,7 +59,7 @@ def run(
     # The fit below replaces the constants of the slip layer, so missing constants get the value 1 until then.
     if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
-    concrete = concrete_of(values["concrete"], **constants)
+    concrete = concrete_of(values["concrete"], thickness, **constants)
     for flow in flows:
         check_velocity("flow", flow, 4 * flow / (math.pi * values["diameter"] ** 2))
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})

@@ -97,7 +97,8 @@ class FluidSimulation(FlowRun):
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
-        return UNITS[column]
+        # The momentum of a channel is that per metre of depth.
+        return "kg/s" if column == "momentum" and self.scene.dimensions == 2 else UNITS[column]
 
     def display(self, colouring: str | None = None) -> FlowDisplay:
         """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""

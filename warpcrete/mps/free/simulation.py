@@ -19,7 +19,7 @@ from ..grid.state import GridState, check_memory
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
 from .probes import UNITS, bases, measured, reach, surface
-from .quantities import RunData, quantities
+from .quantities import RunData, quantities, whole_volume
 from .scene import FreeScene
 
 STARTS = 0.2
@@ -95,7 +95,7 @@ class FreeSimulation(FlowRun):
     def sizes(self) -> dict[str, Any]:
         """Return sizes of the model, such as the number of cells, for the run's result."""
         scene, layout = self.scene, self.flow.state.layout
-        volume = self.volume * (2 * math.pi if scene.axial else 1.0)
+        volume = whole_volume(scene, self.volume)
         return {
             "cells": math.prod(layout.cells),
             "spacing": quantity(layout.spacing, "m"),

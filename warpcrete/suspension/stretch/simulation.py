@@ -70,7 +70,7 @@ class StretchSimulation(AggregateRun):
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return the entries of the result that follow from the time series and the present state; no tables."""
-        result = results_of(QUANTITIES, RunData(self.scene, series))
+        result = results_of(QUANTITIES, RunData(self.scene, series, self.fraction))
         radius, velocity = velocity_profile(self.flow)
         result["profile"] = {
             "radius": {"value": radius.tolist(), "unit": "m"},
