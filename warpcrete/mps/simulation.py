@@ -50,6 +50,8 @@ class FluidSimulation(FlowRun):
 
     scene_type = FluidScene
     scene: FluidScene
+    columns = UNITS
+    drawn_by = FlowDisplay
 
     def set_up(self) -> None:
         """Start with an empty time series, create the monitor of the flow, and choose the module that measures it."""
@@ -94,14 +96,6 @@ class FluidSimulation(FlowRun):
     def frame_step(self) -> float:
         """Length of the time steps [s] if all are equal (column on a piston); infinite for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
-
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return UNITS[column]
-
-    def display(self, colouring: str | None = None) -> FlowDisplay:
-        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
-        return FlowDisplay(self, colouring)
 
     def place_flow(self) -> MovingParticles | GridFlow:
         """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""

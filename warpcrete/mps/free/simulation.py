@@ -34,15 +34,13 @@ class FreeSimulation(FlowRun):
 
     scene_type = FreeScene
     scene: FreeScene
+    columns = UNITS
+    drawn_by = FreeDisplay
     goal = "at_rest"
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
-        return UNITS.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
-
-    def display(self, colouring: str | None = None) -> FreeDisplay:
-        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
-        return FreeDisplay(self, colouring)
+        return self.columns.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
 
     def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""

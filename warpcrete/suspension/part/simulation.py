@@ -32,6 +32,8 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
 
     scene_type = PartSuspensionScene
     scene: PartSuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
+    columns = UNITS | SHARED_UNITS
+    drawn_by = PartSuspensionDisplay
 
     def set_up(self) -> None:
         """Start with an empty time series."""
@@ -40,14 +42,6 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         # lengths of the aggregates in the last row.
         self._profiles: list[np.ndarray] = []
         self._places = np.zeros(0)
-
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return (UNITS | SHARED_UNITS)[column]
-
-    def display(self, colouring: str | None = None) -> PartSuspensionDisplay:
-        """Return the display, which tells recorders what to draw: mortar, aggregates, walls, colours and curves."""
-        return PartSuspensionDisplay(self, colouring)
 
     def place_flow(self) -> SuspensionFlow:
         """Return the flow in its initial state, with particles, aggregates and grid."""
