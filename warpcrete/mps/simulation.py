@@ -67,7 +67,6 @@ class FluidSimulation(FlowRun):
 
     @property
     def duration(self) -> float:
-        """Maximum simulated time of the whole run [s]."""
         if self.scene.duration is not None:
             return self.scene.duration
         breaking = (
@@ -143,7 +142,6 @@ class FluidSimulation(FlowRun):
         return self.steady and self.scene.duration is None
 
     def sizes(self) -> dict[str, Any]:
-        """Return sizes of the model, such as the particle spacing, for the run's result."""
         layout, grains = self.flow.state.layout, self.flow.state.grains
         found: dict[str, Any] = {
             "spacing": quantity(layout.spacing, "m"),

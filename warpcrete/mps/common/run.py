@@ -44,7 +44,6 @@ class FlowRun(Simulation):
         """True once the flow has become steady or, with a free surface, come to rest."""
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
         return self.columns[column]
 
     def display(self, colouring: str | None = None) -> Display:

@@ -39,7 +39,6 @@ class FreeSimulation(FlowRun):
     goal = "at_rest"
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
         return self.columns.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
 
     def place_flow(self) -> GridFlow:
@@ -82,7 +81,6 @@ class FreeSimulation(FlowRun):
         return self.steady
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a short reason such as "rest", and a sentence."""
         time = self.flow.time
         if self.scene.test and self.scene.test.is_over(self._rows[-1]):
             return "empty", f"the concrete had flowed out at t = {time:.4g} s"

@@ -45,7 +45,6 @@ class PartSimulation(FlowRun):
         )
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return the values of one row of the time series, by column name."""
         return measured(self.flow)
 
     def ended_early(self) -> bool:

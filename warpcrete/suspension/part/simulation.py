@@ -57,7 +57,6 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         )  # fmt: skip
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return the values of one row of the time series, by column name."""
         census = Census(self.flow, self.entering)
         travel = self.scene.velocity * (self.flow.time - self._rows[-1]["time"]) if self._rows else 0.0
         row, profiles = measured(census, self._places, travel)
@@ -77,7 +76,6 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return len(rows) > 1 and is_blocked(scene, rows)
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a short reason such as "blocked", and a sentence."""
         if len(self._rows) > 1 and is_blocked(self.scene, self._rows):
             return "blocked", f"the part was blocked at t = {self.flow.time:.4g} s"
         # The run lasts as long as the scene states, even if the flow is steady.

@@ -45,7 +45,6 @@ class StretchSimulation(AggregateRun):
         )
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return the values of one row of the time series, by column name."""
         return measured(self.flow) | self.aggregate_columns()
 
     def ended_early(self) -> bool:
