@@ -57,6 +57,27 @@ def test_the_stone_in_the_bore(stone, shape, spread, bore, verdict):
     assert bool(found.change) == (verdict != "fine") and "ACI 304.2R" in found.source
 
 
+@pytest.mark.parametrize(
+    ("stones", "density", "share"),
+    [
+        ({"lightweight coarse aggregate": 470}, 1250, 41.3),  # 59.8 % by mass
+        ({"magnetite gravel": 2000}, 4900, 39.3),  # 25.9 % by mass
+        ({"magnetite gravel": 2000}, None, 39.3),
+        ({"gravel": 1000}, 2750, 41.2),  # a usual rock: by mass, as the rules state it
+        ({"recycled coarse aggregate": 1000}, None, 41.2),
+        ({"lightweight coarse aggregate": 470}, None, None),
+    ],
+)
+def test_the_share_of_sand_is_by_volume_if_the_stones_are_light_or_heavy(stones, density, share):
+    """By hand: 700 kg of sand are 264 litres, 470 kg of light stones 376, and 2,000 kg of magnetite 408."""
+    changes = {"aggregate": None, "aggregate_density": density}
+    found = verdicts(parts={"cement": 400, "water": 180, "sand": 700, **stones}, **changes)["sand"]
+    if share is None:
+        assert found.verdict == "unknown"
+    else:
+        assert found.verdict == "fine" and found.found.startswith(f"{share:.3g} % of the aggregate")
+
+
 @pytest.mark.parametrize(("cement", "verdict"), [(240, "blocks"), (270, "risky"), (300, "fine"), (320, "fine")])
 def test_powder_by_tuutti(cement, verdict):
     gravel = 1040 + 0.9 * (340 - cement)

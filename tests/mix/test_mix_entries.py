@@ -1,5 +1,7 @@
 """Entries of a mix: their names and units, what an ingredient is, and what is refused."""
 
+import warnings
+
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -8,7 +10,14 @@ from mixes import BULK, SPREADING, written
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import PlausibilityWarning
-from warpcrete.mix.ingredients import is_plasticizer, is_thickener, paste_volumes
+from warpcrete.mix.ingredients import (
+    check_volume,
+    density_of,
+    is_plasticizer,
+    is_thickener,
+    paste_volumes,
+    sand_and_stone_masses,
+)
 from warpcrete.mix.mix import mix_of, read_mix
 from warpcrete.mix.stones import read_sizes
 
@@ -82,6 +91,57 @@ def test_words_of_an_ingredient_say_what_it_is(name, kind):
     assert (powder > 1e-6, liquid > 1e-6) == (kind == "powder", kind == "liquid")
 
 
+@pytest.mark.parametrize(
+    ("name", "density"),
+    [
+        ("limestone powder", 2700), ("quartz powder", 2700), ("stone powder", 2700), ("crushed limestone powder", 2700),
+        ("slag powder", 2900), ("fly ash powder", 2250), ("silica powder", 2250), ("powder", 3100), ("binder", 3100),
+        ("Type II", 3100), ("superplasticizer powder", 1100), ("barite sand 0/4", 4200), ("magnetite gravel", 4900),
+        ("hematite 8/16", 4900), ("barytes", 4200), ("limestone sand", 2650), ("PP fibres", None),
+        ("steel fibres", 7850),
+    ],
+)  # fmt: skip
+def test_the_density_is_that_of_the_kind_of_powder_or_rock(name, density):
+    assert density_of(name) == density
+
+
+@pytest.mark.parametrize(
+    ("name", "masses"),
+    [
+        ("fine gravel 4/8", (0, 1)), ("fine aggregate", (1, 0)), ("coarse sand", (1, 0)), ("granite sand", (1, 0)),
+        ("sand and gravel 0/16", (0, 0)), ("barite sand", (1, 0)), ("magnetite stone", (0, 1)), ("barite 0/8", (0, 0)),
+    ],
+)  # fmt: skip
+def test_sand_is_told_from_stones(name, masses):
+    """A mixture of both, and heavy rock without either word, leave the share of sand unknown."""
+    assert sand_and_stone_masses({name: 1.0}) == masses
+
+
+@pytest.mark.parametrize(("share", "warned"), [("36 %", False), ("980 kg/m3", False), ("20 %", True), ("50 %", True)])
+def test_a_share_of_aggregate_that_contradicts_the_stones_causes_a_warning(share, warned):
+    """980 kg of gravel fill 37 % of a cubic metre."""
+    parts = {"cement": 330, "fly ash": 60, "water": 175, "sand": 800, "gravel": 980, "superplasticizer": 3}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mix_of({"parts": parts, "aggregate": share, "slump": "180 mm"})
+    assert any("but the stones in 'parts' fill 37 %" in str(each.message) for each in caught) == warned
+
+
+def test_heavy_concrete_fills_its_volume():
+    """350 kg of cement, 175 of water, 1,200 of sand and 1,850 of gravel of barite fill 1.014 m3, by hand."""
+    heavy = {"cement": 350, "water": 175, "barite sand": 1200, "barite gravel": 1850}
+    by_hand = 350 / 3100 + 175 / 1000 + 3050 / 4200
+    assert by_hand == pytest.approx(1.0141, abs=1e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_volume(heavy, 2650.0, None)
+    with pytest.warns(PlausibilityWarning, match=f"fill {by_hand + 0.05:.3f} m3 of 1 m3, with 5 % of air"):
+        check_volume(heavy, 2650.0, 0.05)
+    stated = 350 / 3100 + 175 / 1000 + 1200 / 4200 + 1850 / 4700
+    with pytest.warns(PlausibilityWarning, match=f"fill {stated + 0.08:.3f} m3 of 1 m3, with 8 % of air"):
+        check_volume(heavy, 4700.0, 0.08)
+
+
 def test_a_hydration_stabilizer_thickens_nothing():
     assert is_thickener("viscosity-modifying admixture") and is_thickener("VMA") and is_thickener("stabilizer")
     assert not is_thickener("hydration stabilizer") and not is_thickener("viscosity-reducing admixture")
@@ -118,6 +178,7 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
          "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
+        ({"density": 2300, "slump": 0.1, "volume": "9 yd3"}, "mix volume = '9 yd3': has no effect without 'parts'"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
         ({"spread": 0.6}, "mix density: is missing, and the mix lists no 'parts'"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),

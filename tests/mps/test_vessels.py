@@ -27,7 +27,7 @@ from warpcrete.mps.grid.distances import polygon_distance, wall_distance
 from warpcrete.mps.grid.filling import fill_cells
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, Room, geometry_of, nearest_wall
-from warpcrete.mps.grid.layout import GridLayout
+from warpcrete.mps.grid.layout import GridLayout, Motion
 from warpcrete.mps.grid.state import GridState
 from warpcrete.scenes import modules
 from warpcrete.standards import FUNNEL, L_BOX
@@ -144,6 +144,15 @@ def test_a_flat_wall_anywhere_in_its_cells_rubs_on_all_of_it(axis, off):
     for along in range(3):
         if along != axis:
             assert wall_stiffness[along] == pytest.approx(layer * (n * h) ** 2, rel=1e-6)
+
+
+def test_a_gate_and_moving_walls_exclude_each_other():
+    """Faces that a gate covers count as closed by a standing wall, even after the gate has opened."""
+    gated = free_layout(scenes.lbox(**OWN, spacing=0.025))
+    motion = Motion((0.1, 0.0))
+    with pytest.raises(ValueError, match=r"cannot have both a gate \('opened'\) and moving walls \('motions'\)"):
+        dataclasses.replace(gated, motions=(motion,))
+    assert dataclasses.replace(gated, opened=None, motions=(motion,)).motions == (motion,)
 
 
 def test_what_flows_into_a_cut_cell_flows_out(device):

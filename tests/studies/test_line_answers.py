@@ -12,7 +12,7 @@ from plug_lines import FLOW, METRE, PLUG, line, pumped
 from warpcrete import SceneError, WarpcreteError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
-from warpcrete.studies.lines.answers import EFFICIENCY, pressure_text
+from warpcrete.studies.lines.answers import EFFICIENCY, pressure_text, time_text
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
@@ -105,6 +105,31 @@ def test_a_line_in_us_units_is_answered_in_both_units():
     metric = line_of({**US_LINE, "diameter": "127 mm", "pump": "85 bar", "parts": [{"straight": "100 m"}]})
     plain = "\n".join(lines_of(run_line(metric, PLUG, 0.01, simulate=False, layer_factor=2.0)))
     assert ours.line.customary and not metric.customary and "yd3" not in plain and plain.count("psi") == 1
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0 s"), (119, "119 s"), (120, "2 min"), (5400, "90 min"), (3 * 3600, "3 h"), (86400, "24 h")],
+)
+def test_long_times_are_in_hours(seconds, text):
+    assert time_text(seconds) == text
+
+
+def test_rules_of_practice_let_falling_concrete_separate():
+    """The table shows the pressure of the answer, and the rule of AIJ counts from zero before the fall, by hand.
+
+    Friction of 30 m of fall with a bend is less than its weight, so only 10 m before it need a pressure.
+    """
+    found = pumped({"straight": 10}, {"bend": "down"}, {"straight": 30}, {"bend": "level"}, {"straight": 2})
+    ours, rows = found.practice()
+    bend, weight = 0.25 * math.pi * METRE, 2400 * 9.81
+    assert 32 * METRE + 3 * bend < 30.5 * weight and 3 * bend > 0.5 * weight
+    first = 3 * bend - 0.5 * weight + 10 * METRE
+    assert rows[0].rule == "AIJ" and rows[0].pressure == pytest.approx(first)
+    assert ours.pressure == found.pressure > 10 * METRE - 1e-6
+    assert sum(ours.pressures.values()) < 0
+    text = "\n".join(lines_of(found, practice=True))
+    assert f"| this result | {found.pressure / 1e5:.3g} |" in text and "43.57 m, 31 m down, concrete at" in text
 
 
 def test_rules_of_practice_count_parts_as_they_say():

@@ -1,5 +1,6 @@
 """Bands of a line's pressure and restart, split by cause, and the measurements that would make them narrower."""
 
+import itertools
 import math
 
 import pytest
@@ -8,12 +9,14 @@ from click.testing import CliRunner
 from plug_lines import FLOW, METRE, line, pumped
 
 from warpcrete.cli.main import cli
+from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.studies.lines.answers import band_sentences
 from warpcrete.studies.lines.fittings import MODEL_ERRORS, VALVE_PRESSURE
 from warpcrete.studies.lines.pressures import Stop
 from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.bands import Band
+from warpcrete.theory.pipe import Concrete
 
 
 def test_every_fitting_has_a_band_with_its_cause():
@@ -49,6 +52,27 @@ def test_the_band_is_split_by_cause():
     assert band_sentences(Band(1e6, 1e6, 1e6)) == []
     mixed = band_sentences(Band(1e6, 5e5, 2e6, {"bends": 0.3, "slip layer": 0.62, "density": 0.08}))
     assert [each[:4] for each in mixed] == ["62 %", "30 %"] and "5 to 20 bar comes from the slip layer" in mixed[0]
+
+
+def test_a_wider_layer_never_narrows_the_band_of_a_falling_line():
+    """Friction and weight of the falling pipe nearly cancel: 7.29 bar less 7.03 bar.
+
+    From a factor of 1.037 on, the weaker layer leaves no pressure. The band neither jumps there nor ends below zero,
+    and it never exceeds the sum of the deviations that its two causes make alone.
+    """
+    concrete = Concrete(density=2350, viscosity=60, yield_stress=2000, slip_viscosity=1100, slip_yield=0)
+    pipe = line_of({"diameter": 0.125, "begin": "down", "parts": [{"straight": 30}, {"valve": 0.5}]})
+    results = [line_by_theory(pipe, concrete, 30 / 3600, layer_factor=1 + k / 200) for k in range(1, 200)]
+    bands = [result.band() for result in results]
+    value, valve = results[0].pressure, VALVE_PRESSURE - results[0].losses[1].friction
+    pipes = results[0].losses[0].friction + results[0].losses[1].friction
+    weight = 30.5 * 2350 * 9.81
+    assert value == pytest.approx(pipes - weight) and 0.2e5 < value < 0.3e5
+    for k, (band, wider) in enumerate(itertools.pairwise(bands), 1):
+        assert 0 <= wider.low <= band.low <= value <= band.high < wider.high < 1.01 * band.high
+        assert band.shares["slip layer"] < wider.shares["slip layer"] < band.shares["slip layer"] + 0.05
+        assert band.high < value + valve + k / 200 * pipes
+    assert bands[6].low > 0 and bands[9].low == 0
 
 
 @pytest.mark.parametrize(

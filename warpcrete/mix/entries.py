@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from .ingredients import is_plasticizer, sand_and_stone_masses
+from .ingredients import is_plasticizer, sand_and_stone_masses, sand_and_stone_volumes
 from .measurements import Layer, Measured
 
 
@@ -74,6 +74,9 @@ OTHER_NAMES = {
 states. All are in lower case, with single spaces between words."""
 GRAVEL = 2650.0
 """Density of coarse aggregate if the mix states none [kg/m3]."""
+SIMILAR_DENSITY = 0.15
+"""Relative difference between the densities of sand and stones up to which shares by mass are used. Rules of practice
+state these shares for aggregate of one density. Common rocks, with 2,500 to 3,000 kg/m3, lie within this limit."""
 
 
 @dataclass(frozen=True)
@@ -137,10 +140,16 @@ class MixEntries:
 
     @property
     def sand_share(self) -> float | None:
-        """Share of sand in the aggregate, by mass if the ingredients state it, otherwise by volume; None if unknown."""
+        """Share of sand in the aggregate; None if unknown.
+
+        The share is by mass if the ingredients state it. It is by volume if sand and stones have different densities,
+        as in lightweight and heavy concrete, or if the ingredients do not tell sand from stones.
+        """
         sand, stone = sand_and_stone_masses(self.parts)
-        if sand > 0 and stone > 0:
-            return sand / (sand + stone)
+        fine, coarse = sand_and_stone_volumes(self.parts, self.aggregate_density)
+        if fine > 0 and coarse > 0:
+            similar = abs(stone / coarse / (sand / fine) - 1) < SIMILAR_DENSITY
+            return sand / (sand + stone) if similar else fine / (fine + coarse)
         if self.share is None or self.sand_and_stone is None or self.share >= self.sand_and_stone:
             return None
         return 1 - self.share / self.sand_and_stone

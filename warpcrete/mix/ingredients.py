@@ -20,15 +20,20 @@ DENSITIES = {
                      "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
                      "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer"), 1100.0),
     **dict.fromkeys(("steel", "fibres", "fibers", "fibre", "fiber"), 7850.0),
-    **dict.fromkeys(("barite", "baryte"), 4200.0),
+    **dict.fromkeys(("barite", "baryte", "barytes"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
 }  # fmt: skip
 """Usual densities of ingredients [kg/m3]. The keys are words by which the name of an ingredient is recognised."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
 """Words that mean coarse aggregate. If the mix states a density of coarse aggregate, it applies to ingredients with
 such a word in their names."""
-VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
-          "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
+HEAVY = ("barite", "baryte", "barytes", "magnetite", "hematite")
+"""Words for heavy rocks. An ingredient with such a word in its name, such as "barite sand", has the density of this
+rock."""
+MIXED_WITH_SAND = ("gravel", "stone", "stones", "chippings", "pebbles")
+"""Words for stones that are no rock. Beside "sand", as in "sand and gravel", they mean a mixture of both."""
+VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "pp", "pva",
+          "synthetic", "polymer", "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
 MIN_AMOUNT = 0.01
 """Smallest amount of an ingredient [kg/m3] that is accepted. Even admixtures usually amount to 0.1 kg/m3 or more, so
@@ -41,6 +46,9 @@ LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer"
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer")  # fmt: skip
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
+GENERAL = ("type", "powder", "binder")
+"""Words that tell only that an ingredient is powder. Another known word in its name, such as "limestone" in "limestone
+powder", says of which kind."""
 ROCKS = ("limestone", "marble", "quartz")
 """Words for rocks. An ingredient with such a word in its name is powder. However, it is aggregate if the name also says
 that the rock is crushed, or states a grain size."""
@@ -108,31 +116,70 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
     sand, stone = 0.0, 0.0
     for name, mass in parts.items():
         words = _words(name)
-        if DENSITIES.get(_noun(name)) != DENSITIES["sand"]:
+        if DENSITIES.get(_noun(name)) != DENSITIES["sand"] and not any(word in HEAVY for word in words):
             continue
-        if "sand" in words or ("fine" in words and "coarse" not in words):
+        stony = any(word in COARSE for word in words)
+        if "sand" in words and any(word in MIXED_WITH_SAND for word in words):
+            return 0.0, 0.0
+        if "sand" in words or ("fine" in words and not stony):
             sand += mass
-        elif any(word in COARSE for word in words):
+        elif stony:
             stone += mass
         else:
             return 0.0, 0.0
     return sand, stone
 
 
+def sand_and_stone_volumes(parts: Mapping[str, float], coarse: float) -> tuple[float, float]:
+    """Return the volumes of sand and of coarse aggregate in a cubic metre of concrete [m3].
+
+    `coarse` is the stated or assumed density of the coarse aggregate [kg/m3]. Both volumes are 0 if the masses of sand
+    and stones are unknown, or the density of one of them. Recycled aggregate counts with the usual density.
+    """
+    sand, stone = 0.0, 0.0
+    if sand_and_stone_masses(parts) == (0.0, 0.0):
+        return 0.0, 0.0
+    for name, mass in parts.items():
+        fine, large = sand_and_stone_masses({name: mass})
+        if fine == large == 0:
+            continue
+        density = DENSITIES["sand"] if "recycled" in _words(name) else _density(name, coarse)
+        if density is None:
+            return 0.0, 0.0
+        sand, stone = sand + fine / density, stone + large / density
+    return sand, stone
+
+
+def _density(name: str, coarse: float) -> float | None:
+    """Return the density of an ingredient [kg/m3], or None if it is unknown or varies too much.
+
+    `coarse` is the density of coarse aggregate [kg/m3]. Unless it is the usual one, the mix states it, and it takes
+    precedence over the density that follows from the ingredient's name.
+    """
+    if coarse != DENSITIES["gravel"] and any(word in COARSE for word in _words(name)):
+        return coarse
+    if any(word in VARIABLE for word in _words(name)) or not (noun := _noun(name)):
+        return None
+    heavy = [word for word in _words(name) if word in HEAVY]
+    return DENSITIES[(heavy or [noun])[0]]
+
+
 def _noun(name: str) -> str:
     """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
 
     The result is empty if no word is known. For example, limestone sand is sand, silica fume is powder, and limestone
-    that is crushed or has a grain size ("limestone 8/16") is aggregate. "Type" stands for cement only if there is no
-    other known word, as in "Type I/II".
+    that is crushed or has a grain size ("limestone 8/16") is aggregate. "Type", "powder" and "binder" stand for cement
+    only if there is no other known word, as in "Type I/II", and powder of stone is filler.
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
         return "powder"
     known = [word for word in words if word in DENSITIES]
-    noun = ([word for word in known if word != "type"] or known or [""])[-1]
+    if known[-1:] == ["powder"] and any(word in (*COARSE, "rock", "sand") for word in words):
+        return "filler"
+    noun = ([word for word in known if word not in (*GENERAL, "water")] or known or [""])[-1]
     stony = "crushed" in known or re.search(r"\d\s*[/-]\s*[1-9]", name) is not None
-    return "aggregate" if noun in ROCKS and stony else noun
+    return "aggregate" if noun in ROCKS and stony and "powder" not in known else noun
 
 
 def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
@@ -192,12 +239,12 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
 def density_of(name: str) -> float | None:
     """Return the usual density of an ingredient [kg/m3], or None if it is unknown or varies too much.
 
+    The density of a heavy rock counts, even if the ingredient is sand or gravel of this rock.
+
     An unknown name causes a warning. Raises :class:`SceneError` for a name that is probably misspelt.
     """
-    if any(word in VARIABLE for word in _words(name)):
-        return None
-    if noun := _noun(name):
-        return DENSITIES[noun]
+    if (found := _density(name, DENSITIES["gravel"])) is not None or any(word in VARIABLE for word in _words(name)):
+        return found
     meant = suggested(name, DENSITIES)
     if meant:
         refuse("mix parts", name, "is not a known ingredient", meant)
@@ -216,12 +263,10 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
     """
     filled, complete = 0.0, True
     for name, mass in parts.items():
-        density = density_of(name)
-        if density is None:
+        if (density_of(name) is None) or (density := _density(name, coarse)) is None:
             complete = False
         else:
-            stated = any(word in COARSE for word in _words(name))
-            filled += mass / (coarse if stated else density)
+            filled += mass / density
     if air is not None:
         gap = 1 - filled - air
         words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"

@@ -7,9 +7,19 @@ from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
+from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
 from .entries import GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntries
-from .ingredients import MIN_AMOUNT, check_volume, is_thickener, mass_per_volume, paste_volumes, powder_mass, water_mass
+from .ingredients import (
+    MIN_AMOUNT,
+    check_volume,
+    is_thickener,
+    mass_per_volume,
+    paste_volumes,
+    powder_mass,
+    sand_and_stone_volumes,
+    water_mass,
+)
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
 from .stones import read_shape, read_sieve, read_sizes
 
@@ -32,6 +42,9 @@ density of the powder, which the ratio does not state."""
 DENSITY_TOLERANCE = 0.03
 """Maximum relative difference between two values of the same density, such as a stated density and the sum of all
 ingredients. With a larger difference, the mix is refused."""
+SHARE_TOLERANCE = 0.25
+"""Relative difference between the stated share of coarse aggregate and that of the stones among the ingredients above
+which a warning is given. Coarse sand may count as aggregate, and the densities of rocks differ by some per cent."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
@@ -72,6 +85,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         refuse("mix mortar", given["mortar"], problem, "add the share, for example 'aggregate: 36 %'")
     if share is not None:
         _check_parts(density, share, heavy, mortar.values.get("density"))
+        with errors_located_at(given, "aggregate"):
+            _check_share(given["aggregate"], share, masses, heavy)
     spread, t500 = _number(given, "spread"), _number(given, "t500")
     if t500 is not None and (spread is None or spread < 0.5):
         problem = "needs a final spread of 500 mm or more"
@@ -192,6 +207,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
     """
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
+        if "volume" in given:
+            with errors_located_at(given, "volume"):
+                refuse("mix volume", given["volume"], "has no effect without 'parts', of which it is the volume",
+                       "add the ingredients of the load as 'parts', or leave out 'volume'")  # fmt: skip
         if own is None:
             raise SceneError(
                 "mix density: is missing, and the mix lists no 'parts' from which it follows; add 'density: 2350 "
@@ -248,6 +267,19 @@ def _share(given: Any, heavy: float) -> float:
         problem = f"is {found:.3g} of the volume, more than the share {PACKING} that loosely packed stones fill"
         refuse("mix aggregate", given, problem, "give the coarse aggregate without sand")
     return found
+
+
+def _check_share(stated: Any, share: float, masses: Mapping[str, float], heavy: float) -> None:
+    """Warn if the stated volume fraction of coarse aggregate, `share`, contradicts the ingredients.
+
+    `stated` is the entry `aggregate` of the mix, and `heavy` the density of the stones [kg/m3].
+    """
+    _, stones = sand_and_stone_volumes(masses, heavy)
+    if stones > 0 and abs(share / stones - 1) > SHARE_TOLERANCE:
+        warn(
+            f"mix aggregate: {stated} is {100 * share:.3g} % of the volume, but the stones in 'parts' fill "
+            f"{100 * stones:.3g} %; correct one of the two"
+        )
 
 
 def _check_parts(density: float, share: float, heavy: float, own: float | None) -> None:

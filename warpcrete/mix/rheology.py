@@ -199,11 +199,18 @@ def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Fig
 
 def _viscosity_of(points: tuple[list[float], list[float]]) -> Figure:
     fit, count = straight_line(*points), len(points[0])
-    off = line_uncertainty(fit.slope_error, count, fit.slope, RHEOMETER)
-    return of_line("viscosity", fit.slope, off, "Pa s", "viscometer", count)
+    return of_line("viscosity", fit.slope, _error(fit.slope, fit.slope_error, count), "Pa s", "viscometer", count)
 
 
 def _yield_stress_of(points: tuple[list[float], list[float]]) -> Figure:
     fit, count = straight_line(*points), len(points[0])
-    off = line_uncertainty(fit.offset_error, count, fit.offset, RHEOMETER)
-    return of_line("yield stress", fit.offset, off, "Pa", "viscometer", count)
+    return of_line("yield stress", fit.offset, _error(fit.offset, fit.offset_error, count), "Pa", "viscometer", count)
+
+
+def _error(value: float, error: float, count: int) -> float:
+    """Return the uncertainty of a constant that was fitted to points of a viscometer, in the unit of `value`.
+
+    It is the half width of the 95 % interval of the line, from the standard `error`, but not less than the usual error
+    of a rheometer. Points that lie on a straight line by chance share this error.
+    """
+    return max(line_uncertainty(error, count, value, RHEOMETER), RHEOMETER * abs(value))

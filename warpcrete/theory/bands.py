@@ -29,28 +29,73 @@ class Band:
         return self.low <= value <= self.high
 
 
+LOGARITHMIC = 4.0
+"""Factor up to which a deviation from a positive value is measured as the logarithm of a ratio. Larger deviations grow
+in proportion to the difference from the value. They occur if the value is a small difference of large numbers, such as
+the pressure of a line that falls."""
+
+
 def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
     """Combine independent causes of uncertainty into one band.
 
-    `ends` gives, for each cause, the results if this cause alone is at the lower or upper end of its own band. If all
-    values are positive, deviations are measured as logarithms of ratios, because an uncertainty by a factor of three
-    means division or multiplication by three. The total deviation to each side is the square root of the sum of the
-    squared deviations, as for independent errors.
+    `ends` gives, for each cause, the results if this cause alone is at the lower or upper end of its own band. The
+    total deviation to each side is the square root of the sum of the squared deviations, as for independent errors.
+
+    For a positive value, deviations up to a factor of :data:`LOGARITHMIC` are measured as logarithms of ratios, because
+    an uncertainty by a factor of three means division or multiplication by three. Beyond this factor they grow
+    linearly, because the logarithm of a ratio has no meaning for results near zero: it would let the band exceed the
+    sum of all deviations. For a value of zero or below, all deviations are differences. If no result is negative, the
+    lower end of the band is not negative either.
     """
-    logarithmic = value > 0 and all(end > 0 for pair in ends.values() for end in pair)
     below, above = 0.0, 0.0
     widths = {}
     for cause, pair in ends.items():
-        moves = [math.log(end / value) if logarithmic else end - value for end in pair]
-        down, up = max(0.0, *(-move for move in moves)), max(0.0, *moves)
+        down, up = (max(0.0, *(sign * (end - value) for end in pair)) for sign in (-1, 1))
+        if value > 0:
+            down, up = _measured_down(down / value), _measured_up(up / value)
         below, above = below + down * down, above + up * up
         widths[cause] = (down + up) ** 2
     total = sum(widths.values())
     shares = {cause: width / total for cause, width in widths.items()} if total > 0 else {}
     down, up = math.sqrt(below), math.sqrt(above)
-    if logarithmic:
-        return Band(value, value * math.exp(-down), value * math.exp(up), shares)
-    return Band(value, value - down, value + up, shares)
+    if value > 0:
+        down, up = value * _relative_down(down), value * _relative_up(up)
+    low = value - down
+    if value >= 0 and all(end >= 0 for pair in ends.values() for end in pair):
+        low = max(low, 0.0)
+    return Band(value, low, value + up, shares)
+
+
+def _measured_up(relative: float) -> float:
+    """Return the measure of a deviation upwards: ln(1 + x) up to :data:`LOGARITHMIC`, continued by its tangent.
+
+    The `relative` deviation x is the difference from the value, divided by the value.
+    """
+    if relative < LOGARITHMIC - 1:
+        return math.log1p(relative)
+    return math.log(LOGARITHMIC) + (1 + relative) / LOGARITHMIC - 1
+
+
+def _relative_up(measure: float) -> float:
+    """Return the relative deviation upwards with a given measure, the inverse of :func:`_measured_up`."""
+    beyond = measure - math.log(LOGARITHMIC)
+    return math.expm1(measure) if beyond < 0 else LOGARITHMIC * (1 + beyond) - 1
+
+
+def _measured_down(relative: float) -> float:
+    """Return the measure of a deviation downwards: -ln(1 - x) up to :data:`LOGARITHMIC`, continued by its tangent.
+
+    The `relative` deviation x is the positive difference from the value, divided by the value.
+    """
+    if relative < 1 - 1 / LOGARITHMIC:
+        return -math.log1p(-relative)
+    return math.log(LOGARITHMIC) + 1 - LOGARITHMIC * (1 - relative)
+
+
+def _relative_down(measure: float) -> float:
+    """Return the relative deviation downwards with a given measure, the inverse of :func:`_measured_down`."""
+    beyond = measure - math.log(LOGARITHMIC)
+    return -math.expm1(-measure) if beyond < 0 else 1 - (1 - beyond) / LOGARITHMIC
 
 
 def wilson_interval(hits: int, count: int, deviations: float = 1.959964) -> tuple[float, float]:

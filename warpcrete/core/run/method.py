@@ -13,7 +13,7 @@ import warp as wp
 from ..drawing.display import Display
 from ..units import Quantified, number, quantity, shown
 from .forecast import Forecast, Probe
-from .quantities import CONDITIONS
+from .quantities import declare_conditions
 from .run import Run
 from .run_loop import Simulation
 
@@ -45,10 +45,6 @@ class Quantity:
     """Meaning of the quantity for the reference pages: a sentence without a full stop at its end."""
     only_if: str = ""
     """Condition under which a run has the quantity, as the end of a sentence; empty if there is no simple condition."""
-
-    def __post_init__(self) -> None:
-        if self.only_if:
-            CONDITIONS[self.name] = self.only_if
 
     @property
     def title(self) -> str:
@@ -130,6 +126,11 @@ class Method:
     the name of each check, whether the run passed and what the check found. None if there are no such checks."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
     """Function that takes a scene and returns the quantities that closed-form solutions predict, by name."""
+
+    def __post_init__(self) -> None:
+        declare_conditions(
+            self.scene_type, lambda: {each.name: each.only_if for each in self.quantities if each.only_if}
+        )
 
     def drawn(self, simulation: Simulation, run: Run, colouring: str | None) -> Figure | None:
         """Return the picture for a run folder; None if the run has only its initial row, which leaves nothing to draw.

@@ -29,7 +29,8 @@ ADVICE = {
     "hoses": "measure the pressure on both sides of one, and state its 'factor'",
     "valves": "ask the manufacturer for their loss, and state it as 'equivalent'",
     "bores": "measure the pressure on both sides of one, and state its 'factor'",
-    "unknown yield stress of the slip layer": "read the gauges of the trial line at a second flow",
+    "unknown yield stress of the slip layer": "read more gauges of the trial line, at flows that differ clearly",
+    "yield stress of the slip layer": "read the gauges of the trial line at flows that differ more",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy; published "
     "rates are 0.1 to 1.7 Pa/s (notebooks/theory/restarts.md)",
 }
@@ -75,6 +76,13 @@ CUSTOMARY_SIZES = {"in": INCH, "ft": FOOT, "yd3": YARD**3, "yd3/h": YARD**3 / 36
 def pressure_text(pressure: float) -> str:
     """Return a pressure [Pa] in bar, MPa and psi."""
     return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / PSI:.4g} psi)"
+
+
+def time_text(seconds: float) -> str:
+    """Return a time [s] in seconds, in minutes from two minutes on, or in hours from three hours on."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.3g} min" if seconds < 3 * 3600 else f"{seconds / 3600:.3g} h"
 
 
 def beside(shown: bool, unit: str, *values: float) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THEORY, legend_beside, open_frame, rgb
-from .answers import CUSTOMARY_SIZES
+from .answers import CUSTOMARY_SIZES, time_text
 from .pressures import LinePressures
 from .taps import Tap
 
@@ -88,7 +88,7 @@ def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> N
                      label="pump")  # fmt: skip
     if result.stop is not None:
         band = result.restart(result.flow)
-        label = f"restart at full flow after {result.stop.rest / 60:.3g} min"
+        label = f"restart at full flow after {time_text(result.stop.rest)}"
         value, low, high = (x / size for x in (band.value, band.low, band.high))
         axes.errorbar([place], [value], [[value - low], [high - value]], fmt="s", capsize=4, clip_on=False,
                       color=rgb(RUN if result.simulated else SECOND), label=label)  # fmt: skip

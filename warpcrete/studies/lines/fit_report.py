@@ -6,6 +6,7 @@ from ...geometry.pipe_line import PipeLine
 from .answers import CUSTOMARY_SIZES, beside
 from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
+from .taps import at_one_flow
 
 NOTICED = 0.01
 """Smallest weight from 0 to 1 at which the report mentions that earlier knowledge of the slip layer was combined with
@@ -22,7 +23,6 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
-    stated = fit.uncertainty if fit.later_uncertainty is None else fit.later_uncertainty
     found = [
         f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 % for gauges that are "
         f"off by up to {fit.gauge / 1e5:.2g} bar{beside(line.customary, 'psi', fit.gauge)}, see --gauge)",
@@ -34,7 +34,7 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
             else []
         ),
         f"- {_meaning(fit)}",
-        *([f"- {_open_yield(fit, line.customary)}"] if fit.open_yield is not None else []),
+        *([f"- {_open_yield(fit, line.customary)}"] if not fit.knows_yield else []),
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
@@ -46,17 +46,11 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         "30 %, that of other deliveries):",
         "",
         f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
-        f"uncertainty: {max(100 * stated, 0.1):.3g} %, from: pipe}}",
+        f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
         "",
-        *(
-            [
-                f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
-                f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
-                "",
-            ]
-            if fit.later_uncertainty is not None
-            else []
-        ),
+        f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
+        f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
+        "",
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
     if bends and bends[0].fitted:
@@ -88,14 +82,18 @@ def _meaning(fit: LineFit) -> str:
 
 def _open_yield(fit: LineFit, customary: bool) -> str:
     """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which it widens the band."""
-    assert fit.open_yield is not None, "the yield stress is known"
+    assert not fit.knows_yield, "the yield stress is known"
     unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
-    (_, low), (_, high) = fit.open_yield
-    flows = sorted({f"{tap.flow / size:.4g}" for tap in fit.taps}, key=float)
-    many = "All gauges were read at" if len(flows) == 1 else "The gauges were read at"
-    more = "read gauges at a second flow" if len(flows) == 1 else "read more gauges at these flows"
+    (_, low), (_, high) = fit.yield_layers
+    rates = [tap.flow / size for tap in fit.taps]
+    flows = sorted({f"{rate:.4g}" for rate in rates}, key=float)
+    if at_one_flow(fit.taps):
+        about = f"{'about ' if len(flows) > 1 else ''}{sum(rates) / len(rates):.4g}"
+        read, more = f"All gauges were read at {about}", "read gauges at a second flow"
+    else:
+        read, more = f"The gauges were read at {' and '.join(flows)}", "read more gauges, or at flows that differ more"
     return (
-        f"{many} {' and '.join(flows)} {unit}; at another flow the band is wider, because the pressures do not "
+        f"{read} {unit}; at another flow the band is wider, because the pressures do not "
         f"determine the yield stress of the slip layer, which may be {low:.3g} to {high:.3g} Pa; {more}"
     )
 

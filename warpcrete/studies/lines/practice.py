@@ -6,7 +6,7 @@ losses themselves, which depend neither on the concrete nor on the flow.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,14 +42,12 @@ class PracticeRow:
     pressures: dict[str, float]
     """Pressure losses in the pump line [Pa], summed over the parts of each kind. The weight of rising concrete counts
     for the kind of the part in which the concrete rises."""
+    pressure: float
+    """Pressure at the pump by this rule of practice [Pa]. It exceeds the sum of the losses where falling concrete
+    separates, because the pressure before this place counts from 0."""
     implies: str
     """Sentence that states which friction the rule assumes, and which pressure it adds where concrete rises."""
     source: str = ""
-
-    @property
-    def pressure(self) -> float:
-        """Pressure at the pump by this rule of practice [Pa]."""
-        return max(sum(self.pressures.values()), 0.0)
 
 
 def _level(part: Part) -> float:
@@ -57,12 +55,19 @@ def _level(part: Part) -> float:
     return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
 
 
-def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, float]:
-    """Sum the pressure `loss` of the parts [Pa]; return one sum for each kind of part, such as bends."""
+def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implies: str, source: str) -> PracticeRow:
+    """Return the pressure of a pump line by a rule of practice from the pressure `loss` of each part [Pa].
+
+    The losses are added from the end of the line, and the pressure never falls below zero, because falling concrete
+    transmits no tension.
+    """
     found: dict[str, float] = {}
-    for part in parts:
-        found[part.kind] = found.get(part.kind, 0.0) + loss(part)
-    return found
+    pressure = 0.0
+    for part in reversed(parts):
+        own = loss(part)
+        found[part.kind] = found.get(part.kind, 0.0) + own
+        pressure = max(pressure + own, 0.0)
+    return PracticeRow(rule, found, pressure, implies, source)
 
 
 def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
@@ -100,13 +105,13 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
     longest = max(parts, key=lambda part: part.length if part.kind == "straight" else 0.0)
     metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
     return [
-        PracticeRow("AIJ", _summed(parts, aij),
+        _row("AIJ", parts, aij,
                     "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
                     f"this result, {metre / 1e3:.3g} kPa/m in the longest part", AIJ),
-        PracticeRow("JSCE", _summed(parts, jsce),
+        _row("JSCE", parts, jsce,
                     f"a metre of rise counts as {counted:.3g} m of level pipe, or {counted * metre / 1e3:.3g} "
                     f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa", JSCE),
-        PracticeRow("JGJ/T 10", _summed(parts, jgj),
+        _row("JGJ/T 10", parts, jgj,
                     f"{JGJ_LEVEL / 1e3:g} kPa/m level and {JGJ_RISE / 1e3:g} kPa/m of rise, whatever the concrete "
                     "and the flow", JGJ),
     ]  # fmt: skip

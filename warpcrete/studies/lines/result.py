@@ -29,6 +29,7 @@ from .answers import (
     beside,
     motor_power,
     pressure_text,
+    time_text,
 )
 from .figure import draw
 from .fittings import METHODS_ON_BENDS, is_in_library
@@ -169,7 +170,7 @@ class LineResult(LinePressures):
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
         straight = {x.part.number: x.straight for x in self.losses}
         rows = practice_rows(self.line.parts, straight, self.concrete.density * GRAVITY)
-        return PracticeRow("this result", ours, ""), rows
+        return PracticeRow("this result", ours, self.pressure, ""), rows
 
     def _restart_record(self) -> dict[str, Any] | None:
         """Return the pressures that restart the line after a stop, as an entry of line.json; None without a stop."""
@@ -304,7 +305,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     band, us = result.band(), result.line.customary
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m{beside(us, 'ft', result.line.length)}, "
-        f"{result.line.rise:.4g} m{beside(us, 'ft', result.line.rise)} up, {result.concrete.name} at "
+        f"{_height(result.line.rise, us)}, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h{beside(us, 'yd3/h', result.flow)}",
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar"
@@ -319,15 +320,15 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         f"{result.motor_power / 1e3:.3g} kW{beside(us, 'hp', result.motor_power)} "
         f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
         f"- the line holds {result.volume:.3g} m3{beside(us, 'yd3', result.volume)}, and concrete passes it in "
-        f"{_time(result.residence_time)}",
+        f"{time_text(result.residence_time)}",
     ]
     if result.margin is not None:
         found.append(f"- {result.margin.sentence()}")
     if result.stop is not None:
         begins, full = result.restart(), result.restart(result.flow)
         found += [
-            f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
-            f"(theory), it starts to move at {_span(begins, us)}, and at full flow with "
+            f"- after {time_text(result.stop.rest)} of rest, with a yield stress that grows by "
+            f"{result.stop.growth:g} Pa/s (theory), it starts to move at {_span(begins, us)}, and at full flow with "
             f"{_span(full, us)}{_assumed_growth(result.stop)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
@@ -396,5 +397,7 @@ def _span(band: Band, us: bool) -> str:
     return f"{text}, or {value} ({low} to {high}) psi"
 
 
-def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.3g} min"
+def _height(rise: float, us: bool) -> str:
+    """Return the height of a line's end above its start [m] as text; if `us` is true, also in feet."""
+    way = "down" if round(rise, 9) < 0 else "up"
+    return f"{abs(rise):.4g} m{beside(us, 'ft', abs(rise))} {way}"

@@ -17,7 +17,9 @@ class TapModel:
     """Pressures at the taps (places of gauges) as functions of slip viscosity, slip yield stress and bend factor."""
 
     def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap], bends: bool = True) -> None:
-        self.concrete, self.taps = concrete, taps
+        self.concrete, self.taps, self.bends = concrete, taps, bends
+        self.falling = line.parts if any(part.rise < 0 for part in line.parts) else ()
+        """Parts of a pump line in which concrete falls somewhere, and may separate; empty if it falls nowhere."""
         starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
         self.kinds: dict[tuple[Any, ...], Part] = {}
         """For each kind of part, the first part of the pump line that is of this kind. A kind is a combination of bore,
@@ -39,11 +41,7 @@ class TapModel:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                # A bend whose factor is fitted counts as straight pipe here, because the fit later multiplies its
-                # friction by the factor. All other parts have the same friction as in the calculation of a line without
-                # a fit.
-                weight = 1.0 if bends and is_free(part) else library_factor(part)
-                metres[bends and is_free(part)] += share * part.length * part.relative * weight
+                metres[bends and is_free(part)] += share * self._equivalent(part)
                 rise += share * part.rise
             self.metres.append(own)
             self.rises.append(rise)
@@ -56,12 +54,41 @@ class TapModel:
         concrete = replace(self.concrete, slip_viscosity=float(constants[0]), slip_yield=float(constants[1]))
         found = []
         for tap, metres, rise in zip(self.taps, self.metres, self.rises, strict=True):
+            if self.falling:
+                found.append(self._falling_pressure(tap, concrete, float(constants[2])))
+                continue
             total = concrete.density * GRAVITY * rise
             for kind, (plain, bends) in metres.items():
                 part = self.kinds[kind]
                 total += straight_friction(part, concrete, tap.flow) / part.length * (plain + constants[2] * bends)
             found.append(total)
         return np.array(found)
+
+    def _equivalent(self, part: Part) -> float:
+        """Return the length of straight pipe with the friction of a part [m].
+
+        A bend whose factor is fitted counts as straight pipe, because the fit multiplies its friction by the factor.
+        All other parts have the same friction as in the calculation of a line without a fit.
+        """
+        weight = 1.0 if self.bends and is_free(part) else library_factor(part)
+        return part.length * part.relative * weight
+
+    def _falling_pressure(self, tap: Tap, concrete: Concrete, factor: float) -> float:
+        """Return the pressure at a tap of a line in which concrete may separate [Pa].
+
+        The losses are added from the end of the line to the tap, and the pressure never falls below zero, as in
+        :meth:`.LinePressures.course`. `factor` is the fitted factor of bends.
+        """
+        found, end = 0.0, sum(part.length for part in self.falling)
+        for part in reversed(self.falling):
+            share = min((end - tap.place) / part.length, 1.0)
+            if share <= 0:
+                break
+            metre = straight_friction(part, concrete, tap.flow) / part.length
+            friction = metre * self._equivalent(part) * (factor if self.bends and is_free(part) else 1.0)
+            found = max(found + share * (friction + concrete.density * GRAVITY * part.rise), 0.0)
+            end -= part.length
+        return found
 
     def sensitivities(self, constants: np.ndarray, free: Sequence[int]) -> np.ndarray:
         """Return the derivatives of the pressures at the taps (places of gauges) with respect to some constants.

@@ -1,6 +1,7 @@
 """Pressures that were measured at taps, the places of gauges along a trial line, read from a file."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,10 @@ COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
 where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
 before which it sits."""
+
+SAME_FLOW = 0.02
+"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
+distinguish the yield stress of the slip layer from its viscosity."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,12 @@ def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, li
     places = [place for place, _ in used.values()]
     header, _ = read_rows(path, "fit")
     return used, rows, [head.strip() for place, head in enumerate(header) if place not in places]
+
+
+def at_one_flow(taps: Sequence[Tap]) -> bool:
+    """Return whether all pressures were measured at the same flow, up to a relative difference of `SAME_FLOW`."""
+    flows = np.array([tap.flow for tap in taps])
+    return bool(np.ptp(flows) <= SAME_FLOW * flows.mean())
 
 
 def is_free(part: Part) -> bool:
