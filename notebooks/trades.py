@@ -33,7 +33,7 @@ TRADES = {name: (*trade[:2], "cpu", trade[2]) for name, trade in WHOLE.items()}
 """Scene, parameters, device and budget [s] of trades that make one run at a time."""
 FLOWS = {
     "slump": "Slump test", "lbox": "L-box", "funnel": "V-funnel", "jring": "J-ring", "lcpc": "LCPC box",
-    "part": "Part of a line", "stretch": "Stretch of pipe with aggregates",
+    "part": "Part of a line", "stretch": "Endless pipe with aggregates",
 }  # fmt: skip
 ELEMENTS = {
     "part-dem": "Part of a line", "slump-dem": "Slump test", "lbox-dem": "L-box", "funnel-dem": "V-funnel",
@@ -63,11 +63,12 @@ def section(name: str, record: dict, figure: bool = True) -> str:
     own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})"
            for quantity, error in record.get("reference_errors", {}).items()]  # fmt: skip
     time = record["points"][0]["time"]["value"]
-    error = f" The finest setting itself has an error of {' and '.join(own)}." if own else ""
-    lines = [f"`{command}` ran on {record['machine']}. With unchanged settings a run takes {time:.3g} s.{error}", ""]
+    error = f" Even the finest setting has an estimated error of {' and '.join(own)}." if own else ""
+    lines = [f"The command of the simulation is `{command}`. A run with unchanged settings takes {time:.3g} s on "
+             f"{record['machine']}.{error}", ""]  # fmt: skip
     lines += [f"![Error over cost: {name}](../images/trade_{name}.png)", ""] if figure else []
-    lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
-              "| worst of other scenes |", "|---|---|---|---|---|---|"]  # fmt: skip
+    lines += ["| error wanted | setting | relative time | guaranteed error | with new random packings "
+              "| largest error in other simulations |", "|---|---|---|---|---|---|"]  # fmt: skip
     rows: dict[tuple[str, ...], list[str]] = {}
     for promise in record["promises"]:
         rows.setdefault(cells(promise), []).append(f"{100 * promise['target']:g}")
@@ -189,7 +190,10 @@ def judge_all(folder: Path, fresh: bool) -> None:
     """Judge the runs in FOLDER/runs.tar.gz; with `fresh`, print a table that tests the promises in other scenes."""
     raw = unpacked(folder)
     rows, kept = (
-        ["| trade | fresh scene | promise | largest error | quantity | kept |", "|---|---|---|---|---|---|"],
+        [
+            "| table | other simulation | guaranteed error | largest error | quantity | kept |",
+            "|---|---|---|---|---|---|",
+        ],
         [],
     )
     for name in (*PLANS, *WHOLE):
@@ -200,7 +204,7 @@ def judge_all(folder: Path, fresh: bool) -> None:
                         f"{'yes' if held else 'no'} |")  # fmt: skip
     if kept:
         path = HERE / "performance" / "trades-trust.md"
-        text = "\n".join([*rows, "", f"{sum(kept)} of these {len(kept)} promises were kept."])
+        text = "\n".join([*rows, "", f"{sum(kept)} of these {len(kept)} guaranteed errors were kept."])
         path.write_text(between_marks(path.read_text(encoding="utf-8"), "fresh", text), encoding="utf-8")
         print(text)
 

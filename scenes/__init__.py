@@ -14,8 +14,6 @@ it::
 # `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or records them. Start with `slump`, a
 # complete scene in one file, or with `lcpc`, a test for both methods in one file.
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 import sys

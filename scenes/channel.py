@@ -1,7 +1,5 @@
 """Upward flow of concrete, a yield stress fluid with a slip layer, between two planes in 2D (Xu, Li & Jiang 2021)."""
 
-from __future__ import annotations
-
 from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.column import column_scene
 from warpcrete.mps.scene import FluidScene

@@ -1,7 +1,5 @@
 """V-funnel test: time in which concrete flows out of a funnel (EN 12350-9), as a three-dimensional flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -67,8 +65,8 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     narrow, brim, throat = given.outlet_width / 2, given.top_width / 2, given.outlet_height
     whole = throat + given.cone_height
     if given.spacing > min(given.outlet_width, given.breadth) / 4:
-        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the outlet",
-               f"use {at_most(min(given.outlet_width, given.breadth) / 4, 2)} m or less")  # fmt: skip
+        hint = f"use {at_most(min(given.outlet_width, given.breadth) / 4, 2)} m or less"
+        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the outlet", hint)
     quarter = min(given.outlet_width, given.breadth) / 2
     if given.aggregate_fraction:
         given.check_largest(

@@ -1,7 +1,5 @@
 """V-funnel test: time in which concrete flows out of a funnel (EN 12350-9), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
@@ -52,8 +50,8 @@ def scene(parameters: FunnelElements) -> Scene:
     given = parameters
     narrowest = min(given.outlet_width, given.breadth)
     if given.size_max > narrowest / 2:
-        refuse("size_max", given.size_max, "is too large: at least two grains must fit side by side in the outlet",
-               f"use {at_most(narrowest / 2)} m or less")  # fmt: skip
+        problem = "is too large: at least two grains must fit side by side in the outlet"
+        refuse("size_max", given.size_max, problem, f"use {at_most(narrowest / 2)} m or less")
     narrow, brim = given.outlet_width / 2, given.top_width / 2
     throat, whole = given.outlet_height, given.outlet_height + given.cone_height
     inside = prism(

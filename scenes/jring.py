@@ -1,7 +1,5 @@
 """J-ring test: spread of concrete through a ring of bars (EN 12350-12), as a three-dimensional flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -102,24 +100,24 @@ def scene(parameters: RingParameters) -> FreeScene:
     given = parameters
     given.check_gap()
     if given.bars % 4:
-        refuse("bars", given.bars, "must be a multiple of 4, because a quarter of the ring is simulated",
-               f"use {4 * max(1, round(given.bars / 4))}")  # fmt: skip
+        problem = "must be a multiple of 4, because a quarter of the ring is simulated"
+        refuse("bars", given.bars, problem, f"use {4 * max(1, round(given.bars / 4))}")
     narrowest = max(given.base_diameter, given.top_diameter) + given.bar_diameter
     if given.ring_diameter < narrowest:
-        refuse("ring_diameter", given.ring_diameter, "is too small: the mould must fit between the bars",
-               f"use {at_least(narrowest)} m or more")  # fmt: skip
+        problem = "is too small: the mould must fit between the bars"
+        refuse("ring_diameter", given.ring_diameter, problem, f"use {at_least(narrowest)} m or more")
     coarsest = _coarsest(given)
     if given.spacing > coarsest:
         refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm and gaps "
                                          f"of {1e3 * given.gap:.3g} mm between them",
                f"use {coarsest:.3g} m or less")  # fmt: skip
     if given.ring_height < FEWEST * given.spacing:
-        refuse("ring_height", given.ring_height, f"must be at least {FEWEST} cells high",
-               f"use {at_least(FEWEST * given.spacing)} m or more, or a smaller 'spacing'")  # fmt: skip
+        hint = f"use {at_least(FEWEST * given.spacing)} m or more, or a smaller 'spacing'"
+        refuse("ring_height", given.ring_height, f"must be at least {FEWEST} cells high", hint)
     least = 0.5 * (given.ring_diameter + given.bar_diameter) + BESIDE + AROUND * given.spacing
     if given.plate_radius is not None and given.plate_radius < least:
-        refuse("plate_radius", given.plate_radius, "is too small for the ring and the concrete around it",
-               f"use {at_least(least)} m or more")  # fmt: skip
+        problem = "is too small for the ring and the concrete around it"
+        refuse("plate_radius", given.plate_radius, problem, f"use {at_least(least)} m or more")
     # The bars begin two cells below the plate, so that no gap remains there.
     return lifted_mould(given, J_RING, (given.wall(given.bars // 4 + 1, -2 * given.spacing),), least)
 

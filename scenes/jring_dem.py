@@ -1,7 +1,5 @@
 """J-ring test: spread of concrete through a ring of bars (EN 12350-12), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -36,9 +34,8 @@ def scene(parameters: RingElements) -> Scene:
     given.check_gap()
     least = max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter
     if given.ring_diameter < least:
-        refuse("ring_diameter", given.ring_diameter, "is too small: a grain of the size 'size_max' must fit between "
-                                                     "the mould and the bars",
-               f"use {at_least(least)} m or more")  # fmt: skip
+        problem = "is too small: a grain of the size 'size_max' must fit between the mould and the bars"
+        refuse("ring_diameter", given.ring_diameter, problem, f"use {at_least(least)} m or more")
     return lifted_cone(given, J_RING, (given.wall(),), "mould and bars")
 
 

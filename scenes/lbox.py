@@ -1,7 +1,5 @@
 """L-box test: how far and how level concrete flows, with or without bars (EN 12350-10), as a 3D flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -74,34 +72,26 @@ def scene(parameters: BoxParameters) -> FreeScene:
     """
     given = parameters
     if given.length < given.column_width + 0.1:
-        refuse(
-            "length",
-            given.length,
-            f"must exceed 'column_width' = {given.column_width:g} m by at least 0.1 m",
-            f"use {given.column_width + 0.3:g} m or more",
-        )
+        problem = f"must exceed 'column_width' = {given.column_width:g} m by at least 0.1 m"
+        refuse("length", given.length, problem, f"use {given.column_width + 0.3:g} m or more")
     if given.column_height < given.opening + 0.05:
-        refuse(
-            "column_height",
-            given.column_height,
-            f"must exceed 'opening' = {given.opening:g} m by at least 0.05 m",
-            "use 0.6 m, the height of the standard box, or reduce 'opening'",
-        )
+        problem = f"must exceed 'opening' = {given.opening:g} m by at least 0.05 m"
+        hint = "use 0.6 m, the height of the standard box, or reduce 'opening'"
+        refuse("column_height", given.column_height, problem, hint)
     if given.bars and given.spacing > given.bar_diameter / SEEN:
-        refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm",
-               f"use {at_most(given.bar_diameter / SEEN, 2)} m or less, or 'bars' = 0 for no bars")  # fmt: skip
+        hint = f"use {at_most(given.bar_diameter / SEEN, 2)} m or less, or 'bars' = 0 for no bars"
+        refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm", hint)
     if given.opening < FEWEST * given.spacing:
-        refuse("opening", given.opening, f"must be at least {FEWEST} cells high",
-               f"use {at_least(FEWEST * given.spacing, 2)} m or more, or a smaller 'spacing'")  # fmt: skip
+        hint = f"use {at_least(FEWEST * given.spacing, 2)} m or more, or a smaller 'spacing'"
+        refuse("opening", given.opening, f"must be at least {FEWEST} cells high", hint)
     smallest = min(given.column_width, given.width / 2)
     if given.spacing > smallest / 4:
-        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the column and across "
-                                         "half the box",
-               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
+        problem = "is too coarse: at least four cells must fit across the column and across half the box"
+        refuse("spacing", given.spacing, problem, f"use {at_most(smallest / 4)} m or less")
     outermost = (given.bars - 1) / 2 * (GAPS[given.bars] + given.bar_diameter) + given.bar_diameter / 2
     if given.bars and outermost > given.width / 2:
-        refuse("width", given.width, f"leaves no room for {given.bars} bars",
-               f"use {at_least(2 * outermost)} m or more")  # fmt: skip
+        problem = f"leaves no room for {given.bars} bars"
+        refuse("width", given.width, problem, f"use {at_least(2 * outermost)} m or more")
     gate, opening, top = given.column_width, given.opening, given.column_height
     thick = THICK * given.spacing
     high = top + 3 * given.spacing

@@ -1,7 +1,5 @@
 """L-box test: how far concrete levels out when a gate opens (EN 12350-10), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
@@ -51,24 +49,15 @@ def scene(parameters: BoxElements) -> Scene:
     given = parameters
     gate, width, opening, top = given.column_width, given.width, given.opening, given.column_height
     if given.length < gate + 0.1:
-        refuse(
-            "length",
-            given.length,
-            f"must exceed 'column_width' = {gate:g} m by at least 0.1 m",
-            f"use {gate + 0.3:g} m or more",
-        )
+        problem = f"must exceed 'column_width' = {gate:g} m by at least 0.1 m"
+        refuse("length", given.length, problem, f"use {gate + 0.3:g} m or more")
     if top < opening + 0.05:
-        refuse(
-            "column_height",
-            top,
-            f"must exceed 'opening' = {given.opening:g} m by at least 0.05 m",
-            "use 0.6 m, the height of the standard box, or reduce 'opening'",
-        )
+        problem = f"must exceed 'opening' = {given.opening:g} m by at least 0.05 m"
+        refuse("column_height", top, problem, "use 0.6 m, the height of the standard box, or reduce 'opening'")
     narrowest = min(gate, width, opening)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the column and "
-                                           "in the opening",
-               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
+        problem = "is too large: at least four grains must fit side by side in the column and in the opening"
+        refuse("size_max", given.size_max, problem, f"use {at_most(narrowest / 4)} m or less")
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     before = 0.5 * given.size_min
     across = (0.0, 2 * width, 0.0)

@@ -3,8 +3,6 @@
 The file holds the test and its scenes for both methods: a flow (`scene`) and discrete elements (`scene_dem`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
@@ -78,33 +76,12 @@ LCPC_BOX = StandardTest(
     columns={"near_depth": "m", "front": "m"},
     measure=_measure,
     quantities=(
-        Quantity(
-            "spread_length",
-            "m",
-            lambda k: k.last("front"),
-            "spread length",
-            None,
-            True,
-            meaning="Length to which the concrete has spread along the box",
-        ),
-        Quantity(
-            "h0",
-            "m",
-            lambda k: k.last("near_depth"),
-            "depth where poured",
-            None,
-            True,
-            meaning="Depth of the concrete at the end where it is poured",
-        ),
-        Quantity(
-            "apparent_yield_stress",
-            "Pa",
-            _yield_stress,
-            "yield stress from L",
-            None,
-            True,
-            meaning="Yield stress that the closed form of the test gives for the measured spread length",
-        ),
+        Quantity("spread_length", "m", lambda k: k.last("front"), "spread length", None, True,
+                 meaning="Length to which the concrete has spread along the box"),
+        Quantity("h0", "m", lambda k: k.last("near_depth"), "depth where poured", None, True,
+                 meaning="Depth of the concrete at the end where it is poured"),
+        Quantity("apparent_yield_stress", "Pa", _yield_stress, "yield stress from L", None, True,
+                 meaning="Yield stress that the closed form of the test gives for the measured spread length"),
     ),
     forms=(
         ClosedForm("spread_length", "theory", "slow flow", lambda k: _at_rest(k, 2)),
@@ -113,7 +90,7 @@ LCPC_BOX = StandardTest(
     ),
     in_space=True,
     curves={"front": "position of the front", "near_depth": "depth where poured"},
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,9 +141,8 @@ def scene(parameters: LongBoxFlow) -> FreeScene:
     given.check_length()
     smallest = min(given.column_length, given.height, given.width / 2)
     if given.spacing > smallest / 4:
-        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the concrete and across "
-                                         "half the box",
-               f"use {at_most(smallest / 4)} m or less")  # fmt: skip
+        problem = "is too coarse: at least four cells must fit across the concrete and across half the box"
+        refuse("spacing", given.spacing, problem, f"use {at_most(smallest / 4)} m or less")
     # Choose the cell size such that the height of the concrete is a whole number of cells, so that the cells hold its
     # full volume.
     gate, top, rows = given.column_length, given.height, round(given.height / given.spacing)
@@ -227,9 +203,8 @@ def scene_dem(parameters: LongBoxElements) -> Scene:
     gate, width, top = given.column_length, given.width, given.height
     narrowest = min(gate, width, top)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the concrete "
-                                           "at the start",
-               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
+        problem = "is too large: at least four grains must fit side by side in the concrete at the start"
+        refuse("size_max", given.size_max, problem, f"use {at_most(narrowest / 4)} m or less")
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     shut = rectangle((gate, -width, -given.size_min), (0.0, 2 * width, 0.0), (0.0, 0.0, 2 * top))
     lift = Prescribed(velocity=(0.0, 0.0, top / given.lift_time))

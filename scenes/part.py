@@ -182,19 +182,11 @@ def _unit(given: PartParameters) -> _PipeCourse:
 def _check_wall(given: PartParameters) -> None:
     """Raise :class:`SceneError` for parameters that cannot be combined with a pipe wall from a mesh file."""
     if given.outlet_diameter is not None:
-        refuse(
-            "outlet_diameter",
-            given.outlet_diameter,
-            "has no effect together with 'wall', because the mesh has its own outlet",
-            "leave it out",
-        )
+        problem = "has no effect together with 'wall', because the mesh has its own outlet"
+        refuse("outlet_diameter", given.outlet_diameter, problem, "leave it out")
     if given.slip_thickness > 0:
-        refuse(
-            "slip_thickness",
-            given.slip_thickness,
-            "cannot be combined with 'wall'",
-            "set 'slip_thickness' to 0, and narrow the bore of the mesh by the thickness instead",
-        )
+        hint = "set 'slip_thickness' to 0, and narrow the bore of the mesh by the thickness instead"
+        refuse("slip_thickness", given.slip_thickness, "cannot be combined with 'wall'", hint)
 
 
 def _mesh(given: PartParameters) -> _PipeCourse:
@@ -206,12 +198,8 @@ def _mesh(given: PartParameters) -> _PipeCourse:
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
     if abs(bore.ends[0] / given.diameter - 1) > DIAMETER_TOLERANCE:
-        refuse(
-            "diameter",
-            given.diameter,
-            f"differs from the diameter of the mesh at its start, {bore.ends[0]:.4g} m",
-            "leave it out",
-        )
+        problem = f"differs from the diameter of the mesh at its start, {bore.ends[0]:.4g} m"
+        refuse("diameter", given.diameter, problem, "leave it out")
     check_velocity("flow", given.flow, given.flow / (math.pi * min(bore.radii) ** 2))
     inner = bore.axis
     begin, end = given.straight, given.straight + inner.length
@@ -224,12 +212,8 @@ def _mesh(given: PartParameters) -> _PipeCourse:
     spans = [(given.straight, 2 * wide, 2), (inner.length, 2 * wide, 2 + int(inner.length / wide)),
              (given.straight, 2 * wide, 2)]  # fmt: skip
     if first_crossing(axis, spans, gap) is not None:
-        refuse(
-            "wall",
-            given.wall,
-            f"leads the pipe back to within {gap:.3g} m of itself",
-            "reduce 'spacing' or 'straight', or shorten the bore of the mesh",
-        )
+        problem = f"leads the pipe back to within {gap:.3g} m of itself"
+        refuse("wall", given.wall, problem, "reduce 'spacing' or 'straight', or shorten the bore of the mesh")
     bores = Bores((0.0,), (given.diameter / 2,))
     check_return(axis, Bores((0.0,), (wide,)), aside=INLET_RADIUS * wide + gap)
     parts = (Section("straight", 0.0, begin), Section("bore", begin, end), Section("straight", end, axis.length))

@@ -1,7 +1,5 @@
 """Aggregates that a piston pushes through one part of a pump line, or several in a row, by discrete elements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

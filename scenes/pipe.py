@@ -4,8 +4,6 @@ The units are A `vertical` (upward), B `horizontal`, C `bend-to-horizontal` (an 
 outlet), and D `bend-to-vertical` (an elbow with horizontal inlet and upward outlet).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import fields
@@ -246,8 +244,8 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
     # narrowest.
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
     if np.any(reach < 0):
-        refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays hit no wall",
-               "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes")  # fmt: skip
+        hint = "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes"
+        refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays hit no wall", hint)
     bore = Bore.of(reach)
     return None if bore.is_round(given.radius) else bore
 
@@ -292,30 +290,10 @@ def _is_reference(given: PipeParameters) -> bool:
     Clump shapes may differ, because the paper gives no coordinates for them.
     """
     free = {
-        "unit",
-        "shapes",
-        "shape_spheres",
-        "fractions",
-        "wall",
-        "wall_scale",
-        "facets",
-        "seed",
-        "settle",
-        "hydration_rounds",
-        "safety",
-        "sample_interval",
-        "travel",
-        "precision",
-        "energy_balance",
-        "overlap_limit",
-        "time_step",
-        "wear",
-        "wear_coefficient",
-        "wear_patch",
-        "segregation",
-        "blocked_travel",
-        "stop_when_blocked",
-    }
+        "unit", "shapes", "shape_spheres", "fractions", "wall", "wall_scale", "facets", "seed", "settle",
+        "hydration_rounds", "safety", "sample_interval", "travel", "precision", "energy_balance", "overlap_limit",
+        "time_step", "wear", "wear_coefficient", "wear_patch", "segregation", "blocked_travel", "stop_when_blocked",
+    }  # fmt: skip
     if given.concrete not in PAPER_CONCRETES:
         return False
     its_own = {f.name: f.default for f in fields(given)} | scene.completed({"concrete": given.concrete})

@@ -1,7 +1,5 @@
 """Slump test and slump flow test: a cone of concrete whose mould is lifted (EN 12350-2, -8), as a flow on a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

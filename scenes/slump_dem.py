@@ -1,7 +1,5 @@
 """Slump test and slump flow test: a cone whose mould is lifted (EN 12350-2, EN 12350-8), by discrete elements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
@@ -50,8 +48,8 @@ def lifted_cone(given: SlumpElements, test: StandardTest, around: tuple[Wall, ..
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the mould",
-               f"use {at_most(narrowest / 4)} m or less")  # fmt: skip
+        problem = "is too large: at least four grains must fit side by side in the mould"
+        refuse("size_max", given.size_max, problem, f"use {at_most(narrowest / 4)} m or less")
     lift = Prescribed(velocity=(0.0, 0.0, given.mould_height / given.lift_time))
     return Scene(
         name=f"{test.name}-dem",

@@ -1,7 +1,5 @@
 """Stretch of an endless pipe: mortar with aggregates that are simulated one by one, driven by a pressure gradient."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
@@ -55,8 +53,8 @@ def scene(parameters: StretchParameters) -> StretchScene:
     """
     given = parameters
     if given.slip_thickness:
-        refuse("slip_thickness", given.slip_thickness, "must be 0, because the cells represent the whole pipe",
-               "reduce 'diameter' by twice the thickness instead")  # fmt: skip
+        problem = "must be 0, because the cells represent the whole pipe"
+        refuse("slip_thickness", given.slip_thickness, problem, "reduce 'diameter' by twice the thickness instead")
     concrete = given.make_concrete(given.surfaces == "slips")
     if given.surfaces == "sticks":
         concrete = replace(concrete, **NO_LAYER)

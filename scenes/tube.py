@@ -1,7 +1,5 @@
 """Upward flow of concrete, a yield stress fluid with a slip layer, in a round pipe (3D case of Xu, Li & Jiang 2021)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

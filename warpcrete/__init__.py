@@ -6,8 +6,6 @@ This example runs the scene of a vertical pipe on the CPU::
     run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,25 +39,10 @@ if not Path(__file__).with_name("kernels").exists():
     __path__.append(str(Path(__file__).parents[1]))
 
 __all__ = [
-    "CapacityError",
-    "ConvergenceError",
-    "DeviceError",
-    "InstabilityError",
-    "Recorder",
-    "RunFolder",
-    "RunFolderError",
-    "Scene",
-    "SceneError",
-    "Simulation",
-    "WarpcreteError",
-    "__version__",
-    "calibrate",
-    "explain",
-    "load",
-    "scenes",
-    "study",
-    "trade",
-]
+    "CapacityError", "ConvergenceError", "DeviceError", "InstabilityError", "Recorder", "RunFolder", "RunFolderError",
+    "Scene", "SceneError", "Simulation", "WarpcreteError", "__version__", "calibrate", "explain", "load", "scenes",
+    "study", "trade",
+]  # fmt: skip
 
 _LAZY = {
     "Simulation": "record.output",

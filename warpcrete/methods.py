@@ -1,7 +1,5 @@
 """List of all simulation methods; the type of a scene selects the method that simulates it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from .core.errors import refuse

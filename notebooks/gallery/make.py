@@ -154,94 +154,119 @@ CONCRETE = "--concrete own --density 2300 --viscosity 30 --yield-stress"
 PIPE = "--diameter 0.1 --length 0.35 --elbow-radius 0.25"
 PIPE_A = "--diameter 0.1 --length 0.35"
 ENTRIES = (
-    Entry("units", "Pumping units", "The four units of Zhan et al. (2019): a vertical pipe, a horizontal pipe and "
-          "two bends. The colour of an aggregate shows the largest contact force on it.",
+    Entry("units", "Pumping units",
+          "This picture shows aggregates in the four pipes of Zhan et al. (2019): a vertical pipe, a horizontal"
+          " pipe and two bends. The colour of an aggregate is the largest contact force on it.",
           f"warpcrete study pipe --unit A B C D {PIPE} --travel 0.02 --settle 0.3 --usd --out OUT", units),
-    Entry("chains", "Force chains in a bend", "Contact forces between the aggregates, drawn as lines. The dark disc "
-          "is the piston, and the forces are largest near it. The short lines at the top lie in the plug of balls at "
-          "the front of the concrete.",
+    Entry("chains", "Force chains in a bend",
+          "This picture shows the contact forces between the aggregates in a bend, drawn as lines. The dark "
+          "disc is the piston, and the forces are largest near it. The short lines at the top lie in the plug "
+          "of balls at the front of the concrete.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", chains),
-    Entry("viewer", "The same bend in the viewer", "The recording in the Rerun viewer. It shows bodies, a cut, force "
-          "chains and curves over time, which share one timeline.",
+    Entry("viewer", "The same bend in the viewer",
+          "This picture shows the recording of the bend in the Rerun viewer, with bodies, a cut, force chains "
+          "and curves over time, which share one timeline.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
-    Entry("blocked", "A blocked reducer", "Stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm. The dark "
-          "stones below the throat lag behind the piston and jam. The run then stops.",
+    Entry("blocked", "A blocked reducer",
+          "This picture shows stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm. The dark stones "
+          "below the narrow part lag behind the piston and jam, so the run stops.",
           "warpcrete run part-dem --unit vertical --diameter 0.08 --outlet-diameter 0.036 --taper 0.08 \\\n"
           "    --straight 0.12 --size-min 0.014 --size-max 0.018 --plug none --stop-when-blocked \\\n"
           "    --colour speed --out OUT",
           usd(direction=(0.3, -1.0, 0.25), cut=True)),
-    Entry("worn", "A worn bend", "Wear of the wall of a bend. The colour shows the depth that sliding stones have "
+    Entry("worn", "A worn bend",
+          "This picture shows the wear of the wall of a bend. The colour is the depth that sliding stones have "
           "worn off.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.3 --wear --out OUT",
           usd(direction=(-0.55, -1.0, 0.1), only_walls=True)),
-    Entry("slump", "Slump test", "A cone of concrete while its mould is lifted. The colour shows the shear rate.",
+    Entry("slump", "Slump test",
+          "This picture shows a cone of concrete in a slump test while its mould is lifted. The colour is the "
+          "shear rate.",
           f"warpcrete run slump {CONCRETE} 500 --spacing 0.01 --duration 1 --out OUT",
           usd(time=0.5, direction=(0.25, -1.0, 0.35), opacity=0.18)),
-    Entry("heap", "Shape after the slump test", "Left: the concrete at rest, and the closed form of a heap. Right: "
-          "its spread and its highest point over time.",
+    Entry("heap", "Shape after the slump test",
+          "The left diagram shows the shape of concrete at rest after a slump test, and the closed form of a "
+          "heap. The right one shows its spread and its highest point over time.",
           f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
-    Entry("jring", "J-ring test", "Grains that spread through a ring of bars. The colour shows their speed.",
+    Entry("jring", "J-ring test",
+          "This picture shows grains that spread through the ring of bars of a J-ring test. The colour is their"
+          " speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
           "--out OUT", usd(time=0.4, direction=(0.2, -1.0, 0.55), opacity=0.2)),
-    Entry("lbox", "L-box test", "Concrete that flows through two bars into the box while the gate opens.",
+    Entry("lbox", "L-box test",
+          "This picture shows concrete that flows through two bars into an L-box while the gate opens.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
           "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
           usd(direction=(0.45, -1.0, 0.35), opacity=0.2)),
-    Entry("funnel", "V-funnel test", "Concrete that flows out of a funnel. It is sheared most at the outlet.",
+    Entry("funnel", "V-funnel test",
+          "This picture shows concrete that flows out of a V-funnel. It is sheared most at the outlet.",
           "warpcrete run funnel --concrete own --density 2300 --viscosity 20 --yield-stress 20 --spacing 0.015 \\\n"
           "    --duration 1 --out OUT", usd(direction=(0.3, -1.0, 0.15))),
-    Entry("line", "Pressure along a line", "Pressure in the line of the Shanghai Tower, by theory. The picture also "
-          "shows the likely range of the pressure, the share that the weight causes, and the pressure that was "
-          "recorded at the pump.",
+    Entry("line", "Pressure along a line",
+          "This picture shows the pressure along the line of the Shanghai Tower, by theory, with its likely "
+          "range, the share that the weight causes, and the pressure that was recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
-    Entry("trade", "Error against time", "The errors and times of different settings of the program. Each point is a "
-          "setting. The line joins the settings that no other setting beats in both. A hollow marker means that the "
-          "run failed a check of the scene.",
+    Entry("trade", "Error against time",
+          "This picture shows error and computing time for different settings of the program. Each point is a "
+          "setting. The line joins the settings that no other setting beats in both. A hollow marker means that"
+          " the run failed a check.",
           "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
-    Entry("posterior", "What measurements determine", "Slip layers that agree with the wall stresses measured at two "
-          "flows. The two histograms show how likely each viscosity (top) and each yield stress (right) of the layer "
+    Entry("posterior", "What measurements determine",
+          "This picture shows which slip layers agree with the wall stresses that were measured at two flows. "
+          "The two histograms show how likely each viscosity (top) and each yield stress (right) of the layer "
           "is. The map shows how likely both are together: only a narrow band is likely.",
           "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
-    Entry("migration", "Migration of stones", "How the share of aggregate changes in a column, in percentage points "
-          "since the start. The curves are for the front half, the rear half, the region near the axis and the "
-          "region near the wall. Each jump of a curve is one grain that crosses a border.",
+    Entry("migration", "Migration of stones",
+          "This picture shows how the share of aggregate in the concrete of a channel changes, in percentage "
+          "points since the start. The curves are for the front half, the rear half, the region near the axis "
+          "and the region near the wall. Each jump of a curve is one grain that crosses a border.",
           MIGRATION, lambda folder: None),
-    Entry("mortar", "Stones in mortar", "Grains and mortar in a channel. The grains are rigid, and the mortar beside "
-          "the wall is sheared.",
+    Entry("mortar", "Stones in mortar",
+          "This picture shows grains and mortar that flow through a channel. The grains are rigid, and the "
+          "mortar beside the wall is sheared.",
           "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
-    Entry("validation", "Predicted against measured", "Predicted values over measured ones, each with its likely "
-          "range. Filled points are measurements that are never used for a fit.",
+    Entry("validation", "Predicted against measured",
+          "This picture compares predicted values with measured ones, each with its likely range. Filled points"
+          " are measurements that are never used for a fit.",
           "warpcrete validate --quick --out OUT", image("validation.png")),
-    Entry("strokes", "Two strokes with a stop", "Pressure on a piston that stops and starts again.",
+    Entry("strokes", "Two strokes with a stop",
+          "This picture shows the pressure on a piston that stops and starts again.",
           "warpcrete run pipe --unit horizontal --concrete no2 --diameter 0.1 --length 0.25 --ramp 0.02 \\\n"
           "    --strokes 2 --stroke 0.1 --pause 0.3 --out OUT", image("pressure.png")),
-    Entry("clumps", "Clumps in a bend", "Aggregates as clumps of spheres. The picture is drawn from the USD scene of "
-          "the run, which Blender can open as well.",
+    Entry("clumps", "Clumps in a bend",
+          "This picture shows aggregates that are clumps, rigid bodies of several spheres, in a bend. It is "
+          "drawn from the USD scene of the run, which Blender can open as well.",
           "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
           "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
-    Entry("lumps", "Hydrated lumps", "Lumps of aggregates that hydrated bonds join, after they were pushed. The "
-          "eight largest lumps have colours of their own. All other aggregates are small and pale.",
+    Entry("lumps", "Hydrated lumps",
+          "This picture shows lumps of aggregates in a pipe after they were pushed. The aggregates of a lump "
+          "are joined by hydrated bonds, which are much stiffer than other bonds. The eight largest lumps have "
+          "colours of their own. All other aggregates are small and pale.",
           f"warpcrete run pipe --unit A {PIPE_A} --travel 0.05 --hydration 0.1 --network --paraview --out OUT", lumps),
-    Entry("reducer", "Inside a reducer", "Speed of the concrete in a reducer that is cut open. The concrete moves as "
-          "a plug, which becomes faster.",
+    Entry("reducer", "Inside a reducer",
+          "This picture shows the speed of the concrete in a reducer that is cut open. The concrete moves as a "
+          "plug, which becomes faster.",
           REDUCER, lambda folder: None),
-    Entry("paraview", "A file for ParaView", "Concrete in a bend. The colour shows the pressure without the part "
-          "that the weight causes. The picture was drawn by VTK from two files of the run, `surface.vtkhdf` and "
-          "`walls.vtkhdf`.",
+    Entry("paraview", "A file for ParaView",
+          "This picture shows concrete in a bend. The colour is the pressure without the part that the weight "
+          "causes. The picture was drawn by VTK from two files of the run, `surface.vtkhdf` and `walls.vtkhdf`.",
           "warpcrete run part --unit bend-to-vertical --spacing 0.0125 --paraview --out OUT", surface_file),
-    Entry("profile", "Plug and slip", "Velocity over the radius of a tube. The concrete moves as a plug and slips on "
-          "the wall, as theory predicts.",
+    Entry("profile", "Plug and slip",
+          "This picture shows the velocity of concrete over the radius of a tube. The concrete moves as a plug "
+          "and slips on the wall, as theory predicts.",
           "warpcrete run tube --concrete no2 --ends periodic --out OUT",
           image("flow.png")),
-    Entry("study", "A parameter study", "Slump and spread, over the yield stress (top) and over the viscosity "
-          "(bottom). Each colour is a value of the other parameter. The two markers are slump and spread.",
+    Entry("study", "A parameter study",
+          "This picture shows slump and spread over the yield stress (top) and over the viscosity (bottom) of "
+          "the concrete. Each colour is a value of the other parameter. The two markers are slump and spread.",
           "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
           "    --spacing 0.0125 --out OUT", image("study.png")),
-    Entry("restart", "Pressure after a rest", "Pressure that starts 100 m of pipe again after a rest, by theory. The "
-          "three curves are for three rates at which the concrete stiffens at rest.",
+    Entry("restart", "Pressure after a rest",
+          "This picture shows the pressure that starts 100 m of pipe again after a rest, by theory. The three "
+          "curves are for three rates at which the concrete stiffens at rest.",
           RESTART, lambda folder: None),
 )  # fmt: skip
 
@@ -301,9 +326,9 @@ def page() -> str:
     """Return the page of the gallery."""
     lines = ["# Gallery", "", "What does warpcrete show, and which command shows it?", ""]
     lines += [
-        "`python notebooks/gallery/make.py` made every picture from the command or the lines of Python below it. The "
-        "runs are short and coarse. The whole gallery therefore takes only seven minutes on two CPU cores, and four if "
-        "all kernels have been compiled before.",
+        "Each picture of this gallery is made by the command or the lines of Python below it. The runs are short and "
+        "coarse, so that all of them together take only seven minutes on two CPU cores, and four if all kernels have "
+        "been compiled before. The command `python notebooks/gallery/make.py` makes the whole gallery.",
         "",
     ]
     for entry in ENTRIES:
@@ -311,8 +336,9 @@ def page() -> str:
         code = entry.code.replace(" --out OUT", f" --out {entry.name}")
         lines += [f"## {entry.title}", "", f"![{entry.title}]({entry.name}.png)", "", entry.says, "",
                   f"```{language}", code, "```", ""]  # fmt: skip
-    lines += ["## Not covered", "", "[Look at a run](../how-to/view.md) says how to open recordings, and "
-              "[recordings](../reference/recordings.md) lists what they contain.", ""]  # fmt: skip
+    lines += ["## Not covered", "", "The gallery does not explain recordings. The page [Look at a "
+              "run](../how-to/view.md) says how to open them, and the page [Recordings](../reference/recordings.md) "
+              "lists what they contain.", ""]  # fmt: skip
     return "\n".join(lines)
 
 

@@ -20,6 +20,7 @@ import time
 import uuid
 from pathlib import Path
 
+import numpy as np
 import psutil
 from pumping import INTERRUPTIBLE, TINY
 
@@ -179,9 +180,27 @@ def names(folder: Path) -> list[str]:
 
 
 def times(folder: Path) -> dict[str, float]:
-    """Simulated time of every result below a folder [s]: what stood at a checkpoint stays."""
-    results = {str(path.parent): json.loads(path.read_text(encoding="utf-8")) for path in folder.rglob("result.json")}
-    return {place: result["simulated_time"]["value"] for place, result in results.items()}
+    """Return the simulated time [s] from which each run below a folder would go on, by the run's place.
+
+    A run with a checkpoint goes on from it; a run without one has ended. A result.json can be ahead of the checkpoint,
+    because a checkpoint takes effect only after all results are written. A run that was interrupted before its first
+    row has a result.json without a time.
+    """
+    found = {}
+    for path in folder.rglob("result.json"):
+        result = json.loads(path.read_text(encoding="utf-8"))
+        if "simulated_time" in result:
+            found[str(path.parent)] = result["simulated_time"]["value"]
+    for path in folder.rglob("checkpoint.npz"):
+        found[str(path.parent)] = checkpoint_time(path)
+    return found
+
+
+def checkpoint_time(path: Path) -> float:
+    """Return the time of the last row in a checkpoint [s], the first column; 0 before the first row."""
+    with np.load(path, allow_pickle=False) as arrays:
+        tables = [arrays[name] for name in arrays.files if name.rpartition("/")[2] == "rows"]
+    return float(tables[0][-1, 0]) if tables and len(tables[0]) else 0.0
 
 
 def main() -> None:

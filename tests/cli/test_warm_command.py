@@ -3,12 +3,20 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
 from pumping import command
 
 from warpcrete import scenes
+from warpcrete.core.device.kernel_files import note_use
+
+
+class Module(SimpleNamespace):
+    """Stand-in for a module of Warp, of which only the files of the compiled code matter."""
+
+    __hash__ = object.__hash__
 
 
 def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkeypatch):
@@ -25,12 +33,16 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
 
 def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):
     compiled, cache = [], tmp_path / "kernels"
-    kernel = cache / "wp_a" / "a.o"
+    files = {name: cache / f"wp_{name}" / f"{name}.o" for name in ("shared", "tube", "channel", "slump")}
 
     def explain(scene, **settings):
-        compiled.append(scene.name)
-        kernel.parent.mkdir(parents=True, exist_ok=True)
-        kernel.write_bytes(b"code")
+        """Compile or load a kernel that all scenes use and one of this scene, like a run on the CPU."""
+        name = scene.name.split()[0]
+        compiled.append(name)
+        for kernel in ("shared", name):
+            files[kernel].parent.mkdir(parents=True, exist_ok=True)
+            files[kernel].write_bytes(b"code")
+            note_use(Module(execs={(None, 1): SimpleNamespace(binary_path=str(files[kernel]))}))
 
     monkeypatch.setattr("warpcrete.cli.warm.explain", explain)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(cache))
@@ -39,6 +51,9 @@ def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):
     assert compiled == ["tube", "channel"] and said.count("begins") == 2 and "ready: an earlier" not in said
     said = command("warm", "tube", "channel", "--device", "cpu").stdout
     assert len(compiled) == 2 and said.count("ready: an earlier") == 2 and said.endswith("without compiling\n")
+    # The record of a scene lists the kernels that it uses: not those of other scenes.
+    (record,) = cache.glob("warpcrete-channel-*.txt")
+    assert record.read_text(encoding="utf-8").split() == ["wp_channel/channel.o", "wp_shared/shared.o"]
     # Another scene, other code, another processor or a lost kernel need a new look.
     command("warm", "slump", "--device", "cpu")
     assert compiled[2:] == ["slump"]
@@ -46,9 +61,13 @@ def test_a_scene_that_is_ready_is_not_measured_again(tmp_path, monkeypatch):
         with monkeypatch.context() as patched:
             patched.setattr(f"warpcrete.cli.warm.{name}", value)
             command("warm", "tube", "--device", "cpu")
-    kernel.unlink()
-    command("warm", "channel", "--device", "cpu")
-    assert compiled[3:] == ["tube", "tube", "channel"]
+    assert compiled[2:] == ["slump", "tube", "tube"]
+    # The scene that comes first compiles the shared kernel for both.
+    for lost, again in (("channel", "channel"), ("shared", "tube")):
+        del compiled[:]
+        files[lost].unlink()
+        command("warm", "tube", "channel", "--device", "cpu")
+        assert compiled == [again]
 
 
 def test_each_named_scene_is_forecast_on_the_device_without_a_cache(tmp_path, monkeypatch):
@@ -78,6 +97,9 @@ def test_a_run_after_warming_compiles_nothing(tmp_path):
 
     before, said = modules_after("warm", "channel")
     assert len(before) > 10 and "channel" in said and "are ready" in said
+    # Nothing else has used this cache, so the record lists all kernels in it.
+    (record,) = tmp_path.rglob("warpcrete-channel-*.txt")
+    assert {os.path.basename(line) for line in record.read_text(encoding="utf-8").splitlines()} == before
     after, _ = modules_after("run", "channel", "--duration", "0.02", "--quiet")
     assert after == before
     assert "ready: an earlier call" in modules_after("warm", "channel")[1]

@@ -4,9 +4,9 @@ import re
 import time
 
 import pytest
+from schema_builder import text_pattern
 
 from warpcrete import SceneError
-from warpcrete.cli.schemas import text_pattern
 from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, is_customary, unit_names
 from warpcrete.mix.ingredients import mass_per_volume
 from warpcrete.mix.mix import mix_of

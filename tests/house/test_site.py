@@ -126,3 +126,12 @@ def public_names() -> list[tuple[str, object]]:
 def test_every_public_name_has_a_docstring():
     """Count a docstring that a method inherits, because it is the interface's."""
     assert not [name for name, value in public_names() if not inspect.getdoc(value)]
+
+
+@pytest.mark.parametrize(
+    "path", [*OUTER, *(PAGES / name for name in TEXTS)], ids=lambda p: p.relative_to(ROOT).as_posix()
+)
+def test_no_list_item_is_inside_another(path):
+    """Find items that a re-wrapped paragraph has swallowed, so that a reader sees their dash or number as text."""
+    text = without_code(path.read_text(encoding="utf-8"))
+    assert not re.findall(r"[.;] - [A-Za-z*`].*|[.)] [2-9]\. [A-Z*`].*", text)

@@ -27,7 +27,7 @@ from warpcrete.mps.grid.distances import polygon_distance, wall_distance
 from warpcrete.mps.grid.filling import fill_cells
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, Room, geometry_of, nearest_wall
-from warpcrete.mps.grid.layout import GridLayout
+from warpcrete.mps.grid.layout import GridLayout, Motion
 from warpcrete.mps.grid.state import GridState
 from warpcrete.scenes import modules
 from warpcrete.standards import FUNNEL, L_BOX
@@ -144,6 +144,15 @@ def test_a_flat_wall_anywhere_in_its_cells_rubs_on_all_of_it(axis, off):
     for along in range(3):
         if along != axis:
             assert wall_stiffness[along] == pytest.approx(layer * (n * h) ** 2, rel=1e-6)
+
+
+def test_a_gate_and_moving_walls_exclude_each_other():
+    """Faces that a gate covers count as closed by a standing wall, even after the gate has opened."""
+    gated = free_layout(scenes.lbox(**OWN, spacing=0.025))
+    motion = Motion((0.1, 0.0))
+    with pytest.raises(ValueError, match=r"cannot have both a gate \('opened'\) and moving walls \('motions'\)"):
+        dataclasses.replace(gated, motions=(motion,))
+    assert dataclasses.replace(gated, opened=None, motions=(motion,)).motions == (motion,)
 
 
 def test_what_flows_into_a_cut_cell_flows_out(device):
@@ -419,6 +428,31 @@ def test_bars_of_an_l_box_leave_the_gaps_of_the_standard(bars, middles):
     walls = scenes.lbox(bars=bars, bar_diameter=0.012, spacing=0.008).walls
     found = sorted(float(np.ptp(wall.vertices[:, 1]) / 2 + wall.vertices[:, 1].min()) for wall in walls)
     assert found == pytest.approx(middles, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name, given, litres",
+    [
+        ("slump", {"spacing": 0.0125}, 1e3 * math.pi / 12 * 0.3 * (0.01 + 0.02 + 0.04)),
+        ("jring", {"spacing": 0.012}, 1e3 * math.pi / 12 * 0.3 * (0.01 + 0.02 + 0.04)),
+        ("lcpc", {"spacing": 0.025}, 6.0),
+        ("lbox", {"spacing": 0.025}, 12.0),
+        ("funnel", {"spacing": 0.015}, 75 * (0.45 * (0.515 + 0.065) / 2 + 0.15 * 0.065)),
+    ],
+)
+def test_the_reported_volume_is_that_of_the_whole_vessel(name, given, litres):
+    """Halves and quarters that are simulated count fully; round and slanted walls cut particles (0.94 % at most)."""
+    simulation = FreeSimulation(getattr(scenes, name)(**given), device="cpu")
+    simulation.flow = simulation.place_flow()
+    found = simulation.sizes()["volume"]
+    assert found["unit"] == "m3" and 1e3 * found["value"] == pytest.approx(litres, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["slump", "jring", "lcpc", "lbox", "funnel"])
+def test_a_vessel_refuses_a_slip_layer_with_a_thickness(name):
+    """The thickness would not change the vessel: cells represent all of it."""
+    with pytest.raises(SceneError, match=r"^slip_thickness = 0\.004: must be 0, because the cells represent the whole"):
+        getattr(scenes, name)(concrete="no1", slip_thickness=4e-3)
 
 
 def test_half_of_a_funnel_is_computed():

@@ -18,6 +18,7 @@ from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
 from warpcrete.studies.calibration.posterior import Posterior, confounded_pairs, posterior
 from warpcrete.studies.calibration.report import concrete_of
+from warpcrete.studies.calibration.starts import START_CANDIDATES, closed_form_start, closed_forms
 from warpcrete.studies.calibration.targets import FreeParameter, Target, Task, read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
 
@@ -396,3 +397,28 @@ def test_progress_grows_to_the_last_verification_run(tmp_path, monkeypatch):
     # The closed form of the likeliest parameters stands beside the runs, which here come from closed forms as well.
     (target,) = found.task.targets
     assert found.closed_forms[target] == pytest.approx(found.verification_values(target)[0], rel=1e-9)
+
+
+def test_closed_forms_that_choose_the_start_share_the_scenes_of_their_targets(monkeypatch):
+    """Pressure and slip velocity of one flow come from one scene, and a target that is held out needs none."""
+    true = {"slip_viscosity": 900.0}
+    raw = task(("slip_viscosity",), *(asked(tube(1.5e-3), name, 1.0) for name in ("pressure", "slip_velocity")),
+               asked(tube(3e-3), "pressure", 1.0, held_out=True))  # fmt: skip
+    for target in raw["targets"]:
+        target["parameters"]["slip_yield"] = 10.0
+    for target, value in zip(raw["targets"], truth_of(raw, true)):
+        target["value"] = value
+    here, module, made = task_of(raw, modules()), modules()["tube"], []
+
+    def counted(scene):
+        made.append(round(math.pi * scene.radius**2 * scene.velocity, 9))
+        return method_of(scene)
+
+    monkeypatch.setattr("warpcrete.studies.calibration.starts.method_of", counted)
+    (start,) = closed_form_start(here, {"tube": module})
+    assert made == START_CANDIDATES * [1.5e-3]
+    # The candidates are evenly spread over the logarithm of the range: the best is one of those next to the truth.
+    (best,) = here.places(true)
+    assert abs(start[0] - best) < 1 / START_CANDIDATES
+    assert [target.held_out for target in closed_forms(here, start, {"tube": module})] == [False, False, True]
+    assert made[START_CANDIDATES:] == [1.5e-3, 3e-3]

@@ -15,7 +15,7 @@ from warpcrete.studies.lines.fit import fit_line
 from warpcrete.studies.lines.fit_report import fit_lines
 from warpcrete.studies.lines.fittings import library_factor
 from warpcrete.studies.lines.losses import line_of, with_layer_factor
-from warpcrete.studies.lines.taps import Tap, read_taps
+from warpcrete.studies.lines.taps import Tap, foreign_columns, read_taps
 from warpcrete.studies.lines.theory_line import line_by_theory
 from warpcrete.theory.fits import student_t
 from warpcrete.theory.pipe import Concrete
@@ -111,18 +111,22 @@ def test_a_layer_without_yield_stress_stays_without():
     """Pressures that a straight line extends below zero give a yield stress of 0, and the viscosity that then fits."""
     plain = line_of({"diameter": "125 mm", "parts": [{"straight": 150}]})
     points = [Tap(0, bar * 1e5, flow / 3600, 2) for bar, flow in ((11, 30), (17, 45), (22.3, 60))]
-    fit = by_scatter(plain, replace(TRUE, viscosity=1e6, yield_stress=1e9), points)
+    fit = fit_line(plain, replace(TRUE, viscosity=1e6, yield_stress=1e9), points)
     speeds = np.array([x.flow for x in points]) / (np.pi * 0.0625**2)
     stresses = np.array([x.pressure for x in points]) * 0.0625 / 2 / 150
     assert np.polyfit(speeds, stresses, 1)[1] < 0
     assert fit.constants[1].value == pytest.approx(0.0, abs=1e-6)
     assert fit.constants[0].value == pytest.approx(speeds @ stresses / (speeds @ speeds), rel=1e-3)
+    text = "\n".join(fit_lines(fit, plain))
+    assert "slip yield 0 Pa (fitted without it, because the points would give a negative one)" in text
+    # The gauge has one error of 4 % at all flows, which is 19 Pa at the wall. The layer may have this yield stress.
+    assert fit.knows_yield and fit.yield_layers[1][1] == pytest.approx(0.04 * stresses.max(), rel=0.01)
 
 
 def test_a_fitted_factor_has_its_band_in_the_result():
     fit = by_scatter(LINE, GUESS, taps(noise=5e3, parts=(0, 1, 3, 4)))
     found = line_by_theory(fit.line(LINE), fit.concrete(GUESS), 0.01, variants=fit.variants(GUESS), fit=fit)
-    assert set(found.band().shares) == {"slip layer", "bends", "hoses"}
+    assert set(found.band().shares) == {"slip layer", "yield stress of the slip layer", "bends", "hoses"}
     assert found.losses[1].range == (fit.constants[2].low, fit.constants[2].high)
     assert found.record()["fit"]["constants"]["factor of bends"]["value"] == fit.constants[2].value
 
@@ -193,6 +197,8 @@ def test_foreign_columns_are_ignored_and_named_in_one_remark(tmp_path):
     assert done.exit_code == other.exit_code == 0, done.output
     remark = "ignored columns of taps.csv, which a fit does not use: gauge no., time\n"
     assert done.output.count(remark) == 1 and "ignored columns" not in other.output
+    path.write_text("place [m],pressure [bar],flow [m3/h],\n0,30,20,\n60,22,20,\n", encoding="utf-8")
+    assert foreign_columns(path) == [] and read_taps(path, LINE) == read_taps(plain, LINE)
 
 
 def test_the_command_fits_a_trial_line(tmp_path):
@@ -294,8 +300,10 @@ def test_a_fit_pasted_into_any_file_of_a_concrete_gives_its_own_pressure(tmp_pat
     band = [] if mix else ["--layer-factor", fitted.split("--layer-factor ")[1].split()[0]]
     again = CliRunner().invoke(cli, [*call, *band], catch_exceptions=False).output
     pattern = r"pressure at the pump ([0-9.]+) bar .*; ([0-9.]+) to ([0-9.]+) bar"
-    spans = [[float(x) for x in re.search(pattern, text).groups()] for text in (fitted, again)]
-    assert spans[1] == pytest.approx(spans[0], rel=2e-3)
+    own, later = ([float(x) for x in re.search(pattern, text).groups()] for text in (fitted, again))
+    assert later[0] == pytest.approx(own[0], rel=2e-3)
+    # A pasted layer has the uncertainty at other flows, which is larger. Measured: 1.1 % at either end of the band.
+    assert 0.98 * own[1] < later[1] < 1.002 * own[1] and 0.998 * own[2] < later[2] < 1.02 * own[2]
 
 
 def test_the_text_of_a_fit_names_every_tap():

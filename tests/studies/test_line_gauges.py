@@ -99,7 +99,10 @@ def test_gauges_that_agree_by_chance_keep_the_error_of_a_gauge():
 
 
 def test_a_pasted_fit_gives_the_band_of_the_fit(tmp_path):
-    """The gauges contradict each other, so that the band is wide."""
+    """The gauges contradict each other, so that the band is wide.
+
+    The printed layer states the uncertainty at other flows, and the line below it that at the measured flow.
+    """
     ticket = {"parts": {"cement": 320, "fly ash": 60, "water": 175, "sand": 780, "gravel": 1020}, "slump": "200 mm"}
     (tmp_path / "taps.csv").write_text(
         "place [m],pressure [bar],flow [m3/h]\n5,52,35\n80,12,35\n5,40,20\n80,9,20\n", encoding="utf-8"
@@ -112,12 +115,20 @@ def test_a_pasted_fit_gives_the_band_of_the_fit(tmp_path):
     done = CliRunner().invoke(cli, [*call, str(tmp_path / "one"), "--fit", str(tmp_path / "taps.csv")])
     assert done.exit_code == 0, done.output
     layer = yaml.safe_load(next(x for x in done.output.splitlines() if x.strip().startswith("layer: {")))
-    (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": {**ticket, **layer}}), encoding="utf-8")
-    again = CliRunner().invoke(cli, [*call, str(tmp_path / "two")])
-    assert again.exit_code == 0, again.output
-    first, second = (json.loads((tmp_path / x / "line.json").read_text(encoding="utf-8")) for x in ("one", "two"))
-    for key in ("pressure", "pressure_low", "pressure_high"):
-        assert second[key]["value"] == pytest.approx(first[key]["value"], rel=2e-3)
+    at_flow = {
+        **layer["layer"],
+        "uncertainty": done.output.split("At the measured flow alone, it is ")[1].split(".\n")[0],
+    }
+    for name, own in (("other flows", layer["layer"]), ("this flow", at_flow)):
+        (tmp_path / "mix.yaml").write_text(yaml.safe_dump({"mix": {**ticket, "layer": own}}), encoding="utf-8")
+        again = CliRunner().invoke(cli, [*call, str(tmp_path / name)])
+        assert again.exit_code == 0, again.output
+    found = [json.loads((tmp_path / x / "line.json").read_text(encoding="utf-8"))
+             for x in ("one", "this flow", "other flows")]  # fmt: skip
+    first, same, wider = ([each[x]["value"] for x in ("pressure_low", "pressure", "pressure_high")] for each in found)
+    # The error of the yield stress adds 0.5 % at 35 m3/h, which is not the mean flow of the gauges.
+    assert same == pytest.approx(first, rel=6e-3)
+    assert wider[0] < first[0] and wider[1] == pytest.approx(first[1], rel=2e-3) and wider[2] > first[2]
 
 
 def test_the_error_of_the_gauges_is_an_option(tmp_path):

@@ -87,7 +87,8 @@ def test_an_assumed_growth_is_judged_at_the_highest_published_rate_too(tmp_path)
     assert (f"at 1.7 Pa/s, the highest published rate, up to {high / 1e5:.4g} bar; in that case move the concrete at "
             f"least every {longest // 60:.0f} min") in margin.sentence()  # fmt: skip
     assert margin.longest_sentence().endswith(f"{margin.longest // 60:.0f} min (at 1.7 Pa/s: {longest // 60:.0f} min)")
-    assert found.record()["restart"]["fast_growth"]["longest_stop"]["value"] == longest
+    fast = found.record()["restart"]["fast_growth"]
+    assert fast["longest_stop"]["value"] == longest and fast["bearable_growth"]["value"] == margin.fast.bearable
     assert "these bands assume a growth of 0.1 to 1 Pa/s" in "\n".join(lines_of(found))
     assert "these bands assume" not in "\n".join(lines_of(stated))
     enough = result(tmp_path, 300, 1200.0, assumed=((0.1, 1.0), 1.7)).restart_margin.sentence()

@@ -7,9 +7,10 @@ from pathlib import Path
 import jsonschema
 import pytest
 from click.testing import CliRunner
+from schema_builder import schemas
 
 from warpcrete.cli.main import cli
-from warpcrete.cli.schemas import FOLDER, schemas
+from warpcrete.cli.schemas import FOLDER
 from warpcrete.cli.texts import CALIBRATE_HELP, LINE_HELP
 from warpcrete.core.errors import SceneError
 from warpcrete.core.inputs.concretes import concrete, shipped

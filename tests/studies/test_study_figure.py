@@ -12,6 +12,7 @@ from warpcrete.core.inputs.amounts import written_unit
 from warpcrete.core.run.method import Quantity
 from warpcrete.core.units import rounded
 from warpcrete.studies.cases import Case
+from warpcrete.studies.drawing import THEORY_POINTS
 from warpcrete.studies.study import written_units
 from warpcrete.studies.study_result import Study
 from warpcrete.theory.pipe import CONCRETES, Line, steady
@@ -121,3 +122,28 @@ def test_a_mean_of_some_of_the_runs_says_so(tmp_path):
     head, first, second = (tmp_path / "study.csv").read_text(encoding="utf-8").splitlines()
     assert head.split(",")[-4:] == ["pressure_runs", "runs", "failed", "suspect"]
     assert first.split(",")[-4:] == ["2", "3", "0", "0"] and second.split(",")[-4:] == ["", "1", "0", "0"]
+
+
+def test_quantities_by_theory_share_their_scenes(tmp_path, monkeypatch):
+    """A closed form returns all quantities of a scene at once, so a series needs one scene for each of its points."""
+    study, tube = flows_of(tmp_path), importlib.import_module("warpcrete.scenes.tube")
+    study.quantities += [Quantity(n, "Pa/m", lambda k: None, compared=True) for n in ("gradient", "gradient_theory")]
+    for result in study.results.values():
+        result |= {name: {"value": 1e4, "unit": "Pa/m"} for name in ("gradient", "gradient_theory")}
+    made, scene = [], tube.scene
+
+    def counted(**given):
+        made.append(given["flow"])
+        return scene(**given)
+
+    monkeypatch.setattr(tube, "scene", counted)
+    figure = study.plot(x="flow")
+    dashed = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == "--"]
+    series = {label: [line.get_xdata() for line in dashed[k::2]] for k, label in enumerate(("25 Pa", "100 Pa"))}
+    assert len(dashed) == 4 and len(made) == len(series) * THEORY_POINTS
+    # The two series have other flows, since the last case of the first one failed; both quantities have the same.
+    assert all(np.array_equal(*lines) for lines in series.values())
+    whole = [steady(replace(CONCRETES["no1"], yield_stress=25.0), Line(), flow / 3600) for flow in series["25 Pa"][0]]
+    assert dashed[0].get_ydata() * 1e3 == pytest.approx([each.pressure for each in whole])
+    # The gradient is 2 tau / R with the wall stress tau.
+    assert dashed[2].get_ydata() * 1e3 == pytest.approx([2 * each.wall_stress / Line().radius for each in whole])

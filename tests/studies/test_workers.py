@@ -4,11 +4,12 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
-from pumping import command
+from pumping import command, wait_until
 
 from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
 from warpcrete.studies import running
@@ -43,6 +44,54 @@ def test_workers_answer_fail_and_die_without_harm_to_one_another():
         assert crew.run((HERE, "add"), (1, 1)) == (2, True)
         processes = [worker._process for worker in crew._workers]
     assert all(process.poll() is not None for process in processes)
+
+
+@pytest.mark.posix
+def test_sigterm_in_a_worker_stops_all_workers():
+    """A job that hears of it ends with its own result; a worker that is killed while it starts has none."""
+    with ThreadPoolExecutor(2) as pool, WorkerPool() as crew:
+        assert crew.run((HERE, "add"), (1, 1)) == (2, False)
+        (idle,) = crew._workers
+        waiting = pool.submit(crew.run, (HERE, "wait_for_stop"), ())
+        wait_until(lambda: not crew._idle, 30)
+        other = pool.submit(crew.run, (HERE, "wait_for_stop"), ())
+        wait_until(lambda: len(crew._workers) == 2 and crew._workers[1]._ready, 30)
+        assert not crew.stopping
+        idle._process.terminate()
+        assert waiting.result(timeout=30) == other.result(timeout=30) == "stopped"
+        assert crew.terminated and crew.stopping and idle._process.wait(timeout=30) == 0
+    with ThreadPoolExecutor(1) as pool, WorkerPool() as crew:
+        begun = pool.submit(crew.run, (HERE, "add"), (1, 1))
+        while not crew._workers:  # Its imports take longer than the pauses of `wait_until`.
+            time.sleep(1e-3)
+        crew._workers[0]._process.terminate()
+        assert begun.result(timeout=30) is None and crew.terminated
+    with ThreadPoolExecutor(1) as pool, WorkerPool() as crew:
+        deaf = pool.submit(crew.run, (HERE, "sleep"), ())
+        wait_until(lambda: crew._workers and crew._workers[0]._ready, 30)
+        # The first SIGTERM asks a worker to end, the second one ends it.
+        wait_until(lambda: deaf.done() or crew._workers[0]._process.terminate(), 30)
+        assert deaf.result() is None and crew.terminated and crew._workers[0]._process.wait() == -signal.SIGTERM
+
+
+@pytest.mark.posix
+def test_a_study_ends_after_sigterm_in_a_worker_and_continues(tmp_path):
+    """The signal arrives during the first case, as from a batch system that ends all processes of a job."""
+    before = """
+import threading, time, psutil, pathlib
+def end():
+    while not any(path.read_text().count("\\n") > 3 for path in pathlib.Path(sys.argv[1]).glob("001-*/series.csv")):
+        time.sleep(0.01)
+    print(len([child.terminate() for child in psutil.Process().children()]), "processes", flush=True)
+threading.Thread(target=end, daemon=True).start()
+"""
+    out = tmp_path / "study"
+    done = script(tmp_path, "file", out, "processes=1", before.strip(), duration=0.4)
+    assert "interrupted, because a worker process received SIGTERM\n" in done.stderr, done.stdout + done.stderr
+    assert "1 processes" in done.stdout and "0 of 2 cases done" in done.stdout and "Traceback" not in done.stderr
+    assert (out / "001-flow=0.001" / "checkpoint.npz").is_file() and not (out / "002-flow=0.002").exists()
+    again = command("study", "--resume", out, "--quiet")
+    assert again.returncode in (0, 3) and "2 of 2 cases done;" in again.stdout, again.stdout + again.stderr
 
 
 def test_a_worker_that_cannot_start_is_no_fault_of_a_case(monkeypatch):
@@ -94,14 +143,14 @@ SCRIPT = """\
 import os, sys
 import warpcrete
 {before}
-study = warpcrete.study(warpcrete.scenes.channel, vary={{"flow": [1e-3, 2e-3]}}, spacing=0.02, duration=0.012,
+study = warpcrete.study(warpcrete.scenes.channel, vary={{"flow": [1e-3, 2e-3]}}, spacing=0.02, duration={duration},
                         sample_interval=4e-3, device="cpu", out=sys.argv[1], {settings})
 print(study)
 """
 
 
-def script(tmp_path, how, out, settings, before=""):
-    text = SCRIPT.format(settings=settings, before=before)
+def script(tmp_path, how, out, settings, before="", duration=0.012):
+    text = SCRIPT.format(settings=settings, before=before, duration=duration)
     file = tmp_path / "script.py"
     file.write_text(text, encoding="utf-8")
     return subprocess.run(

@@ -1,7 +1,5 @@
 """Option `--accuracy` of `warpcrete run`: settings chosen from a measured trade-off of speed and accuracy."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

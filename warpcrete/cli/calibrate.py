@@ -1,7 +1,5 @@
 """Command `warpcrete calibrate`: parameters of a concrete from measured quantities."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Completion of option values in a shell: names of concretes, pump lines, devices and so on, and units of amounts."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 

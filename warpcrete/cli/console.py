@@ -1,7 +1,5 @@
 """Preparation of the command line's output streams for terminals that cannot show all characters."""
 
-from __future__ import annotations
-
 import io
 import sys
 

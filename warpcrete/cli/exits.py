@@ -1,7 +1,5 @@
 """Exit codes of the `warpcrete` command for failed checks and for interrupted runs."""
 
-from __future__ import annotations
-
 CHECK_FAILED = 3
 """Exit code of a finished run that failed one of the scene's checks."""
 INTERRUPTED = 130

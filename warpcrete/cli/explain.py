@@ -1,7 +1,5 @@
 """Command `warpcrete explain`: memory, time step and run time of a scene before it runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Help pages: `--help` shows the common options of a command, and `--help-all` shows all options in groups."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import click

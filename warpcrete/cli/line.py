@@ -4,8 +4,6 @@ This module does not import the simulations, because they take longer to load th
 `line_simulated` imports them, and is loaded only when a simulation is requested.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Probability that the narrowest part of a line is blocked, for `warpcrete line --blocking`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

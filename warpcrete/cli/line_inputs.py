@@ -1,7 +1,5 @@
 """Line and concrete of the command `warpcrete line`: from files, or from a few options alone."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Run the simulations of `warpcrete line` by flows, by discrete elements, or by both, and print their results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The `warpcrete` command and its subcommands; the other modules of this package do most of the work."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal
@@ -15,7 +13,7 @@ import click
 from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
 from .console import prepare_streams
 from .help_pages import GroupedCommand, full_help_option
-from .option_types import DEVICE, FLOW, GROWTH, LENGTH, POWER, PRESSURE, TIME, Completed
+from .option_types import DEVICE, FLOW, GROWTH, LENGTH, PATH, POWER, PRESSURE, TIME, Completed
 from .scene_commands import LazyGroup, WordCommand, by_method, load, scenes, titles
 from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
 
@@ -44,7 +42,7 @@ def list_scenes() -> None:
 
 
 @cli.group("run", cls=LazyGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
-@click.option("--resume", type=click.Path(path_type=Path), help="Continue the interrupted run in this folder")
+@click.option("--resume", type=PATH, help="Continue the interrupted run in this folder")
 @click.option(
     "--live", is_flag=False, flag_value="spawn", help="With --resume: watch the run in a Rerun viewer, as for a scene"
 )
@@ -85,26 +83,14 @@ class TheoryCommand(GroupedCommand):
 
 
 @cli.command("theory", cls=TheoryCommand, context_settings={"max_content_width": 110})
-@click.option(
-    "--flow",
-    type=FLOW,
-    multiple=True,
-    help="Volume flow [m3/s], or with a unit such as '35 m3/h'; may be repeated  [default: 0.0015]",
-)
-@click.option(
-    "--pressure",
-    type=PRESSURE,
-    multiple=True,
-    help="Pressure [Pa], or with a unit such as '50 bar', for which the flow is computed; may be repeated",
-)
-@click.option("--fit", type=click.Path(path_type=Path), help="CSV file of flows and pressures measured in this pipe, "
+@click.option("--flow", type=FLOW, multiple=True, help="Volume flow [m3/s], or with a unit such as '35 m3/h'; may be "
+              "repeated  [default: 0.0015]")  # fmt: skip
+@click.option("--pressure", type=PRESSURE, multiple=True, help="Pressure [Pa], or with a unit such as '50 bar', for "
+              "which the flow is computed; may be repeated")  # fmt: skip
+@click.option("--fit", type=PATH, help="CSV file of flows and pressures measured in this pipe, "
               "with a first line such as 'flow [m3/h],pressure [bar]', to which the slip layer is fitted")  # fmt: skip
-@click.option(
-    "--rest",
-    type=TIME,
-    help="Time that the concrete has stood still [s], or with a unit such as '10 min'; adds the "
-    "pressure of the restart",
-)
+@click.option("--rest", type=TIME, help="Time that the concrete has stood still [s], or with a unit such as '10 min'; "
+              "adds the pressure of the restart")  # fmt: skip
 @click.option("--thixotropy", type=GROWTH, help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
 @click.option("--segregation", multiple=True, help="Difference of the aggregate's share between the outer "
               "and the inner half of the radius, divided by its mean share; adds its effect on the pressure; may be "
@@ -136,7 +122,7 @@ def theory(
 
 
 @cli.command("view")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @click.option("--web", is_flag=True, help="Show it in a browser, at the printed address, until Ctrl-C; the default "
               "on a machine without a screen")  # fmt: skip
 @click.option("--bind", default="127.0.0.1", show_default=True, help="IP address that the viewer listens on; 0.0.0.0 "
@@ -173,7 +159,7 @@ def warm_command(scene: tuple[str, ...], device: str | None) -> None:
 @click.option("--only", default="", help="Run only the cases whose name or group contains this text")
 @click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
 @click.option("--extremes", is_flag=True, help="Also run a matrix of scenes with extreme parameters")
-@click.option("--out", type=click.Path(path_type=Path), help="New folder for verification.md and verification.png")
+@click.option("--out", type=PATH, help="New folder for verification.md and verification.png")
 def verify(**settings: Any) -> None:
     """Compare results with published and closed-form answers, in one table and one figure.
 
@@ -183,21 +169,15 @@ def verify(**settings: Any) -> None:
 
 
 @cli.command("validate")
-@click.option(
-    "--kind",
-    type=Completed("kinds"),
-    multiple=True,
-    help="Compare only this kind of measurement, such as pipe or slump; repeatable",
-)
+@click.option("--kind", type=Completed("kinds"), multiple=True, help="Compare only this kind of measurement, such as "
+              "pipe or slump; repeatable")  # fmt: skip
 @click.option("--quick", is_flag=True, help="Use closed forms only, and simulate no flow")
-@click.option(
-    "--cases", type=click.Path(path_type=Path), help="File of your own measured cases  [default: the shipped ones]"
-)
+@click.option("--cases", type=PATH, help="File of your own measured cases  [default: the shipped ones]")
 @click.option("--every", is_flag=True, help="Also print the table of all cases")
 @click.option(
     "--device", type=DEVICE, help="Device of the simulations: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"
 )
-@click.option("--out", type=click.Path(path_type=Path), help="New folder for the tables and validation.png")
+@click.option("--out", type=PATH, help="New folder for the tables and validation.png")
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def validate_command(**settings: Any) -> None:
     """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
@@ -220,12 +200,10 @@ def validate_command(**settings: Any) -> None:
 )
 @click.option("--only", multiple=True, help="With zhan: run only one column ('stiff stones', 'yielding layer' ...) or "
               "row (units, velocity ...) of the report; may be repeated  [default: all]")  # fmt: skip
-@click.option("--known", multiple=True, type=click.Path(path_type=Path), help="Folder of an earlier reproduction "
+@click.option("--known", multiple=True, type=PATH, help="Folder of an earlier reproduction "
               "whose results are reused; may be repeated")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), help="New folder  [default: runs/reproduce-PAPER-NNN]")
-@click.option(
-    "--resume", type=click.Path(path_type=Path), help="Continue the reproduction in this folder; finished runs are kept"
-)
+@click.option("--out", type=PATH, help="New folder  [default: runs/reproduce-PAPER-NNN]")
+@click.option("--resume", type=PATH, help="Continue the reproduction in this folder; finished runs are kept")
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option(
     "--processes", type=click.IntRange(1, 1024), help="Number of parallel processes on a CPU  [default: one per core]"
@@ -251,14 +229,10 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--concrete", type=Completed("concretes"), help="Concrete, instead of the line's: no1, no2, no3, or a "
               "file with a section 'flow'; with --method dem, zhan or another concrete of 'pipe'")  # fmt: skip
 @click.option("--flow", type=FLOW, help="Volume flow, instead of the line's, such as '30 m3/h'")
-@click.option(
-    "--simulate",
-    is_flag=True,
-    help="Simulate each kind of part as a flow, which takes seconds to minutes, instead of the answer by theory and "
-    "by factors of earlier simulations",
-)
+@click.option("--simulate", is_flag=True, help="Simulate each kind of part as a flow, which takes seconds to minutes, "
+              "instead of the answer by theory and by factors of earlier simulations")  # fmt: skip
 @click.option("--theory", is_flag=True, help="Answer by theory, as without --simulate")
-@click.option("--fit", type=click.Path(path_type=Path), help="CSV file of pressures along a trial line, with a first "
+@click.option("--fit", type=PATH, help="CSV file of pressures along a trial line, with a first "
               "line such as 'place [m],pressure [bar],flow [m3/h]', to which the slip layer and the factor of bends "
               "are fitted")  # fmt: skip
 @click.option("--gauge", help="Error limit of the gauges of --fit, as '1 bar' or in % of the largest pressure  "
@@ -278,29 +252,17 @@ def reproduce_command(**settings: Any) -> None:
               "is 0.3 of the narrowest bore]")  # fmt: skip
 @click.option("--stiffer", type=float, default=5.0, show_default=True, help="Factor on the modulus of the elements: "
               "stiff elements need more steps, soft elements stay compressed for longer")  # fmt: skip
-@click.option(
-    "--seeds",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Number of random packings of elements, whose scatter gives a band",
-)
-@click.option("--out", type=click.Path(path_type=Path), help="New folder for the result  [default: runs/line-NNN for "
+@click.option("--seeds", type=int, default=1, show_default=True, help="Number of random packings of elements, whose "
+              "scatter gives a band")  # fmt: skip
+@click.option("--out", type=PATH, help="New folder for the result  [default: runs/line-NNN for "
               "a simulation, none for an answer by theory]")  # fmt: skip
-@click.option("--known", type=click.Path(path_type=Path), help="Folder of an earlier line, finished or interrupted, "
+@click.option("--known", type=PATH, help="Folder of an earlier line, finished or interrupted, "
               "whose runs of the same parts are reused")  # fmt: skip
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
-@click.option(
-    "--threads",
-    type=click.IntRange(1, 1024),
-    help="Number of threads on a CPU, up to the number of cores  [default: all cores]",
-)
-@click.option(
-    "--rest",
-    type=TIME,
-    help="Time that the full line has stood still [s], or with a unit such as '10 min'; adds the "
-    "theoretical pressure of the restart",
-)
+@click.option("--threads", type=click.IntRange(1, 1024), help="Number of threads on a CPU, up to the number of cores  "
+              "[default: all cores]")  # fmt: skip
+@click.option("--rest", type=TIME, help="Time that the full line has stood still [s], or with a unit such as '10 "
+              "min'; adds the theoretical pressure of the restart")  # fmt: skip
 @click.option("--thixotropy", type=GROWTH, help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5, "
               "and a band of 0.1 to 1]")  # fmt: skip
 @click.option("--pump-pressure", type=PRESSURE, help="Largest pressure of the pump on the concrete, from its data "
@@ -318,9 +280,7 @@ def line_command(line: str | None, **settings: Any) -> None:
 
 @cli.command("mix", help=MIX_HELP)
 @click.argument("name", metavar="MIX", type=Completed("mixes"))
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Write the resulting concrete to this new file, for --concrete"
-)
+@click.option("--out", type=PATH, help="Write the resulting concrete to this new file, for --concrete")
 @click.option("--bore", type=LENGTH, help="Narrowest bore through which the concrete is pumped, such as '100 mm', "
               "for the rule on the largest stone")  # fmt: skip
 def mix_command(name: str, out: Path | None, bore: str | None) -> None:

@@ -1,7 +1,5 @@
 """Command `warpcrete mix`: properties that follow from a mix, and a file that states them instead of the mix."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -29,12 +27,8 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
         positive("bore", wide, "m")
         check_limit("bore", wide, "m", "diameter")
     if out is not None and (out.exists() or out.suffix not in (".yaml", ".yml")):
-        refuse(
-            "out",
-            str(out),
-            "must be the path of a .yaml file that does not exist yet",
-            "choose another name, ending in .yaml",
-        )
+        problem = "must be the path of a .yaml file that does not exist yet"
+        refuse("out", str(out), problem, "choose another name, ending in .yaml")
     mix = read_mix(name)
     concrete = plain(name, mix)
     click.echo(f"{mix.name}{f' ({mix.source})' if mix.source else ''}\n")

@@ -1,7 +1,5 @@
 """Functions that read option values with units, such as '10 min', without importing the simulations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..core.errors import refuse

@@ -1,6 +1,6 @@
 """Types of options whose values the shell completes; the values are listed only when the shell asks for them."""
 
-from __future__ import annotations
+from pathlib import Path
 
 import click
 from click.shell_completion import CompletionItem
@@ -26,5 +26,6 @@ class Completed(click.ParamType):
 
 
 DEVICE = Completed("devices")
+PATH = click.Path(path_type=Path)
 LENGTH, TIME, PRESSURE, POWER = (Completed("amounts", unit) for unit in ("m", "s", "Pa", "W"))
 FLOW, GROWTH = Completed("amounts", "m3/s"), Completed("amounts", "Pa/s")

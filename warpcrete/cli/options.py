@@ -1,7 +1,5 @@
 """Command-line options that are built from declared parameters, and options that every run has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, replace
 from pathlib import Path

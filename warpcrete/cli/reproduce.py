@@ -1,7 +1,5 @@
 """Command `warpcrete reproduce`: repeats the runs of a paper and compares the results."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Command `warpcrete run`: simulates a scene into a run folder and prints a report, or continues an interrupted run."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Iterable
@@ -148,8 +146,8 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
     source = settings["pipeline_other"]
     if all(value is None for value in lengths.values()):
         if source is not None:
-            refuse("pipeline_other", str(source), "needs the lengths of the whole pipeline",
-                   "set 'pipeline_vertical', 'pipeline_horizontal' or both")  # fmt: skip
+            problem = "needs the lengths of the whole pipeline"
+            refuse("pipeline_other", str(source), problem, "set 'pipeline_vertical', 'pipeline_horizontal' or both")
         return None
     other = read_json(Path(source) / "result.json") if source is not None else None
     check_pipeline(scene, other, source)

@@ -1,7 +1,5 @@
 """Subcommands `run SCENE` and `run RUN/scene.json`; their options are built only when such a subcommand is used."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """Command `warpcrete study`: runs a scene for all combinations of parameter values and prints a table."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -61,7 +59,7 @@ def run(
     # The fit below replaces the constants of the slip layer, so missing constants get the value 1 until then.
     if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
-    concrete = concrete_of(values["concrete"], **constants)
+    concrete = concrete_of(values["concrete"], thickness, **constants)
     for flow in flows:
         check_velocity("flow", flow, 4 * flow / (math.pi * values["diameter"] ** 2))
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
@@ -87,9 +85,8 @@ def _share(given: float | None, name: str) -> float:
         return given
     mix = mix_named(name)
     if mix is None or mix.given.share is None:
-        refuse("aggregate", None, "must be given for --segregation, because the concrete does not state its share of "
-                                  "aggregate",
-               "add, for example, --aggregate 0.36")  # fmt: skip
+        problem = "must be given for --segregation, because the concrete does not state its share of aggregate"
+        refuse("aggregate", None, problem, "add, for example, --aggregate 0.36")
     return mix.given.share
 
 

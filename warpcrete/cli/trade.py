@@ -1,7 +1,5 @@
 """Command `warpcrete trade`: trade-off between speed and accuracy of a scene, measured within a limited time."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

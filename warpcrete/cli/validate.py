@@ -1,7 +1,5 @@
 """Command `warpcrete validate`: blind predictions next to measurements."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """Command `warpcrete verify`: comparison of results with published and closed-form answers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """Command `warpcrete warm`: compile the kernels of scenes before their first run."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time
@@ -15,15 +13,13 @@ import warp as wp
 from .. import kernels
 from .. import scenes as scene_package
 from ..core.device.device import default_threads, find_device
+from ..core.device.kernel_files import kernel_files
 from ..core.errors import RunFolderError
 from ..core.run.files import atomic_file
 from ..core.run.provenance import provenance
 from ..methods import method_of
 from ..studies.tradeoffs.explain import explain
 from .options import check_scene
-
-COMPILED = (".o", ".cubin", ".ptx")
-"""Suffixes of the files in Warp's cache that hold compiled kernels."""
 
 
 def run(names: tuple[str, ...], modules: dict[str, Any], device: str | None) -> None:
@@ -46,15 +42,16 @@ def run(names: tuple[str, ...], modules: dict[str, Any], device: str | None) -> 
         click.echo(f"{name:12s} begins; each kernel that is not in the cache is compiled")
         # A forecast takes the first steps of a small copy of the scene, measures it and draws a frame, so it compiles
         # all kernels of a run.
-        explain(scene, device=str(found), cache=False)
+        with kernel_files() as files:
+            explain(scene, device=str(found), cache=False)
         with suppress(OSError, RunFolderError):  # Ignore the error: the kernels are ready without a record.
-            _write_record(record)
+            _write_record(record, files)
         click.echo(f"{name:12s} {method_of(scene).name:10s} {time.perf_counter() - started:5.1f} s")
     click.echo(f"kernels for {found} are ready; later runs of these scenes with their features start without compiling")
 
 
 def _record(name: str, scene_file: Path, device: wp.Device, code: str) -> Path:
-    """Return the path of the file that lists the compiled kernels after `warm` of a scene.
+    """Return the path of the file that lists the compiled kernels of a scene.
 
     Its name depends on everything on which the kernels depend: the code, the versions, the device and its processor.
     """
@@ -76,12 +73,15 @@ def _code_hash() -> str:
     return digest.hexdigest()
 
 
-def _write_record(record: Path) -> None:
-    """Write the paths of all compiled kernels, relative to Warp's cache, one in a line."""
-    cache = _cache()
-    found = sorted(path.relative_to(cache).as_posix() for path in cache.rglob("*") if path.suffix in COMPILED)
+def _write_record(record: Path, files: set[Path]) -> None:
+    """Write the paths of a scene's compiled kernels, relative to Warp's cache, one in a line."""
     with atomic_file(record) as partial:
-        partial.write_text("\n".join(found), encoding="utf-8")
+        partial.write_text("\n".join(sorted(_in_cache(file) for file in files)), encoding="utf-8")
+
+
+def _in_cache(file: Path) -> str:
+    """Return the path of a compiled kernel relative to Warp's cache, or unchanged if it lies elsewhere."""
+    return file.relative_to(_cache()).as_posix() if file.is_relative_to(_cache()) else str(file)
 
 
 def _is_complete(record: Path) -> bool:

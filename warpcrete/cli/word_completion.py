@@ -1,7 +1,5 @@
 """Completion for the commands whose words (scene, parameters and options) are parsed by their own modules."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Errors of the package; each message is one line that names field, value, what is allowed and what to try."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import sys
@@ -147,9 +145,9 @@ def _rounded(value: float, digits: int, way: str) -> str:
     return f"{float(Context(prec=digits, rounding=way).create_decimal(repr(float(value)))):g}"
 
 
-def refuse(field: str, value: object, allowed: str, hint: str = "") -> NoReturn:
-    """Raise :class:`SceneError` that names `field`, its value, what is allowed and an optional hint."""
-    said = f"{one_line(field, LONGEST_VALUE)} = {quoted(value)}: {one_line(allowed)}"
+def refuse(field: str, value: object, problem: str, hint: str = "") -> NoReturn:
+    """Raise :class:`SceneError` that names `field`, its value, the problem and an optional hint."""
+    said = f"{one_line(field, LONGEST_VALUE)} = {quoted(value)}: {one_line(problem)}"
     raise SceneError(said + (f"; {one_line(hint)}" if hint else ""))
 
 

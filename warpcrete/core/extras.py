@@ -1,7 +1,5 @@
 """Check for optional packages that only some features need."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from .errors import WarpcreteError

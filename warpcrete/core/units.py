@@ -1,7 +1,5 @@
 """Quantities with units: entries of result.json, and units in which quantities are displayed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, SupportsFloat, TypedDict
 

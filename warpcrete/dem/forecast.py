@@ -6,8 +6,6 @@ time steps, neighbour list rebuilds and samples are timed. Constants from earlie
 such as the duration of settling.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time

@@ -1,7 +1,5 @@
 """Figures of discrete element runs, drawn with Matplotlib."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import Any
@@ -128,12 +126,8 @@ def plot_strokes(run: ElementRun) -> Any:
 
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:
-        refuse(
-            "scene",
-            run.scene.name,
-            "must have a piston that stops and starts again",
-            "use the scene pipe with 'strokes', or plot_pressure for the pressure over the travel",
-        )
+        hint = "use the scene pipe with 'strokes', or plot_pressure for the pressure over the travel"
+        refuse("scene", run.scene.name, "must have a piston that stops and starts again", hint)
     time, pressure = run.series["time"], run.series["pressure"] / 1e3
     figure = Figure(figsize=(8.6, 4.2), layout="constrained")
     axes = figure.add_subplot()

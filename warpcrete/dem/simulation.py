@@ -1,7 +1,5 @@
 """Discrete element simulation from scene to finished run, on top of the run loop of `core`."""
 
-from __future__ import annotations
-
 import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Pipe axes made of straight lines and circular arcs, and triangle meshes of the tubes around them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 The pipe may consist of several cylinders and truncated cones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,11 +28,8 @@ class Bores:
 
     def __post_init__(self) -> None:
         if len(self.places) != len(self.radii) or not self.places or np.any(np.diff(self.places) <= 0):
-            refuse(
-                "bores",
-                self.places,
-                "must be distances along the axis, each above the one before, with one radius for each",
-            )
+            problem = "must be distances along the axis, each above the one before, with one radius for each"
+            refuse("bores", self.places, problem)
         if min(self.radii) <= 0:
             refuse("bores", min(self.radii), "must be above 0 m")
 

@@ -1,7 +1,5 @@
 """Cleaning of triangle meshes: merge coincident corners, then remove repeated triangles and those without area."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Course of a pipeline in space, built part by part from the entries of its file."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -66,9 +64,8 @@ class Course:
         `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
         """
         if not isinstance(entry, Mapping) or len(entry) != 1:
-            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)}, followed by the properties of the "
-                                            "part",
-                   "for example '- straight: {length: 10 m}'")  # fmt: skip
+            problem = f"must be one of {', '.join(PARTS)}, followed by the properties of the part"
+            refuse(f"part {number}", entry, problem, "for example '- straight: {length: 10 m}'")
         kind, said = next(iter(entry.items()))
         if kind in PART_HINTS:
             refuse(f"part {number}", kind, f"must be one of {', '.join(PARTS)}", PART_HINTS[kind])
@@ -79,12 +76,11 @@ class Course:
         for key in said:
             field = f"part {number}, {kind}: key"
             if str(key)[:1].isdecimal():
-                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}",
-                       "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'")  # fmt: skip
+                hint = "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'"
+                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}", hint)
             if kind == "hose" and key == "diameter":
-                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}; a hose is as wide as the "
-                       "part before it",
-                       f"put 'reducer: {{to: {said[key]}}}' before it")  # fmt: skip
+                problem = f"must be one of {', '.join(PARTS[kind])}; a hose is as wide as the part before it"
+                refuse(field, key, problem, f"put 'reducer: {{to: {said[key]}}}' before it")
             one_of(field, key, PARTS[kind])
 
         def get(key: str, unit: str, default: Any = None) -> float:
@@ -105,11 +101,9 @@ class Course:
         positive(f"part {number}, straight: length", length, "m")
         rise = length * float(self.tangent[2])
         if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
-            refuse(
-                f"part {number}, straight: rise", said["rise"],
-                f"does not fit: as the line goes here, a part of {length:g} m rises by {rise:.4g} m",
-                "put a bend before this part, or leave out 'rise'",
-            )  # fmt: skip
+            problem = f"does not fit: as the line goes here, a part of {length:g} m rises by {rise:.4g} m"
+            hint = "put a bend before this part, or leave out 'rise'"
+            refuse(f"part {number}, straight: rise", said["rise"], problem, hint)
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
             refuse(f"part {number}, straight: diameter", said["diameter"], "differs from the diameter at the end of "
                                                                            "the part before "
@@ -120,12 +114,8 @@ class Course:
         radius = get("radius", "m", max(BEND_RADIUS, BEND_DIAMETERS * self.diameter))
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
-            refuse(
-                f"{field}: radius",
-                radius,
-                f"must exceed the radius of the pipe, {self.diameter / 2:g} m",
-                "give the radius of the bend's centreline",
-            )
+            problem = f"must exceed the radius of the pipe, {self.diameter / 2:g} m"
+            refuse(f"{field}: radius", radius, problem, "give the radius of the bend's centreline")
         way = said.get("to")
         if way is None or bare_number(way) or is_amount(way, "degrees"):
             angle = said.get("angle", 45) if way is None else way
@@ -137,25 +127,16 @@ class Course:
                    "back": -self.heading}[str(way)]  # fmt: skip
         across = towards - (towards @ self.tangent) * self.tangent
         if np.linalg.norm(across) < 1e-6:
-            refuse(
-                f"{field}: to",
-                way,
-                "is the direction that the line already has, or the opposite of it",
-                f"use another of {', '.join(WAYS)}",
-            )
+            problem = "is the direction that the line already has, or the opposite of it"
+            refuse(f"{field}: to", way, problem, f"use another of {', '.join(WAYS)}")
         whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
         angle = get("angle", "degrees", round(whole, 9))
         if not 1 <= angle <= MAX_BEND_ANGLE:
-            refuse(
-                f"{field}: angle",
-                angle,
-                f"must be in [1, {MAX_BEND_ANGLE:g}] degrees",
-                "split a larger bend into two, and leave out a smaller one",
-            )
+            problem = f"must be in [1, {MAX_BEND_ANGLE:g}] degrees"
+            refuse(f"{field}: angle", angle, problem, "split a larger bend into two, and leave out a smaller one")
         if way in ("up", "down", "level") and angle > whole + 1e-6:
-            refuse(f"{field}: angle", angle, f"turns the line beyond the direction {way!r}, "
-                   f"which it reaches at {whole:.4g} degrees",
-                   "leave out 'angle' for a bend that ends in this direction")  # fmt: skip
+            problem = f"turns the line beyond the direction {way!r}, which it reaches at {whole:.4g} degrees"
+            refuse(f"{field}: angle", angle, problem, "leave out 'angle' for a bend that ends in this direction")
         turn = math.radians(angle)
         across = across / np.linalg.norm(across)
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
@@ -189,32 +170,20 @@ class Course:
             return Part(number, "hose", self.diameter, length, rise, self.diameter, relative_loss=HOSE_FACTOR,
                         layer=_hose_layer(field, said)), (Line(length),)  # fmt: skip
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:
-            refuse(f"{field}: points", given, "must be a list of points",
-                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or a length, as in 'hose: 8 m'")  # fmt: skip
+            hint = "for example '[[1, 0, 0], [2, 0, -0.5]]', or a length, as in 'hose: 8 m'"
+            refuse(f"{field}: points", given, "must be a list of points", hint)
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
-            refuse(
-                f"{field}: points",
-                given,
-                "must each have three coordinates [m]: ahead, to the left and up",
-                "for example '[2, 0, -0.5]'",
-            )
+            problem = "must each have three coordinates [m]: ahead, to the left and up"
+            refuse(f"{field}: points", given, problem, "for example '[2, 0, -0.5]'")
         if len(given) > MOST_POINTS:
-            refuse(
-                f"{field}: points",
-                f"{len(given)} points",
-                f"must be at most {MOST_POINTS} points",
-                "leave out points between others",
-            )
+            problem = f"must be at most {MOST_POINTS} points"
+            refuse(f"{field}: points", f"{len(given)} points", problem, "leave out points between others")
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
         for x in local.ravel().tolist():
             check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
-            refuse(
-                f"{field}: points",
-                given,
-                f"must be at least half a diameter, {self.diameter / 2:g} m, apart",
-                "leave out points that are closer together",
-            )
+            problem = f"must be at least half a diameter, {self.diameter / 2:g} m, apart"
+            refuse(f"{field}: points", given, problem, "leave out points that are closer together")
         layer = _hose_layer(field, said)
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(start_tangent(points) @ self.tangent, -1, 1))))
@@ -244,12 +213,8 @@ class Course:
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
         if abs(outlet - self.diameter) < 1e-9:
-            refuse(
-                f"part {number}, reducer: to",
-                outlet,
-                "is already the diameter of the line",
-                "use a part 'straight' instead",
-            )
+            problem = "is already the diameter of the line"
+            refuse(f"part {number}, reducer: to", outlet, problem, "use a part 'straight' instead")
         if length < 0.5 * abs(outlet - self.diameter):
             refuse(f"part {number}, reducer: length", length, "is too short: must be at least half of the change of "
                                                               "the diameter",
@@ -289,8 +254,8 @@ class Course:
 def _refuse_both(field: str, said: Mapping[str, Any], one: str, other: str) -> None:
     """Refuse a part that has both of the entries named `one` and `other`, because they exclude each other."""
     if one in said and said.get(other) is not None:
-        refuse(f"{field}: {one}", said[one], f"cannot be given together with {other!r}",
-               f"leave out {one!r} or {other!r}")  # fmt: skip
+        problem = f"cannot be given together with {other!r}"
+        refuse(f"{field}: {one}", said[one], problem, f"leave out {one!r} or {other!r}")
 
 
 def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
@@ -305,13 +270,8 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
         _refuse_both(field, said, stated, "layer")
     if "factor" in said:
         factor = get("factor", "1")
-        between(
-            f"{field}: factor",
-            factor,
-            *FACTORS,
-            "",
-            "'factor' is the friction of the part divided by that of a straight pipe of the same length",
-        )
+        hint = "'factor' is the friction of the part divided by that of a straight pipe of the same length"
+        between(f"{field}: factor", factor, *FACTORS, "", hint)
         return factor
     if "equivalent" in said:
         length = get("equivalent", "m")

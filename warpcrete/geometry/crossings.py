@@ -1,7 +1,5 @@
 """Search for places where a pipe meets itself or comes too close to itself."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

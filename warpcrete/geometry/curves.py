@@ -1,7 +1,5 @@
 """Smooth curves through points, made of circular arcs and straight pieces."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Inner surface of a pipe, extracted from a triangle mesh that may also have an outer skin, lids or several skins."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..core.errors import refuse
@@ -193,8 +191,8 @@ class InnerSurface:
         found = self._all.rays(points[:-1], step / length[:, None], float(length.max()))
         hit = (found >= 0) & (found <= length)
         if np.any(hit):
-            refuse(field, name, f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start",
-                   "remove this surface; only flat lids at the two ends are allowed")  # fmt: skip
+            problem = f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start"
+            refuse(field, name, problem, "remove this surface; only flat lids at the two ends are allowed")
 
     def _check_closed(
         self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, whole: np.ndarray, kept: np.ndarray

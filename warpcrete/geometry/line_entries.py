@@ -1,7 +1,5 @@
 """Entries of a pipeline file: their names, units and meaning."""
 
-from __future__ import annotations
-
 TEXTS = {
     "name": "Name of the line",
     "source": "Source of the data",

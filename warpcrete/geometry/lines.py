@@ -1,7 +1,5 @@
 """Pipelines read from a file: their parts, their course in space, and checks that the parts fit together."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -54,8 +52,8 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     known = shipped_lines()
     path = SHIPPED / f"{name}.yaml" if str(name) in known else Path(name)
     if not path.suffix and not os.path.exists(path):
-        refuse("line", str(name), f"must be the path of a file, or one of {', '.join(known)}",
-               suggested(str(name), known) or "'warpcrete line --help' shows an example")  # fmt: skip
+        problem = f"must be the path of a file, or one of {', '.join(known)}"
+        refuse("line", str(name), problem, suggested(str(name), known) or "'warpcrete line --help' shows an example")
     given = read_mapping(path, "line")
     if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
         given["concrete"] = str(path.parent / given["concrete"])
@@ -123,8 +121,8 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     """
     for part in line.parts:
         if stone is not None and stone >= part.narrow:
-            refuse("largest_stone", stone, f"does not pass through part {part.number}, {part.label}, which is "
-                   f"{part.narrow:.6g} m wide", "use a wider pipe, or concrete with smaller stones")  # fmt: skip
+            problem = f"does not pass through part {part.number}, {part.label}, which is {part.narrow:.6g} m wide"
+            refuse("largest_stone", stone, problem, "use a wider pipe, or concrete with smaller stones")
     return replace(line, largest_stone=stone)
 
 

@@ -1,7 +1,5 @@
 """Axis of a pipe that is given as a mesh: a smooth curve of lines and arcs through the centres of cross-sections."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

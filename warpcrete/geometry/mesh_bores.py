@@ -1,7 +1,5 @@
 """Bore of a mesh as one part of a pipeline; `mesh_parts` measures it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from .axis import Axis

@@ -1,7 +1,5 @@
 """Pipeline parts whose bore is a mesh from a file: their axis and smallest width, and checks that they fit."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from collections.abc import Sequence
@@ -106,8 +104,8 @@ def _check_scale(field: str, scale: float, diameter: float) -> None:
     if limit is not None and not limit.low <= diameter <= limit.high:
         option = "--wall-scale" if field == "wall_scale" else f"'{field}'"
         unit = "0.001 for a file in millimetres" if diameter > limit.high else "1 for a file in metres"
-        refuse(field, scale, f"makes the bore {diameter:.4g} m wide where it begins, but {limit.why}",
-               f"use {option} {unit}")  # fmt: skip
+        problem = f"makes the bore {diameter:.4g} m wide where it begins, but {limit.why}"
+        refuse(field, scale, problem, f"use {option} {unit}")
 
 
 def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore:
@@ -120,8 +118,8 @@ def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore
     found, straight = bore.axis.length, _is_straight(bore.axis)
     near = STRAIGHT_LENGTH_TOLERANCE * min(bore.ends) if straight else MEASURED * length
     if abs(found - length) > near:
-        refuse(fields[0], bore.file, f"has an axis of {found:.4g} m, but the part has a length of {length:g} m",
-               "correct 'length' of the part, or leave out 'length'")  # fmt: skip
+        problem = f"has an axis of {found:.4g} m, but the part has a length of {length:g} m"
+        refuse(fields[0], bore.file, problem, "correct 'length' of the part, or leave out 'length'")
     return replace(bore, axis=replace(bore.axis, pieces=(Line(length),))) if straight else bore
 
 
@@ -141,8 +139,8 @@ def _measured(
     mesh, name = load(file, fields[0], scale), str(file)
     extent = float(mesh.extents.max())
     if length is not None and not 0.01 * length <= extent <= 100 * length:
-        refuse(fields[1], scale, f"makes the mesh {extent:.4g} m long, but the part is {length:g} m long",
-               "check the scale, which is 0.001 for a file in millimetres")  # fmt: skip
+        problem = f"makes the mesh {extent:.4g} m long, but the part is {length:g} m long"
+        refuse(fields[1], scale, problem, "check the scale, which is 0.001 for a file in millimetres")
     axis, radius = _axis(mesh.vertices, mesh.faces, ways, fields[0], name)
     surface = InnerSurface(mesh.vertices, mesh.faces, axis, radius, fields[0], name)
     width = 2 * float(equal_radii(surface.sections(np.zeros(1)))[0])

@@ -1,7 +1,5 @@
 """Cross-sections of a bore that is given as a mesh: a search that follows the bore from its start to its end."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -177,14 +175,14 @@ def _follow_bore(
             continue
         middle, wide, tangent = found
         if wide > OPENING_RATIO * radii[-1]:
-            refuse(field, name, f"opens to the side {_length(points):.3g} m from its start",
-                   "close the opening in the side, because a bore has one inlet and one outlet")  # fmt: skip
+            problem = f"opens to the side {_length(points):.3g} m from its start"
+            refuse(field, name, problem, "close the opening in the side, because a bore has one inlet and one outlet")
         points.append(middle)
         radii.append(wide)
         step = min(2 * step, ADVANCE)
     else:
-        refuse(field, name, f"is too long: its length exceeds its radius by a factor of more than {MAX_SECTIONS // 4}",
-               "split the mesh into several files")  # fmt: skip
+        problem = f"is too long: its length exceeds its radius by a factor of more than {MAX_SECTIONS // 4}"
+        refuse(field, name, problem, "split the mesh into several files")
     # Drop the last cross-section, because its rays may end on a lid. Also drop every cross-section whose centre is
     # close to the previous centre, because the direction between two close centres is inaccurate.
     kept = [0]
@@ -192,12 +190,8 @@ def _follow_bore(
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
             kept.append(k)
     if len(kept) < 3:
-        refuse(
-            field,
-            name,
-            "is too short for its axis to be found",
-            "check the unit of the mesh, and that it begins at its origin",
-        )
+        problem = "is too short for its axis to be found"
+        refuse(field, name, problem, "check the unit of the mesh, and that it begins at its origin")
     return np.array(points)[kept], np.array(radii)[kept]
 
 

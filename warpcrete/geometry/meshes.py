@@ -63,20 +63,16 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
                 if isinstance(error, ImportError)
                 else " ".join(str(error).split())
             )
-            refuse(field, str(source), f"cannot be read as a triangle mesh ({why or type(error).__name__})",
-                   "give an STL, OBJ, PLY ... file with the matching file extension")  # fmt: skip
+            problem = f"cannot be read as a triangle mesh ({why or type(error).__name__})"
+            refuse(field, str(source), problem, "give an STL, OBJ, PLY ... file with the matching file extension")
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         refuse(field, str(source), "must contain triangles, with finite vertices")
     _check_size(mesh, field, str(source), scale)
     vertices, faces, _ = clean(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(mesh.faces) == 0:
-        refuse(
-            field,
-            str(source),
-            "contains only triangles without area",
-            "check the file, and the unit of its coordinates",
-        )
+        problem = "contains only triangles without area"
+        refuse(field, str(source), problem, "check the file, and the unit of its coordinates")
     mesh.apply_scale(scale)
     return mesh
 
@@ -84,8 +80,8 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
     """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
     if len(mesh.faces) > MAX_FACES:
-        refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MAX_FACES} are allowed",
-               "simplify the mesh in a CAD program or with trimesh.Trimesh.simplify_quadric_decimation")  # fmt: skip
+        hint = "simplify the mesh in a CAD program or with trimesh.Trimesh.simplify_quadric_decimation"
+        refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MAX_FACES} are allowed", hint)
     farthest = float(np.abs(mesh.vertices).max()) * scale
     if farthest > MAX_EXTENT:
         refuse(field, name, f"has a vertex {farthest:.3g} m from the origin, but at most {MAX_EXTENT:g} m are allowed",
@@ -104,19 +100,13 @@ def load_closed(source, field: str) -> trimesh.Trimesh:
     mesh = load(source, field)
     name = source if isinstance(source, str | Path) else "mesh"
     if not mesh.is_watertight:
-        refuse(
-            field,
-            str(name),
-            f"is not closed: {len(border_edges(mesh))} of its edges belong to one triangle only",
-            "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes",
-        )
+        problem = f"is not closed: {len(border_edges(mesh))} of its edges belong to one triangle only"
+        hint = "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes"
+        refuse(field, str(name), problem, hint)
     if not mesh.is_winding_consistent:
-        refuse(
-            field,
-            str(name),
-            "has triangles whose normals point inwards and others whose normals point outwards",
-            "orient all triangles alike in a CAD program or with trimesh.repair.fix_winding",
-        )
+        problem = "has triangles whose normals point inwards and others whose normals point outwards"
+        hint = "orient all triangles alike in a CAD program or with trimesh.repair.fix_winding"
+        refuse(field, str(name), problem, hint)
     if mesh.volume < 0:
         mesh.invert()
     if mesh.volume <= 0:

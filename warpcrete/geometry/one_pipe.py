@@ -1,7 +1,5 @@
 """Pipelines that a scene simulates as one pipe: parameters from their file or mesh, and checks of their shape."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -96,9 +94,8 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     axis. The outlet plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > MAX_LENGTH_RATIO * 2 * bores.largest:
-        refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters",
-               "shorten the line, or use "
-               "'warpcrete line', which simulates its parts one by one")  # fmt: skip
+        hint = "shorten the line, or use 'warpcrete line', which simulates its parts one by one"
+        refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters", hint)
     s = np.linspace(0, axis.length, max(400, math.ceil(8 * axis.length / bores.largest)))
     points, tangents = axis.at(s)
     start = axis.at(begin)[0]
@@ -106,13 +103,9 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     ahead = (points - start) @ tangents[0]
     beside = np.linalg.norm(points - start - ahead[:, None] * tangents[0], axis=1) < aside + reach
     if np.any(ahead[(s > begin + 2 * reach) & beside] < reach):
-        refuse("line", f"{axis.length:.3g} m", "returns across the plane of its inlet",
-               "shorten the line, or reduce the angles of its bends")  # fmt: skip
+        problem = "returns across the plane of its inlet"
+        refuse("line", f"{axis.length:.3g} m", problem, "shorten the line, or reduce the angles of its bends")
     behind = (points[-1] - points) @ tangents[-1]
     if np.any(behind[s < axis.length - 2 * reach] < reach):
-        refuse(
-            "line",
-            f"{axis.length:.3g} m",
-            "returns across the plane of its outlet",
-            "shorten the line, or reduce the angles of its bends",
-        )
+        problem = "returns across the plane of its outlet"
+        refuse("line", f"{axis.length:.3g} m", problem, "shorten the line, or reduce the angles of its bends")

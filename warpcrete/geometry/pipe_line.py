@@ -1,7 +1,5 @@
 """Parts of a pipeline, and the pipeline that they form."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Data sheet of a concrete pump: its limits of pressure, flow and power."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -50,13 +48,9 @@ def pump_of(given: Any) -> Pump:
             positive(called, found[key], unit)
             check_limit(called, found[key], unit, key)
             if key == "pressure" and found[key] < WEAKEST:
-                refuse(called, found[key], f"must be at least {WEAKEST:g} Pa; concrete pumps deliver 30 to 400 bar",
-                       "write the unit, for example '70 bar'")  # fmt: skip
+                problem = f"must be at least {WEAKEST:g} Pa; concrete pumps deliver 30 to 400 bar"
+                refuse(called, found[key], problem, "write the unit, for example '70 bar'")
     if "pressure" not in found:
-        refuse(
-            "pump",
-            dict(entries),
-            "has no 'pressure'",
-            "add the largest pressure from the data sheet, for example 'pressure: 85 bar'",
-        )
+        hint = "add the largest pressure from the data sheet, for example 'pressure: 85 bar'"
+        refuse("pump", dict(entries), "has no 'pressure'", hint)
     return Pump(**found)

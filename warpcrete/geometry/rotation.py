@@ -1,7 +1,5 @@
 """Random orientations, and rotation of vectors by quaternions, on the host."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Areas of plane sections that are bounded by polygons and have polygonal holes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, pairwise
 

@@ -1,7 +1,5 @@
 """Triangle meshes of all walls of a batch, as flat arrays of corners, faces and adjacency."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..kernels.common.walls import BORDER, SHARED

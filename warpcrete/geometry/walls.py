@@ -1,7 +1,5 @@
 """Walls and their motions as frozen, validated dataclasses in SI units, for flows and for discrete elements."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -75,8 +73,8 @@ class Prescribed:
         between("ramp_time", self.ramp_time, 0, np.inf, "s")
         between("start_time", self.start_time, 0, np.inf, "s")
         if self.stops is not None and self.stops.stroke_time < 2 * self.ramp_time * (1 - 1e-12):
-            refuse("stroke_time", self.stops.stroke_time, f"must be at least two ramps of {self.ramp_time:g} s",
-                   "reduce 'ramp_time', or increase 'stroke_time'")  # fmt: skip
+            problem = f"must be at least two ramps of {self.ramp_time:g} s"
+            refuse("stroke_time", self.stops.stroke_time, problem, "reduce 'ramp_time', or increase 'stroke_time'")
 
     def fill(self, row: Any) -> None:
         """Write the parameters of the motion into `row`, the entry of the wall in a table on the device."""
@@ -241,12 +239,8 @@ class PipeWall(_Wall):
     def __post_init__(self) -> None:
         positive(f"{self.name}.radius", self.radius, "m")
         if self.motion is not None and isinstance(self.motion, Prescribed) and any(self.motion.spin):
-            refuse(
-                f"{self.name}.motion",
-                "spin",
-                "must be zero, because a PipeWall cannot rotate",
-                "use a MeshWall instead",
-            )
+            problem = "must be zero, because a PipeWall cannot rotate"
+            refuse(f"{self.name}.motion", "spin", problem, "use a MeshWall instead")
         if self._slides_within_itself():
             warnings.warn(
                 f"{self.name}.motion: moves the pipe along its own straight axis, but a PipeWall continues beyond both "
@@ -303,11 +297,8 @@ class MeshWall(_Wall):
             vertices = np.asarray(self.vertices, dtype=float)
             faces = np.asarray(self.faces, dtype=np.int32)
         except (TypeError, ValueError):
-            refuse(
-                f"{self.name}.vertices",
-                "not numbers",
-                "must be finite numbers, shape (v, 3), with faces of shape (f, 3)",
-            )
+            problem = "must be finite numbers, shape (v, 3), with faces of shape (f, 3)"
+            refuse(f"{self.name}.vertices", "not numbers", problem)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
             refuse(f"{self.name}.vertices", f"shape {vertices.shape}", "must be finite, shape (v, 3)")
         if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
@@ -317,12 +308,8 @@ class MeshWall(_Wall):
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
         if len(self.surface[1]) == 0:
-            refuse(
-                f"{self.name}.faces",
-                f"{len(faces)} triangles",
-                "must include triangles with an area",
-                "check the vertices and their unit",
-            )
+            problem = "must include triangles with an area"
+            refuse(f"{self.name}.faces", f"{len(faces)} triangles", problem, "check the vertices and their unit")
 
     @cached_property
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,8 +5,6 @@ not replace a trial: Best & Lane (report ADA107524, Waterways Experiment Station
 to be the best indicator, though a conservative one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

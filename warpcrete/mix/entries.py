@@ -1,7 +1,5 @@
 """Entries of a mix: their names, meanings, units and ranges, and their values in SI units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Properties calculated from a mix, each with an uncertainty band, the input it follows from, and its source."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from ..core.errors import refuse

@@ -1,7 +1,5 @@
 """Ingredients of a cubic metre of concrete: their names, their densities, and a check that they fill the volume."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -212,8 +210,8 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     """
     field = f"mix parts: {name}"
     if value is None:
-        refuse(field, value, "has no amount",
-               "a comma inside braces {...} begins another ingredient: put a name with a comma in quotes")  # fmt: skip
+        hint = "a comma inside braces {...} begins another ingredient: put a name with a comma in quotes"
+        refuse(field, value, "has no amount", hint)
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
         refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, because the volume of "
@@ -224,12 +222,12 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
         volume = amount(field, value, "m3") / load if whole and load else amount(field, value, "m3/m3")
         trade_name = not noun and volume * DENSITIES["admixture"] <= UNKNOWN_MASS
         if noun not in LIQUIDS and not trade_name:
-            refuse(field, value, "is a volume, which is accepted for water and liquid admixtures only",
-                   "give its mass, for example '340 kg/m3' or '570 lb/yd3'")  # fmt: skip
+            problem = "is a volume, which is accepted for water and liquid admixtures only"
+            refuse(field, value, problem, "give its mass, for example '340 kg/m3' or '570 lb/yd3'")
         return DENSITIES["admixture" if trade_name else noun] * volume
     if isinstance(value, str) and "cwt" in value:
-        refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete",
-               "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3")  # fmt: skip
+        hint = "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3"
+        refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete", hint)
     if load and not whole and isinstance(value, str) and not is_amount(value, "kg/m3") and value.strip()[-1:].isalpha():
         units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
         refuse(field, value, "must be a number with one of {} for the whole load, or with one of {} for a volume of "

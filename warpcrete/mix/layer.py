@@ -6,8 +6,6 @@ layer, in Pa s/m. The estimates hold for pipes of 100 to 150 mm. The uncertainty
 of the relation from which it follows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from ..theory.fits import StraightLine, straight_line

@@ -1,7 +1,5 @@
 """Measurements that a mix may state: constants of concrete, mortar and slip layer, and points from instruments."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -70,12 +68,8 @@ def read_constants(name: str, given: Any, units: Mapping[str, str], widest: floa
     `widest` is the largest relative uncertainty that is allowed.
     """
     if not isinstance(given, Mapping):
-        refuse(
-            f"mix {name}",
-            given,
-            "must consist of 'key: value' lines",
-            f"possible keys are {', '.join(units)} and uncertainty",
-        )
+        problem = "must consist of 'key: value' lines"
+        refuse(f"mix {name}", given, problem, f"possible keys are {', '.join(units)} and uncertainty")
     for key in given:
         one_of(f"mix {name}: key", key, (*units, "uncertainty"))
     values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
@@ -88,14 +82,8 @@ def read_constants(name: str, given: Any, units: Mapping[str, str], widest: floa
     off = None
     if "uncertainty" in given:
         off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
-        between(
-            f"mix {name}: uncertainty",
-            off,
-            0,
-            widest,
-            "",
-            "give the uncertainty relative to the values, for example '15 %'",
-        )
+        hint = "give the uncertainty relative to the values, for example '15 %'"
+        between(f"mix {name}: uncertainty", off, 0, widest, "", hint)
     return Measured(values, off)
 
 
@@ -106,12 +94,8 @@ def read_layer(given: Any, folder: Path) -> Layer:
     with a tribometer. Paths of files are relative to `folder`.
     """
     if not isinstance(given, Mapping):
-        refuse(
-            "mix layer",
-            given,
-            "must consist of 'key: value' lines",
-            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
-        )
+        problem = "must consist of 'key: value' lines"
+        refuse("mix layer", given, problem, "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
     if not given:
         return Layer()
     if "points" in given:
@@ -120,12 +104,9 @@ def read_layer(given: Any, folder: Path) -> Layer:
         found = {}
         for key in ("diameter", "length"):
             if key not in given:
-                refuse(
-                    f"mix layer: {key}",
-                    None,
-                    f"must be the {key} of the pipe in which the points were measured",
-                    f"add it, for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'",
-                )
+                problem = f"must be the {key} of the pipe in which the points were measured"
+                hint = f"add it, for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'"
+                refuse(f"mix layer: {key}", None, problem, hint)
             found[key] = amount(f"mix layer: {key}", given[key], "m")
             positive(f"mix layer: {key}", found[key], "m")
             check_limit(f"mix layer: {key}", found[key], "m", key)
@@ -148,12 +129,8 @@ def read_layer(given: Any, folder: Path) -> Layer:
     own = {key: value for key, value in given.items() if key != "from"}
     constants = read_constants("layer", own, LAYER_UNITS, math.inf if source == "pipe" else LARGEST_UNCERTAINTY)
     if not set(UNITS) <= set(constants.values):
-        refuse(
-            "mix layer",
-            dict(given),
-            "must have 'yield_stress' and 'viscosity', or 'points', or 'tribometer'",
-            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
-        )
+        problem = "must have 'yield_stress' and 'viscosity', or 'points', or 'tribometer'"
+        refuse("mix layer", dict(given), problem, "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
     return Layer(constants, pipe=source == "pipe")
 
 
@@ -174,8 +151,8 @@ def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) 
         other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
     for column, values in zip(columns, (one, other), strict=True):
         if min(values, default=0.0) < 0:
-            refuse(f"mix {name}: {column}", min(values), f"must be 0 or more {columns[column]}",
-                   "use magnitudes if the instrument turned backwards")  # fmt: skip
+            problem = f"must be 0 or more {columns[column]}"
+            refuse(f"mix {name}: {column}", min(values), problem, "use magnitudes if the instrument turned backwards")
     if len(set(one)) < 2:
         refuse(
             f"mix {name}",

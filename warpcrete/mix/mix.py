@@ -1,7 +1,5 @@
 """Mix of a concrete, built from a mapping (`mix_of`) or a file (`read_mix`), and the parameters that follow from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -254,14 +252,14 @@ def mix_of(
             # only. For a law whose flow curve is not straight, the mix must state the viscosity itself.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
-                refuse("mix viscosity", None, "must be stated together with a flow index or a quadratic viscosity",
-                       "add it to the same section")  # fmt: skip
+                problem = "must be stated together with a flow index or a quadratic viscosity"
+                refuse("mix viscosity", None, problem, "add it to the same section")
         if tells:
             bulk[wanted], more = reconciled(tells)
             remarks += more
     if "yield stress" not in bulk:
-        refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",
-               "add a measurement: 'spread', 'slump', 'viscometer', 'mortar' or 'concrete'")  # fmt: skip
+        hint = "add a measurement: 'spread', 'slump', 'viscometer', 'mortar' or 'concrete'"
+        refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete", hint)
     bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,

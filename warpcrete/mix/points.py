@@ -1,7 +1,5 @@
 """Measured points from CSV files whose header names columns with their units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Functions that read the description of a mix from a file, convert its entries to SI units and check them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -58,12 +56,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     contradict each other.
     """
     if not given:
-        refuse(
-            "mix",
-            given,
-            "is empty",
-            f"add entries such as 'density: 2350 kg/m3'; possible entries are {', '.join(KEYS)}",
-        )
+        hint = f"add entries such as 'density: 2350 kg/m3'; possible entries are {', '.join(KEYS)}"
+        refuse("mix", given, "is empty", hint)
     if not isinstance(given, Mapping):
         refuse("mix", given, "must consist of 'key: value' lines", "indent them below the name of the section")
     for key in given:
@@ -72,8 +66,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
                 size = given[key] if bare_number(given[key]) or is_amount(given[key], "m") else "20 mm"
                 refuse("mix key", key, "is the entry 'sizes' of a mix", f"write 'sizes: {size}'")
             if "moist" in str(key).casefold():
-                refuse("mix key", key, "is not an entry of a mix",
-                       "subtract the surface moisture from the sand, and add it to the water")  # fmt: skip
+                problem = "is not an entry of a mix"
+                refuse("mix key", key, problem, "subtract the surface moisture from the sand, and add it to the water")
             if (own := OTHER_NAMES.get(re.sub(r"[\W_]+", " ", str(key).casefold()).strip())) is not None:
                 refuse("mix key", key, f"is the entry {own!r} of a mix", f"write '{own}: {given[key]}'")
             one_of("mix key", key, KEYS)
@@ -87,24 +81,16 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     with errors_located_at(given, "mortar"):
         mortar = read_constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
-        refuse(
-            "mix mortar",
-            given["mortar"],
-            "needs the share of coarse aggregate in the concrete",
-            "add the share, for example 'aggregate: 36 %'",
-        )
+        problem = "needs the share of coarse aggregate in the concrete"
+        refuse("mix mortar", given["mortar"], problem, "add the share, for example 'aggregate: 36 %'")
     if share is not None:
         _check_parts(density, share, heavy, mortar.values.get("density"))
         with errors_located_at(given, "aggregate"):
             _check_share(given["aggregate"], share, masses, heavy)
     spread, t500 = _number(given, "spread"), _number(given, "t500")
     if t500 is not None and (spread is None or spread < 0.5):
-        refuse(
-            "mix t500",
-            given["t500"],
-            "needs a final spread of 500 mm or more",
-            "add the measured spread, for example 'spread: 650 mm'",
-        )
+        problem = "needs a final spread of 500 mm or more"
+        refuse("mix t500", given["t500"], problem, "add the measured spread, for example 'spread: 650 mm'")
     return MixEntries(
         density=density,
         summed=summed,
@@ -197,8 +183,8 @@ def _thickener(given: Mapping[str, Any]) -> bool:
         if not isinstance(said, bool):
             refuse("mix thickener", said, "must be true or false")
         if named and not said:
-            refuse("mix thickener", said, "contradicts the parts, which name a viscosity-modifying admixture",
-                   "leave out 'thickener', or correct the parts")  # fmt: skip
+            problem = "contradicts the parts, which name a viscosity-modifying admixture"
+            refuse("mix thickener", said, problem, "leave out 'thickener', or correct the parts")
     return said
 
 
@@ -233,35 +219,21 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
         return own, False, {}
     parts = given["parts"]
     if not isinstance(parts, Mapping) or not parts:
-        refuse(
-            "mix parts",
-            parts,
-            "must list the ingredients of a cubic metre of concrete",
-            "for example {cement: 340 kg/m3, water: 170 kg/m3}",
-        )
+        problem = "must list the ingredients of a cubic metre of concrete"
+        refuse("mix parts", parts, problem, "for example {cement: 340 kg/m3, water: 170 kg/m3}")
     masses, load = {}, _number(given, "volume")
     for name, value in parts.items():
         with errors_located_at(parts, name):
             if value is None and str(name)[:1].isdigit():
-                refuse("mix parts", str(name), "is an amount without a name; a comma inside braces separates entries",
-                       "write 1420 lb/yd3 without a comma, or one ingredient per line")  # fmt: skip
+                problem = "is an amount without a name; a comma inside braces separates entries"
+                refuse("mix parts", str(name), problem, "write 1420 lb/yd3 without a comma, or one ingredient per line")
             masses[str(name)] = mass_per_volume(str(name), value, load)
-            between(
-                f"mix parts: {name}",
-                masses[str(name)],
-                MIN_AMOUNT,
-                5000,
-                "kg/m3",
-                "give the mass in a cubic metre, and leave out ingredients without mass",
-            )
+            hint = "give the mass in a cubic metre, and leave out ingredients without mass"
+            between(f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", hint)
     total = sum(masses.values())
     if own is not None and abs(total / own - 1) > DENSITY_TOLERANCE:
-        refuse(
-            "mix density",
-            own,
-            f"contradicts 'parts', which add up to {total:.5g} kg/m3",
-            "correct 'parts', or leave out 'density'",
-        )
+        problem = f"contradicts 'parts', which add up to {total:.5g} kg/m3"
+        refuse("mix density", own, problem, "correct 'parts', or leave out 'density'")
     if own is None:
         between(
             "sum of mix parts",
@@ -288,13 +260,12 @@ def _share(given: Any, heavy: float) -> float:
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
-            refuse("mix aggregate", given, "must be a share of the volume, below 1, or have a unit",
-                   "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")  # fmt: skip
+            problem = "must be a share of the volume, below 1, or have a unit"
+            refuse("mix aggregate", given, problem, "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")
     positive("mix aggregate", found)
     if found >= PACKING:
-        refuse("mix aggregate", given, f"is {found:.3g} of the volume, more than the share {PACKING} that loosely "
-                                       "packed stones fill",
-               "give the coarse aggregate without sand")  # fmt: skip
+        problem = f"is {found:.3g} of the volume, more than the share {PACKING} that loosely packed stones fill"
+        refuse("mix aggregate", given, problem, "give the coarse aggregate without sand")
     return found
 
 
@@ -323,12 +294,8 @@ def _check_parts(density: float, share: float, heavy: float, own: float | None) 
         "of the volume"
     )
     if not MORTARS[0] <= rest <= MORTARS[1]:
-        refuse("mix density", density, f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3",
-               "check 'density', 'aggregate' and 'aggregate_density'")  # fmt: skip
+        problem = f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3"
+        refuse("mix density", density, problem, "check 'density', 'aggregate' and 'aggregate_density'")
     if own is not None and abs(rest / own - 1) > DENSITY_TOLERANCE:
-        refuse(
-            "mix density",
-            density,
-            f"{words}, but the density of the mortar is given as {own:g} kg/m3",
-            "correct or leave out one of the two densities",
-        )
+        problem = f"{words}, but the density of the mortar is given as {own:g} kg/m3"
+        refuse("mix density", density, problem, "correct or leave out one of the two densities")

@@ -5,8 +5,6 @@ Rheometers of different models give different values for the same concrete (Ferr
 rheometers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Read the sieve curve, the sizes and the shape of the coarse aggregate from the entries of a mix."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -35,8 +33,8 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
               for key, value in given.items()}  # fmt: skip
     widest = max(opened)
     if widest > COARSEST:
-        refuse("mix sieve: opening", f"{1e3 * widest:g} mm", f"must be at most {1e3 * COARSEST:g} mm",
-               "openings without a unit are in mm")  # fmt: skip
+        problem = f"must be at most {1e3 * COARSEST:g} mm"
+        refuse("mix sieve: opening", f"{1e3 * widest:g} mm", problem, "openings without a unit are in mm")
     if len({isinstance(value, str) for value in opened.values()}) > 1:
         refuse("mix sieve", dict(given), "mixes shares with and without a unit", example)
     passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
@@ -52,8 +50,8 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
     if passing[0] != 0 or passing[-1] != 1:
         refuse("mix sieve", given, "must rise from 0 to 1, or to 100 for per cent", example)
     if openings[0] < FINEST:
-        refuse("mix sieve", given, f"begins below {1e3 * FINEST:g} mm, but sand belongs to the mortar in both methods",
-               "give the curve of the coarse aggregate alone, without sand")  # fmt: skip
+        problem = f"begins below {1e3 * FINEST:g} mm, but sand belongs to the mortar in both methods"
+        refuse("mix sieve", given, problem, "give the curve of the coarse aggregate alone, without sand")
     return tuple(zip(openings, passing, strict=True))
 
 
@@ -65,8 +63,8 @@ def read_sizes(given: Any) -> tuple[float, float]:
     possible sizes.
     """
     if given is None:
-        refuse("mix sizes", given, "is empty", "write '20 mm', or put a size number of ASTM C33 in quotes, as in "
-               "'#57', because # starts a comment")  # fmt: skip
+        hint = "write '20 mm', or put a size number of ASTM C33 in quotes, as in '#57', because # starts a comment"
+        refuse("mix sizes", given, "is empty", hint)
     if isinstance(given, str) and given.strip().startswith("#"):
         number = given.replace(" ", "")
         one_of("mix sizes", number, SIZE_NUMBERS)
@@ -76,8 +74,8 @@ def read_sizes(given: Any) -> tuple[float, float]:
         between("largest of mix sizes", largest, 2 * SMALLEST, COARSEST, "m", "write millimetres as in '20 mm'")
         return SMALLEST, largest
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
-        refuse("mix sizes", given, "must be the largest size, or the smallest and the largest",
-               "for example '20 mm' or [5 mm, 20 mm]")  # fmt: skip
+        problem = "must be the largest size, or the smallest and the largest"
+        refuse("mix sizes", given, problem, "for example '20 mm' or [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
     between("largest of mix sizes", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
     between(
@@ -100,6 +98,6 @@ def read_shape(given: Any) -> str:
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"
     if not isinstance(given, str) or given not in SHAPES:
-        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}",
-               suggested(given, SHAPES) or "or give the ratio of longest to shortest width, 1 to 20")  # fmt: skip
+        hint = suggested(given, SHAPES) or "or give the ratio of longest to shortest width, 1 to 20"
+        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}", hint)
     return SHAPES[given]

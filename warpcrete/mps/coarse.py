@@ -5,8 +5,6 @@ transmit the smooth part of a solution along the whole column of concrete, so th
 the number of particles.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

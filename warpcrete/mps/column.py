@@ -1,7 +1,5 @@
 """Parameters, scenes and checks of pipe flows, shared by the scenes `channel` and `tube`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -145,12 +143,8 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return concrete, None
         if fraction is None:
             if self.concrete not in MIXES:
-                refuse(
-                    "aggregate_fraction",
-                    None,
-                    "must be given for 'concrete' = own",
-                    "for example 0.3, the share of the volume",
-                )
+                problem = "must be given for 'concrete' = own"
+                refuse("aggregate_fraction", None, problem, "for example 0.3, the share of the volume")
             fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension

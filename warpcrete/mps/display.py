@@ -1,7 +1,5 @@
 """Display of pipe flows for recorders: particles, walls, curves and profiles."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -81,7 +79,6 @@ class FlowDisplay(Display):
         return {"velocity": self._snapshot().velocity, "pressure": self._snapshot().pressure}
 
     def colours(self) -> np.ndarray:
-        """Return the colours of all particles as RGB bytes, shape (n, 3)."""
         snap = self._snapshot()
         scale = self.scale()
         if scale is not None:

@@ -3,8 +3,6 @@
 A coarser copy of the flow is run to predict the simulated time until the flow is steady.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from ..core.run.forecast import Forecast, Probe

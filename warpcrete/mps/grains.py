@@ -1,7 +1,5 @@
 """Coarse aggregate of the two-phase model: groups of particles in a column that move as rigid grains."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -84,12 +82,8 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             found = f"does not fit at a spacing of {spacing:g} m: only {taken / n:.3g} of the volume was placed"
             refuse("aggregate fraction", aggregates.fraction, found, "use a lower fraction, or a smaller 'spacing'")
     if not members:
-        refuse(
-            "aggregate fraction",
-            aggregates.fraction,
-            "is too small for a single grain",
-            "use a larger fraction, or a smaller 'spacing'",
-        )
+        problem = "is too small for a single grain"
+        refuse("aggregate fraction", aggregates.fraction, problem, "use a larger fraction, or a smaller 'spacing'")
     mortar = np.flatnonzero(owner < 0)
     order = np.concatenate([*members, mortar])
     first = np.concatenate([[0], np.cumsum([len(m) for m in members])]).astype(np.int32)

@@ -1,7 +1,5 @@
 """Measurements of a flow on a grid, under the same names as those of particle flows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Initial positions of the particles of a flow."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

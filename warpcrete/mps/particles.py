@@ -3,8 +3,6 @@
 The module `stages.py` contains the stages of a time step.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -230,7 +228,6 @@ class MovingParticles(Stepping):
 
     @property
     def _kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow; the keys are the names of the kernel parameters that receive them."""
         return {
             "flags": self.flags,
             "flow": self.flow,
@@ -259,7 +256,6 @@ class MovingParticles(Stepping):
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

@@ -1,7 +1,5 @@
 """Matplotlib figures of pipe flows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

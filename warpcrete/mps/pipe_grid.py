@@ -1,7 +1,5 @@
 """Layout of a periodic pipe on a grid at the start: cells, walls and particles."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

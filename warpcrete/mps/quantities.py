@@ -1,7 +1,5 @@
 """Result quantities of a pipe flow, with their units and the values that theory gives."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -92,26 +90,15 @@ def _beside_theory(name: str):
 
 def _of_column(name: str) -> tuple[Quantity, ...]:
     compared, label = name != "wall_stress", "" if name == "wall_stress" else name.replace("_", " ")
+    divisor = "the mean velocity" if name == "slip_velocity" else "the latter"
     return (
-        Quantity(
-            name, UNITS[name], lambda k: k.mean(name), label, _beside_theory(name), compared, meaning=MEANINGS[name]
-        ),
-        Quantity(
-            f"{name}_theory",
-            UNITS[name],
-            lambda k: k.by_theory(name),
-            compared=name == "pressure",
-            meaning=f"Value of `{name}` by theory",
-        ),
-        Quantity(
-            f"{name}_error",
-            "1",
-            lambda k: k.error(name),
-            compared=compared,
-            meaning=f"`{name}` minus its value by theory, divided by "
-            + ("the mean velocity" if name == "slip_velocity" else "the latter"),
-        ),
-    )
+        Quantity(name, UNITS[name], lambda k: k.mean(name), label, _beside_theory(name), compared,
+                 meaning=MEANINGS[name]),
+        Quantity(f"{name}_theory", UNITS[name], lambda k: k.by_theory(name), compared=name == "pressure",
+                 meaning=f"Value of `{name}` by theory"),
+        Quantity(f"{name}_error", "1", lambda k: k.error(name), compared=compared,
+                 meaning=f"`{name}` minus its value by theory, divided by {divisor}"),
+    )  # fmt: skip
 
 
 def _friction_text(run: Run) -> str:
@@ -136,65 +123,26 @@ def _restart_text(run: Run) -> str:
 
 QUANTITIES = (
     *(quantity for name in THEORY_COLUMNS for quantity in _of_column(name)),
-    Quantity(
-        "gradient",
-        "Pa/m",
-        lambda k: k.friction,
-        "friction",
-        _friction_text,
-        True,
-        meaning="Friction per length, without the weight of the concrete",
-    ),
-    Quantity(
-        "gradient_theory",
-        "Pa/m",
-        lambda k: k.scene.friction(k.by_theory("wall_stress")),
-        compared=True,
-        meaning="Friction per length by theory, without the weight of the concrete",
-    ),
-    Quantity(
-        "restart_pressure",
-        "Pa",
-        _restarted(lambda k: k.series["pressure"].max()),
-        "peak of the restart",
-        _restart_text,
-        True,
-        meaning="Largest pressure after the rest, with the weight of the concrete",
-    ),
-    Quantity(
-        "restart_pressure_theory",
-        "Pa",
-        _restarted(lambda k: k.scene.restart().pressure),
-        meaning="Pressure by theory directly after the rest, when no structure is broken yet",
-    ),
-    Quantity(
-        "restart_over_steady",
-        "1",
-        _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure),
-        meaning="`restart_pressure` divided by the steady pressure by theory",
-    ),
-    Quantity(
-        "profile_error",
-        "1",
-        lambda k: k.mean("profile_deviation") / k.scene.velocity,
-        "profile",
-        lambda run: f"rms deviation from theory {100 * run.result['profile_error']:.2f} % of the mean velocity",
-        True,
-        meaning="Root mean square deviation of the velocity profile from theory, divided by the mean velocity",
-    ),
-    Quantity(
-        "volume_error",
-        "1",
-        lambda k: largest(k.series["volume_error"]),
-        meaning="Largest relative change of the volume of the concrete",
-    ),
-    Quantity(
-        "force_balance_error",
-        "1",
-        lambda k: k.mean("force_balance_error"),
-        meaning="Unbalanced part of weight, wall friction and inertia, divided by the driving force",
-    ),
-)
+    Quantity("gradient", "Pa/m", lambda k: k.friction, "friction", _friction_text, True,
+             meaning="Friction per length, without the weight of the concrete"),
+    Quantity("gradient_theory", "Pa/m", lambda k: k.scene.friction(k.by_theory("wall_stress")), compared=True,
+             meaning="Friction per length by theory, without the weight of the concrete"),
+    Quantity("restart_pressure", "Pa", _restarted(lambda k: k.series["pressure"].max()), "peak of the restart",
+             _restart_text, True,
+             meaning="Largest pressure after the rest, with the weight of the concrete"),
+    Quantity("restart_pressure_theory", "Pa", _restarted(lambda k: k.scene.restart().pressure),
+             meaning="Pressure by theory directly after the rest, when no structure is broken yet"),
+    Quantity("restart_over_steady", "1", _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure),
+             meaning="`restart_pressure` divided by the steady pressure by theory"),
+    Quantity("profile_error", "1", lambda k: k.mean("profile_deviation") / k.scene.velocity, "profile",
+             lambda run: f"rms deviation from theory {100 * run.result['profile_error']:.2f} % of the mean velocity",
+             True,
+             meaning="Root mean square deviation of the velocity profile from theory, divided by the mean velocity"),
+    Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"]),
+             meaning="Largest relative change of the volume of the concrete"),
+    Quantity("force_balance_error", "1", lambda k: k.mean("force_balance_error"),
+             meaning="Unbalanced part of weight, wall friction and inertia, divided by the driving force"),
+)  # fmt: skip
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:

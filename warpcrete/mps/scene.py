@@ -4,8 +4,6 @@ In two dimensions the pipe is a channel between two parallel planes at a distanc
 round tube of radius R. The scenes follow Xu, Li & Jiang 2021, section 3.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
@@ -197,44 +195,25 @@ class FluidScene(Parametrised, FlowSettings):
         positive("spacing", self.spacing, "m")
         if self.aggregates is not None and (self.rest or self.step_error or self.rebuild_rate):
             name = next(each for each in ("rest", "step_error", "rebuild_rate") if getattr(self, each))
-            refuse(
-                name,
-                getattr(self, name),
-                "needs cells of a grid, which cannot contain aggregates",
-                f"leave out {name!r} or 'aggregates'",
-            )
+            problem = "needs cells of a grid, which cannot contain aggregates"
+            refuse(name, getattr(self, name), problem, f"leave out {name!r} or 'aggregates'")
         for name in ("rest", "rebuild_rate"):
             if self.ends == "piston" and getattr(self, name):
-                refuse(
-                    name,
-                    getattr(self, name),
-                    "needs cells of a grid, because particles cannot track the breakdown of the structure",
-                    f"set 'ends' to periodic, or {name!r} to 0",
-                )
+                problem = "needs cells of a grid, because particles cannot track the breakdown of the structure"
+                refuse(name, getattr(self, name), problem, f"set 'ends' to periodic, or {name!r} to 0")
         if self.ends == "piston" and self.step_error:
-            refuse("step_error", self.step_error, "needs cells of a grid, because a column of particles on a piston "
-                   "has equal steps", "set 'ends' to periodic, or 'step_error' to 0")  # fmt: skip
+            problem = "needs cells of a grid, because a column of particles on a piston has equal steps"
+            refuse("step_error", self.step_error, problem, "set 'ends' to periodic, or 'step_error' to 0")
         if self.ends == "periodic" and self.aggregates is not None:
-            refuse(
-                "ends",
-                self.ends,
-                "cannot be combined with aggregates, because periodic flows are solved on a grid",
-                "set 'ends' to piston",
-            )
+            problem = "cannot be combined with aggregates, because periodic flows are solved on a grid"
+            refuse("ends", self.ends, problem, "set 'ends' to piston")
         across = 2 * self.radius / self.spacing
         if across < MIN_PARTICLES_ACROSS - 0.5:
-            refuse(
-                "spacing",
-                self.spacing,
-                f"leaves {across:.2g} particles across the pipe, but at least {MIN_PARTICLES_ACROSS} are needed",
-                f"use {2 * self.radius / MIN_PARTICLES_ACROSS:g} m or less",
-            )
+            problem = f"leaves {across:.2g} particles across the pipe, but at least {MIN_PARTICLES_ACROSS} are needed"
+            refuse("spacing", self.spacing, problem, f"use {2 * self.radius / MIN_PARTICLES_ACROSS:g} m or less")
         if self.length < MIN_SPACINGS_HIGH * self.spacing:
-            refuse(
-                "length",
-                self.length,
-                f"must be at least {MIN_SPACINGS_HIGH} times 'spacing', {MIN_SPACINGS_HIGH * self.spacing:g} m",
-            )
+            problem = f"must be at least {MIN_SPACINGS_HIGH} times 'spacing', {MIN_SPACINGS_HIGH * self.spacing:g} m"
+            refuse("length", self.length, problem)
         section = 2 * self.radius if self.dimensions == 2 else np.pi * self.radius**2
         count = section * self.length / self.spacing**self.dimensions
         if self.ends == "piston" and count > MAX_PARTICLES:
@@ -242,11 +221,8 @@ class FluidScene(Parametrised, FlowSettings):
                    "reduce 'length', increase 'spacing', or " + ("set 'ends' to periodic" if self.aggregates is None
                                                                  else "leave out 'aggregates'"))  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
-            refuse(
-                "time_step", self.time_step, "must be shorter, because the piston moves by more than half a particle "
-                                             "per step",
-                f"use {at_most(0.5 * self.spacing / self.velocity)} s or less"
-            )  # fmt: skip
+            problem = "must be shorter, because the piston moves by more than half a particle per step"
+            refuse("time_step", self.time_step, problem, f"use {at_most(0.5 * self.spacing / self.velocity)} s or less")
         if self.duration is not None:
             between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")
         check_interval(self)

@@ -1,7 +1,5 @@
 """State of a particle flow on a device, and the positions at which it starts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Monitor of a flow, which stops the run when its state is no longer meaningful."""
 
-from __future__ import annotations
-
 import math
 
 from ..core.errors import InstabilityError

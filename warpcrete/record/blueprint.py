@@ -1,7 +1,5 @@
 """Layout of a recording in the Rerun viewer: the scene, a cut through it, force chains, curves and a legend."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

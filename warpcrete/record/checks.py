@@ -1,7 +1,5 @@
 """Recorder that stores the scene's own acceptance checks with the results of a run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ..core.run.checks import Check

@@ -1,7 +1,5 @@
 """Joining of the parts of a Rerun recording into one file."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

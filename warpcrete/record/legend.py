@@ -1,7 +1,5 @@
 """Meaning of the colours of a recording, as a picture and in words."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

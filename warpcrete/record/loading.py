@@ -1,7 +1,5 @@
 """Functions that read saved runs from their run folders."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from contextlib import suppress

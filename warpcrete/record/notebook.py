@@ -1,7 +1,5 @@
 """Display of runs in notebooks, in Rerun's viewer if it is installed, otherwise as a figure."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Folder of one run: the same files for `warpcrete run --out` and for `Simulation(out=...)` in Python."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,12 +84,8 @@ class RunFolder:
         if self.colour is not None and self.colour not in display.colourings:
             refuse("colour", self.colour, f"must be one of {', '.join(display.colourings)}")
         if self.network and not display.has_network:
-            refuse(
-                "network",
-                True,
-                f"needs contacts between bodies, which a scene of {display.noun} does not have",
-                "leave out 'network'",
-            )
+            problem = f"needs contacts between bodies, which a scene of {display.noun} does not have"
+            refuse("network", True, problem, "leave out 'network'")
         interval = simulation.frame_interval
         settings = {
             # Store frames per second, as the user states them. Round the number, because the reciprocal of the interval

@@ -4,8 +4,6 @@ PyVista and VTK open the files as well. The format is version 2.0 of the VTKHDF 
 `PolyData` in time steps. The files are written with h5py.
 """
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from pathlib import Path

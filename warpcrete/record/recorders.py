@@ -1,7 +1,5 @@
 """Recorders of a run folder, with one entry for each recorder. The command line builds its options from the entries."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

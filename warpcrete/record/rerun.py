@@ -1,7 +1,5 @@
 """Recorder for the Rerun viewer, which writes to a file, to a viewer, or to both."""
 
-from __future__ import annotations
-
 import uuid
 import warnings
 from pathlib import Path

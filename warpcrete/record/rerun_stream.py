@@ -1,7 +1,5 @@
 """Stream of a Rerun recording: the parts of its file and its viewer, and what to do if one of them does not answer."""
 
-from __future__ import annotations
-
 import atexit
 import importlib
 import os
@@ -61,8 +59,8 @@ class RerunStream:
         """Name by which viewers recognise the parts of one recording."""
         self._bind = bind
         if live is True and not has_screen():
-            refuse("live", live, "needs a screen, but no screen was found (DISPLAY is not set)",
-                   "give the URL of a running viewer, or use 'warpcrete view FOLDER --web' after the run")  # fmt: skip
+            hint = "give the URL of a running viewer, or use 'warpcrete view FOLDER --web' after the run"
+            refuse("live", live, "needs a screen, but no screen was found (DISPLAY is not set)", hint)
         self._recording: Any = None
         self.rr = _rerun()
         """Python module of the Rerun library."""
@@ -70,12 +68,8 @@ class RerunStream:
             try:
                 self.rr.GrpcSink(live)
             except (RuntimeError, ValueError) as error:
-                refuse(
-                    "live",
-                    live,
-                    f"is not the URL of a viewer ({error})",
-                    "for example rerun+http://127.0.0.1:9876/proxy",
-                )
+                problem = f"is not the URL of a viewer ({error})"
+                refuse("live", live, problem, "for example rerun+http://127.0.0.1:9876/proxy")
 
     @property
     def is_connected(self) -> bool:

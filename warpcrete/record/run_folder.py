@@ -1,7 +1,5 @@
 """Recorder of the run folder: scene.json, series.csv and result.json."""
 
-from __future__ import annotations
-
 import csv
 import json
 from contextlib import suppress

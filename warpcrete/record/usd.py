@@ -7,8 +7,6 @@ if a flow is computed on a grid. Points show the particles of flows that are com
 # pyright: reportAttributeAccessIssue=false
 # Modules of pxr (the USD library) add attributes when they are imported, so Pyright must not report them as missing.
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

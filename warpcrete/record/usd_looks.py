@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # Modules of pxr (the USD library) add attributes when they are imported, so Pyright must not report them as missing.
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

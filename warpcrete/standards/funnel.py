@@ -1,7 +1,5 @@
 """V-funnel test: time in which concrete flows out of a funnel (EN 12350-9)."""
 
-from __future__ import annotations
-
 import math
 
 from ..core.run.method import Quantity

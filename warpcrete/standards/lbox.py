@@ -1,7 +1,5 @@
 """L-box test: how far and how level concrete flows when a gate opens (EN 12350-10)."""
 
-from __future__ import annotations
-
 from ..core.run.method import Quantity
 from ..theory.vessels import box_at_rest
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
@@ -37,42 +35,19 @@ L_BOX = StandardTest(
     columns={"near_depth": "m", "far_depth": "m", "front": "m"},
     measure=_measure,
     quantities=(
-        Quantity(
-            "passing_ratio", "1", _ratio, "H2/H1", None, True, meaning="Ratio of the depths of the concrete, H2 / H1"
-        ),
-        Quantity(
-            "h1", "m", lambda k: k.last("near_depth"), "H1", meaning="Depth H1 of the concrete at rest behind the gate"
-        ),
-        Quantity(
-            "h2",
-            "m",
-            lambda k: k.last("far_depth"),
-            "H2",
-            meaning="Depth H2 of the concrete at rest at the end of the box",
-        ),
-        Quantity(
-            "t200",
-            "s",
-            lambda k: k.when("front", 0.2),
-            "T200",
-            None,
-            True,
-            meaning="Time after which the front has come 200 mm along the box",
-            only_if=FRONT.format(200),
-        ),
-        Quantity(
-            "t400",
-            "s",
-            lambda k: k.when("front", 0.4),
-            "T400",
-            None,
-            True,
-            meaning="Time after which the front has come 400 mm along the box",
-            only_if=FRONT.format(400),
-        ),
+        Quantity("passing_ratio", "1", _ratio, "H2/H1", None, True,
+                 meaning="Ratio of the depths of the concrete, H2 / H1"),
+        Quantity("h1", "m", lambda k: k.last("near_depth"), "H1",
+                 meaning="Depth H1 of the concrete at rest behind the gate"),
+        Quantity("h2", "m", lambda k: k.last("far_depth"), "H2",
+                 meaning="Depth H2 of the concrete at rest at the end of the box"),
+        Quantity("t200", "s", lambda k: k.when("front", 0.2), "T200", None, True,
+                 meaning="Time after which the front has come 200 mm along the box", only_if=FRONT.format(200)),
+        Quantity("t400", "s", lambda k: k.when("front", 0.4), "T400", None, True,
+                 meaning="Time after which the front has come 400 mm along the box", only_if=FRONT.format(400)),
     ),
     forms=(ClosedForm("passing_ratio", "theory", "slow flow, no bars", _ratio_of_slow_flow),),
     slow_share=0.9,
     in_space=True,
     curves={"front": "position of the front", "near_depth": "depth at the gate", "far_depth": "depth at the end"},
-)
+)  # fmt: skip

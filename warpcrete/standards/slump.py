@@ -1,7 +1,5 @@
 """Slump test, slump flow test and J-ring test: a cone of concrete whose mould is lifted (EN 12350-2, -8, -12)."""
 
-from __future__ import annotations
-
 from ..core.run.method import Quantity
 from ..theory.vessels import heap_at_rest, long_heap_spread, tall_cone_slump
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
@@ -69,35 +67,15 @@ SLUMP = StandardTest(
     columns={"top": "m", "spread": "m"},
     measure=_measure,
     quantities=(
-        Quantity(
-            "slump",
-            "m",
-            _slump,
-            "slump",
-            None,
-            True,
-            meaning="Height by which the concrete sinks when the cone is lifted",
-        ),
-        Quantity(
-            "fill_height",
-            "m",
-            lambda k: k.fill_height,
-            "height at the start",
-            meaning="Height of the settled concrete in the cone before the cone is lifted",
-        ),
-        Quantity(
-            "spread", "m", lambda k: k.last("spread"), "spread", None, True, meaning="Diameter of the heap at the end"
-        ),
-        Quantity(
-            "t500",
-            "s",
-            lambda k: k.when("spread", T500),
-            "T500",
-            None,
-            True,
-            meaning="Time after which the diameter of the heap reaches 500 mm",
-            only_if="the spread grows to 500 mm before the run ends",
-        ),
+        Quantity("slump", "m", _slump, "slump", None, True,
+                 meaning="Height by which the concrete sinks when the cone is lifted"),
+        Quantity("fill_height", "m", lambda k: k.fill_height, "height at the start",
+                 meaning="Height of the settled concrete in the cone before the cone is lifted"),
+        Quantity("spread", "m", lambda k: k.last("spread"), "spread", None, True,
+                 meaning="Diameter of the heap at the end"),
+        Quantity("t500", "s", lambda k: k.when("spread", T500), "T500", None, True,
+                 meaning="Time after which the diameter of the heap reaches 500 mm",
+                 only_if="the spread grows to 500 mm before the run ends"),
     ),
     forms=(
         ClosedForm("slump", "theory", "tall cone", _slump_of_cone),
@@ -106,7 +84,7 @@ SLUMP = StandardTest(
         ClosedForm("spread", "heap", "heap", _spread_of_heap),
     ),
     on_plate=True,
-)
+)  # fmt: skip
 J_RING = StandardTest(
     name="jring",
     dimensions=(*MOULD, "ring_diameter", "bar_diameter"),
@@ -114,16 +92,9 @@ J_RING = StandardTest(
     measure=_measure_ring,
     quantities=(
         *SLUMP.quantities,
-        Quantity(
-            "blocking_step",
-            "m",
-            lambda k: k.last("top") - k.last("outside"),
-            "blocking step",
-            None,
-            True,
-            meaning="Height of the concrete in the middle of the ring above that just outside the ring",
-        ),
+        Quantity("blocking_step", "m", lambda k: k.last("top") - k.last("outside"), "blocking step", None, True,
+                 meaning="Height of the concrete in the middle of the ring above that just outside the ring"),
     ),
     on_plate=True,
     ring=lambda size: 0.5 * size["ring_diameter"],
-)
+)  # fmt: skip

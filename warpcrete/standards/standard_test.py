@@ -177,12 +177,8 @@ class StandardTest:
     def check_dimensions(self, given: Sizes) -> None:
         """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
         if missing := [name for name in self.dimensions if name not in given]:
-            refuse(
-                "dimensions",
-                dict(given),
-                f"has no {', '.join(missing)}, which the test {self.name!r} needs",
-                "add what is missing",
-            )
+            problem = f"has no {', '.join(missing)}, which the test {self.name!r} needs"
+            refuse("dimensions", dict(given), problem, "add what is missing")
 
     def sizes(self, given: Any) -> dict[str, float]:
         """Return the dimensions of the vessel, from the parameters of a scene."""

@@ -1,7 +1,5 @@
 """Python interface of parameter studies: run a study of a scene function."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
@@ -73,10 +71,6 @@ def module_of(scene: Any) -> tuple[str, Any]:
     """Return a scene function's command-line name and its module; raise :class:`SceneError` for other objects."""
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:
-        refuse(
-            "scene",
-            scene,
-            "must be a scene function",
-            "use a scene function of warpcrete.scenes, such as warpcrete.scenes.pipe",
-        )
+        problem = "must be a scene function"
+        refuse("scene", scene, problem, "use a scene function of warpcrete.scenes, such as warpcrete.scenes.pipe")
     return scene.name, module

@@ -1,7 +1,5 @@
 """Cases of a parameter study: which parameters vary, and in which combinations."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math

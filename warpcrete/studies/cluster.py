@@ -5,8 +5,6 @@ path. Folders and results equal those of a study on one machine, bit for bit. Wh
 continues its work; the cases of a study continue from their last checkpoints.
 """
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os
@@ -51,12 +49,8 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
     """Raise an error if scheduler settings contradict each other or if the package Dask is missing."""
     if scheduler is None:
         if workers is not None:
-            refuse(
-                "workers",
-                workers,
-                "has no effect without a scheduler",
-                "give 'scheduler' as well, or leave out 'workers'",
-            )
+            problem = "has no effect without a scheduler"
+            refuse("workers", workers, problem, "give 'scheduler' as well, or leave out 'workers'")
         return
     if processes is not None:
         refuse("processes", processes, "cannot be combined with a scheduler", "set 'workers' instead")
@@ -283,12 +277,8 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         if device != unnumbered(device):
             numbers = [numbers[found.ordinal]]
         if workers is not None and workers > len(numbers):
-            refuse(
-                "workers",
-                workers,
-                f"must be at most the {len(numbers)} GPUs of this machine",
-                "use at most one per GPU",
-            )
+            problem = f"must be at most the {len(numbers)} GPUs of this machine"
+            refuse("workers", workers, problem, "use at most one per GPU")
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
         environments = [{} for _ in range(workers or max(1, default_threads() // threads))]
@@ -322,12 +312,8 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
     on_gpu = (device or "cpu").startswith("cuda")
     cores = given.get("cores") or (1 if on_gpu else threads)
     if not on_gpu and threads > cores:
-        refuse(
-            "threads",
-            threads,
-            f"must be at most the {cores} cores of a job",
-            "use fewer threads, or increase jobqueue.slurm.cores in the configuration of Dask",
-        )
+        hint = "use fewer threads, or increase jobqueue.slurm.cores in the configuration of Dask"
+        refuse("threads", threads, f"must be at most the {cores} cores of a job", hint)
     gpu = ("--gres", "--gpus", "-G")
     directives = list(given.get("job-extra-directives") or [])
     if on_gpu and not any(each.strip().startswith(gpu) for each in directives):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import textwrap
 import warnings
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -77,13 +78,13 @@ def draw(
     count = len(units) * len(names)
     figure = Figure(figsize=(WIDTH, HEIGHT * count), layout="constrained")
     panels = iter(figure.subplots(count, 1, squeeze=False)[:, 0])
-    rows = study.rows()
+    rows, theory = study.rows(), _TheoryCurves(study)
     for each_unit in units:
         drawn = [each for each in compared if each.unit == each_unit]
         y_scale = _scale("y_unit", y_unit, each_unit, shown(each_unit))
         for name in names:
             axes = next(panels)
-            _panel(axes, study, rows, name, drawn, scales[name], y_scale)
+            _panel(axes, study, rows, name, drawn, scales[name], y_scale, theory)
             axes.set_visible(bool(axes.lines or axes.containers))
     figure.suptitle(", ".join([study.scene, *_common(study)]), fontsize=10)
     return figure
@@ -152,7 +153,7 @@ def _series(study: Any, rows: list[dict[str, Any]], name: str) -> dict[str, list
 
 def _panel(
     axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity],
-    x_scale: tuple[float, str], y_scale: tuple[float, str],
+    x_scale: tuple[float, str], y_scale: tuple[float, str], theory: _TheoryCurves,
 ) -> None:  # fmt: skip
     """Draw all quantities of one physical unit, as functions of one parameter, into one panel of the figure."""
     mine = [row for row in rows if name in row] or rows
@@ -175,7 +176,7 @@ def _panel(
             x = [at(row) + (0.0 if numeric else 0.08 * k) for row in part]
             y = np.array([row[each.name] for row in part]) * y_scale[0]
             if each.name in theories:
-                between = _theory_between(study, part, name, each) if numeric else None
+                between = theory.between(part, name, each) if numeric else None
                 line = _draw_theory(axes, x, y, between and tuple(np.array(between) * [[x_scale[0]], [y_scale[0]]]))
                 if not any(curve.get_label() == each.title for curve in curves):
                     line.set_label(each.title)
@@ -222,30 +223,45 @@ def _panel(
         legend_beside(axes, curves=curves)
 
 
-def _theory_between(
-    study: Any, part: list[dict[str, Any]], name: str, quantity: Quantity
-) -> tuple[list[float], list[float]] | None:
-    """Return values of a parameter between those of simulated cases, and a quantity at these values by theory.
+class _TheoryCurves:
+    """Quantities of a study by theory, at values of a parameter between those of the simulated cases."""
 
-    The rows in `part` describe the cases, which differ only in the parameter `name`. The result is None if there is
-    only one case or no closed form. It is also None for a whole number without a unit, which has no values between the
-    cases.
-    """
-    module, values = modules().get(study.scene), [row[name] for row in part if name in row]
-    continuous = bool(study.units.get(name)) or any(isinstance(value, float) for value in values)
-    if module is None or len(set(values)) < 2 or not continuous:
-        return None
-    given = next(case.parameters | case.varied for case in study.cases
-                 if all(part[0].get(k) == v for k, v in case.varied.items()))  # fmt: skip
-    places: list[float] = []
-    found: list[float] = []
-    for place in np.linspace(min(values), max(values), THEORY_POINTS).tolist():
+    def __init__(self, study: Any) -> None:
+        self.study, self.module = study, modules().get(study.scene)
+        self._known: dict[tuple[str, str], list[tuple[float, Mapping[str, float]]]] = {}
+        """Values of a varied parameter, each with all quantities by theory, by the names of the case and the parameter.
+
+        A closed form returns all quantities of a scene at once. The quantities in a figure therefore share the scenes.
+        """
+
+    def between(
+        self, part: list[dict[str, Any]], name: str, quantity: Quantity
+    ) -> tuple[list[float], list[float]] | None:
+        """Return values of a parameter between those of simulated cases, and a quantity at these values by theory.
+
+        The rows in `part` describe the cases, which differ only in the parameter `name`. The result is None if there is
+        only one case or no closed form. It is also None for a whole number without a unit, which has no values between
+        the cases.
+        """
+        values = [row[name] for row in part if name in row]
+        continuous = bool(self.study.units.get(name)) or any(isinstance(value, float) for value in values)
+        if self.module is None or len(set(values)) < 2 or not continuous:
+            return None
+        case = next(case for case in self.study.cases if all(part[0].get(k) == v for k, v in case.varied.items()))
+        places = np.linspace(min(values), max(values), THEORY_POINTS).tolist()
+        key, wanted = (case.name, name), quantity.name.removesuffix("_theory")
+        if key not in self._known or [place for place, _ in self._known[key]] != places:
+            self._known[key] = [(place, self._expected(case.parameters | case.varied, name, place)) for place in places]
+        found = [(place, expected[wanted]) for place, expected in self._known[key] if wanted in expected]
+        return ([place for place, _ in found], [value for _, value in found]) if found else None
+
+    def _expected(self, given: Mapping[str, Any], name: str, place: float) -> Mapping[str, float]:
+        """Return the quantities by theory if the parameter `name` has the value `place`; empty for an invalid scene."""
         with suppress(SceneError, KeyError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scene = module.scene(**given | {name: place})
-            found.append(method_of(scene).expected(scene)[quantity.name.removesuffix("_theory")])
-            places.append(place)
-    return (places, found) if found else None
+            scene = self.module.scene(**{**given, name: place})
+            return method_of(scene).expected(scene)
+        return {}
 
 
 def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:

@@ -1,7 +1,5 @@
 """Reader of runs and studies from their folders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..core.run.run import Run

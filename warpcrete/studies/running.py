@@ -1,9 +1,8 @@
 """Execution of a study's cases: together on a GPU, in separate processes on a CPU."""
 
-from __future__ import annotations
-
 import importlib
 import shutil
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
@@ -159,7 +158,8 @@ def run_in_processes(
 ) -> None:
     """Run the cases in worker processes, one case per process at a time.
 
-    A case is submitted only when a process is free, so no further case starts after a Ctrl-C.
+    A case is submitted only when a process is free, so no further case starts after a Ctrl-C or after a process has
+    received SIGTERM.
     """
     workers = min(processes or default_threads(), len(pending))
     left = list(pending)
@@ -184,6 +184,8 @@ def run_in_processes(
                     store_outcome(case, outcome)
             except KeyboardInterrupt:
                 crew.stop()  # make running cases end the next time they take measurements
+        if crew.terminated:
+            print("interrupted, because a worker process received SIGTERM", file=sys.stderr, flush=True)
 
 
 def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, asked: Callable[[], bool]) -> Any:

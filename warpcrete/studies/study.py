@@ -5,8 +5,6 @@ of their own. On a CPU, each case runs in its own process. Every case has its ow
 and a resumed study runs only unfinished cases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass, replace
 from pathlib import Path
@@ -78,12 +76,8 @@ def run_study(
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
     if "precision" in known:
         if "precision" in varied or given.get("precision", precision) != precision:
-            refuse(
-                "precision",
-                varied.get("precision", precision),
-                "must be the same for the whole study",
-                "run one study for each precision",
-            )
+            problem = "must be the same for the whole study"
+            refuse("precision", varied.get("precision", precision), problem, "run one study for each precision")
         given["precision"] = precision
     defaults = {name: found.default for name, found in known.items()} | module.scene.completed(given)
     cases = cases_of(
@@ -293,12 +287,8 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
                        "give the name of the object's class instead, and vary its parameters, whose names begin with "
                        f"{name}_")  # fmt: skip
         if own in found:
-            refuse(
-                name,
-                values,
-                f"varies {own!r}, which is already varied under this or another name",
-                "leave out one of the two",
-            )
+            problem = f"varies {own!r}, which is already varied under this or another name"
+            refuse(name, values, problem, "leave out one of the two")
         found[own] = [scene.resolved({name: value})[own] for value in values]
     return found
 

@@ -1,7 +1,5 @@
 """Cases and results of a parameter study, with their table and figure."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

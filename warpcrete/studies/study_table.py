@@ -1,7 +1,5 @@
 """Table of all cases of a study, for DataFrames and Parquet files."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -36,6 +36,10 @@ class WorkerDied(WarpcreteError):
     """Error raised when a worker process ends before its case does."""
 
 
+class WorkerTerminated(WorkerDied):
+    """Error raised when SIGTERM ends a worker process before its case ends."""
+
+
 class NoWorker(WarpcreteError):
     """Error raised when no worker process can be started."""
 
@@ -49,6 +53,8 @@ class WorkerPool:
         self._idle: list[_Worker] = []
         self.stopping = False
         """True if the workers have received the message to end their cases the next time they take measurements."""
+        self.terminated = False
+        """True if SIGTERM, which a worker received, has stopped the pool."""
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -68,9 +74,21 @@ class WorkerPool:
     def run(self, *job: Any) -> Any:
         """Run a job (a function and its arguments) in a worker process; return its result or the exception it raised.
 
-        Raises :class:`WorkerDied` if the worker process ends during the job, and :class:`NoWorker` if none can be
-        started.
+        If the worker receives SIGTERM, all workers are told to stop, as after a Ctrl-C. The result is None if the
+        worker ended before its job did. Raises :class:`WorkerDied` if the worker process ends during the job for
+        another reason, and :class:`NoWorker` if none can be started.
         """
+        try:
+            found, terminated = self._answer_of(*job)
+        except WorkerTerminated:
+            found, terminated = None, True
+        if terminated and not self.stopping:
+            self.terminated = True
+            self.stop()
+        return found
+
+    def _answer_of(self, *job: Any) -> tuple[Any, bool]:
+        """Return the outcome of a job, and whether its worker has received SIGTERM."""
         with self._lock:
             worker = self._idle.pop() if self._idle else _Worker()
             if worker not in self._workers:
@@ -79,6 +97,8 @@ class WorkerPool:
                 worker.send(STOP)
         try:
             worker.wait_until_ready()
+        except WorkerTerminated:
+            raise
         except WorkerDied as error:
             with self._lock:
                 worker.failed = True
@@ -92,10 +112,11 @@ class WorkerPool:
             with self._lock:
                 self._idle.append(worker)
             raise
-        found = worker.receive()
-        with self._lock:
-            self._idle.append(worker)
-        return found
+        found, terminated = worker.receive()
+        if not terminated:  # A worker that has received SIGTERM ends after its answer.
+            with self._lock:
+                self._idle.append(worker)
+        return found, terminated
 
 
 class _Worker:
@@ -127,14 +148,15 @@ class _Worker:
         try:
             return pickle.load(self._process.stdout)
         except EOFError:
-            raise WorkerDied(f"its process {self._end()}") from None
+            kind = WorkerTerminated if self._process.wait() == -signal.SIGTERM else WorkerDied
+            raise kind(f"its process {self._end()}") from None
         except Exception as error:  # unpickling a damaged answer may raise any exception
             raise WorkerDied(f"its process failed: {type(error).__name__}: {error}") from error
 
     def wait_until_ready(self) -> None:
         """Wait until the worker process has imported its modules."""
         if not self._ready:
-            self._ready = self.receive() == READY
+            self._ready = self.receive() == (READY,)
 
     def _end(self) -> str:
         code = self._process.wait()
@@ -154,18 +176,33 @@ class _Worker:
 
 
 def serve() -> None:
-    """Run jobs from standard input and write the answers to standard output until the parent process ends."""
+    """Run jobs from standard input and write the answers to standard output until the parent process ends.
+
+    After a SIGTERM, the job ends the next time it takes measurements, and this process ends after its answer. A second
+    SIGTERM ends the process at once.
+    """
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # redirect printed text to stderr, because stdout carries the answers
     warn_in_one_line()
     # Ignore warnings about unlikely values, because the parent process has shown them already.
     warnings.simplefilter("ignore", PlausibilityWarning)
+    terminated: list[int] = []
+
+    def terminate(signum: int, frame: Any) -> None:
+        terminated.append(signum)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    signal.signal(signal.SIGTERM, terminate)
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()
     _answer(answers, READY)
-    while True:
-        _answer(answers, _outcome(*inbox.get(), stop.is_set))
+    ended = False
+    while not ended:
+        outcome = _outcome(*inbox.get(), lambda: stop.is_set() or bool(terminated))
+        # A SIGTERM that arrives after this line is reported with the answer to the next job.
+        ended = bool(terminated)
+        _answer(answers, outcome, ended)
 
 
 def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
@@ -185,11 +222,13 @@ def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
                 inbox.put(message)
 
 
-def _answer(answers: Any, message: Any) -> None:
+def _answer(answers: Any, *message: Any) -> None:
+    """Send a message of one or several values to the parent process."""
     try:
         data = pickle.dumps(message)
     except Exception:  # some exceptions cannot be pickled, so send their text instead
-        data = pickle.dumps(WarpcreteError(f"{type(message).__name__}: {message}"))
+        error, *others = message
+        data = pickle.dumps((WarpcreteError(f"{type(error).__name__}: {error}"), *others))
     answers.write(data)
     answers.flush()
 

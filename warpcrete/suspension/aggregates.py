@@ -1,7 +1,5 @@
 """Rigid aggregates in a grid flow: their initial state, and their arrays on a device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,11 +49,11 @@ class Aggregates:
     def __post_init__(self) -> None:
         centre, radius = np.asarray(self.centre, float), np.asarray(self.radius, float)
         if centre.ndim != 2 or centre.shape[1] != 3 or radius.shape != centre.shape[:1]:
-            refuse("centre", centre.shape, f"must have the shape (n, 3) for radii of shape {radius.shape}",
-                   "give one centre and one radius for each aggregate")  # fmt: skip
+            problem = f"must have the shape (n, 3) for radii of shape {radius.shape}"
+            refuse("centre", centre.shape, problem, "give one centre and one radius for each aggregate")
         if not (np.isfinite(centre).all() and np.all(radius > 0)):
-            refuse("radius", radius.tolist(), "must be above 0, and all centres must be finite",
-                   "remove or correct aggregates with other values")  # fmt: skip
+            problem = "must be above 0, and all centres must be finite"
+            refuse("radius", radius.tolist(), problem, "remove or correct aggregates with other values")
         object.__setattr__(self, "centre", centre)
         object.__setattr__(self, "radius", radius)
 

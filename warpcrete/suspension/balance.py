@@ -1,7 +1,5 @@
 """Balance of power and of momentum in the last time step of a flow of mortar with aggregates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Acceptance checks that all simulations of mortar with aggregates in pipes share."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

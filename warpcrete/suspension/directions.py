@@ -4,8 +4,6 @@ The effect of a direction is the product of the solve's matrix with the directio
 residuals makes the effects orthogonal to one another.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

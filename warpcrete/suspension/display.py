@@ -1,7 +1,5 @@
 """Display of a mortar with aggregates: the surface of the concrete, and the spheres of the aggregates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 
@@ -22,7 +20,6 @@ class SphereDisplay(GridDisplay):
     """Display of a mortar on a grid whose aggregates are drawn as spheres."""
 
     def surface_colours(self, surface: Surface) -> np.ndarray:
-        """Return the colours of a surface at its vertices as RGB bytes, shape (v, 3)."""
         colours = super().surface_colours(surface)
         colours[surface.fields["aggregate"] > 0] = STONE
         return colours

@@ -1,7 +1,5 @@
 """Plane through which aggregates enter a pipe, and the times at which they enter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Search for pairs of close points, and constants of the placement of aggregates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Random placement of aggregates without overlaps, for the start of a run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..core.errors import at_most, refuse

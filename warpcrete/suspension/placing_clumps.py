@@ -1,7 +1,5 @@
 """Random placement of clumps without overlaps: rigid bodies of spheres with random orientations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results of a mortar with aggregates in a vessel, beyond those of free-surface flows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from ..core.run.method import Quantity

@@ -1,7 +1,5 @@
 """Base class for runs of mortars with aggregates: columns of the time series, limit of overlaps, and sizes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

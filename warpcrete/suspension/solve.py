@@ -9,8 +9,6 @@ velocities. The pressure is the solution of a pressure solve for the net inflow 
 net inflow that depends on the cell. A viscous solve with the forces of this pressure then gives the velocities.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

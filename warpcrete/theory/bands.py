@@ -1,7 +1,5 @@
 """Uncertainty bands of results: combination of several independent causes of uncertainty into one band."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Straight lines fitted to measured points, with the standard errors of their coefficients."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

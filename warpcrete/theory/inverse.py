@@ -4,8 +4,6 @@ The yield stress follows from slump or spread, by inversion of the closed forms 
 the cone of EN 12350-2.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

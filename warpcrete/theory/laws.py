@@ -13,8 +13,6 @@ h(g) = tau - tau_0 be the viscous stress. Velocities and flows are then sums of 
 J_j is the integral of g h^j h'(g) dg from 0 to g.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -17,8 +17,6 @@ the layer's yield stress tau_L0, its viscosity eta_L and the slip velocity V_L. 
 :mod:`.laws` instead. The bulk fills the radius of the pipe less the thickness of the layer.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence
@@ -76,8 +74,8 @@ class Concrete(Declared):
         for part in ("", "slip_"):
             index, square = f"{part}flow_index", f"{part}quadratic_viscosity"
             if getattr(self, index) != 1 and getattr(self, square) > 0:
-                refuse(index, getattr(self, index), f"cannot be combined with {square}, because they belong to "
-                       "different laws", "leave out one of the two")  # fmt: skip
+                problem = f"cannot be combined with {square}, because they belong to different laws"
+                refuse(index, getattr(self, index), problem, "leave out one of the two")
 
     @property
     def bulk_law(self) -> FlowLaw:
@@ -357,12 +355,8 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     for law, part in ((concrete.bulk_law, ""), (concrete.layer_law, "slip_")):
         if law.name != BINGHAM:
             name, value = ("flow_index", law.index) if law.index != 1 else ("quadratic_viscosity", law.quadratic)
-            refuse(
-                part + name,
-                value,
-                "cannot be used with Kaplan's model, which holds for Bingham's law only",
-                "use warpcrete.theory.pipe.steady",
-            )
+            problem = "cannot be used with Kaplan's model, which holds for Bingham's law only"
+            refuse(part + name, value, problem, "use warpcrete.theory.pipe.steady")
     between("flow", flow, 0, np.inf, "[m3/s]")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
     slip = mean

@@ -1,7 +1,5 @@
 """Text tables of the theory of pipe flow, for the command line."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..core.errors import SceneError

@@ -6,8 +6,6 @@ viscosity and yield stress of the concrete with the zone's own aggregate fractio
 between the zones, so their contributions to the flow add up in closed form.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -42,8 +40,8 @@ class Segregated:
     def __post_init__(self) -> None:
         densest = SUSPENSIONS["spheres"][1]
         if not 0 < self.fraction < densest:
-            refuse("aggregate", self.fraction, f"must be above 0 and below the densest packing, {densest:g}",
-                   "usual values are 0.3 to 0.45 of the volume")  # fmt: skip
+            problem = f"must be above 0 and below the densest packing, {densest:g}"
+            refuse("aggregate", self.fraction, problem, "usual values are 0.3 to 0.45 of the volume")
         least = max(-4.0, -4 / 3 * (densest / self.fraction - 1))
         most = min(4 / 3, 4 * (densest / self.fraction - 1))
         if not least < self.index < most:

@@ -1,7 +1,5 @@
 """Coarse aggregate in mortar: how aggregate thickens mortar, and which mortar a concrete contains."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -10,8 +10,6 @@ Murata's concrete yields where the largest shear stress, half of the vertical pr
 pressure over the square root of 3 reaches the yield stress.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -6,8 +6,6 @@ Modules here import `core`, `geometry`, `theory`, both simulation methods and `k
 `case`, which defines a case, and go on with `contacts`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 
@@ -36,21 +34,9 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 def cases() -> list[Case]:
     """Return all verification cases, in the order in which the table of results lists them."""
     modules = (
-        impacts,
-        contacts,
-        bonds,
-        clumps,
-        assemblies,
-        stability,
-        flows,
-        starting,
-        vessels,
-        spreading,
-        suspensions,
-        suspensions_clumps,
-        suspensions_friction,
-        suspensions_many,
-    )
+        impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading, suspensions,
+        suspensions_clumps, suspensions_friction, suspensions_many,
+    )  # fmt: skip
     return [case for module in modules for case in module.CASES]
 
 

@@ -1,7 +1,5 @@
 """Verification of bonds: chains and beam theory, torsional oscillation, and the load at which a bond breaks."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -58,15 +56,8 @@ def cantilever(device, precision) -> list[Row]:
         order = np.argsort(stepper.state.bodies.id.numpy())
         tip = stepper.state.bodies.position.numpy()[order][-1].astype(float) - points[-1]
         if label == "tension":
-            rows.append(
-                Row(
-                    "elongation of the chain under tension",
-                    tip[0],
-                    joints * force / normal,
-                    5e-4 if precision == "float32" else 1e-5,
-                    "m",
-                )
-            )
+            allowed = 5e-4 if precision == "float32" else 1e-5
+            rows.append(Row("elongation of the chain under tension", tip[0], joints * force / normal, allowed, "m"))
         else:
             levers = np.sum((np.arange(joints) + 0.5) ** 2)
             exact = joints * force / shear + force * LENGTH**2 / bending * levers
@@ -164,15 +155,8 @@ def breakage(device, precision) -> list[Row]:
         # fraction. In double precision, loads in tension, bending and torsion reach the bond's strength exactly at the
         # end of a step, and their error is much smaller.
         sheared = label.startswith("shear") or precision == "float32"
-        rows.append(
-            Row(
-                f"load at breakage in {label}",
-                last,
-                expected,
-                1.2e-3 if sheared else 1e-7,
-                "N" if kind == "force" else "N m",
-            )
-        )
+        allowed, unit = 1.2e-3 if sheared else 1e-7, "N" if kind == "force" else "N m"
+        rows.append(Row(f"load at breakage in {label}", last, expected, allowed, unit))
     return rows
 
 

@@ -1,7 +1,5 @@
 """Classes of the verification: a case consists of rows, which compare computed quantities with expected values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Verification of single contacts: damped oscillator, rolling and sliding, stick-slip, and contact with meshes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -62,15 +60,8 @@ def oscillator(device, precision) -> list[Row]:
         # rounding error is visible, so the tolerance is larger in single precision.
         floor = 4e-4 if precision == "float32" else 0.0
         allowed = {0.0: 6e-4, 0.3: 5e-3}[beta] + floor
-        rows.append(
-            Row(
-                f"overlap, damping ratio {beta:g}, 174 steps a period: largest error",
-                errors[-1],
-                0.0,
-                allowed,
-                scale=1.0,
-            )
-        )
+        label = f"overlap, damping ratio {beta:g}, 174 steps a period: largest error"
+        rows.append(Row(label, errors[-1], 0.0, allowed, scale=1.0))
         order = math.log2(errors[0] / errors[1])
         # The leapfrog method is of second order without damping. The dashpot's force uses the velocity half a step
         # earlier, so with damping the method is only of first order.
@@ -115,15 +106,10 @@ def rolling(device, precision) -> list[Row]:
         else:
             acceleration = g * (sine - friction * cosine)
             turning = 2.5 * friction * g * cosine * lever / RADIUS
+        faster, spun = ((later - earlier) / span for earlier, later in zip(first, second))
         rows += [
-            Row(
-                f"acceleration {label} the threshold of slip",
-                (second[0] - first[0]) / span,
-                acceleration,
-                tolerance,
-                "m/s2",
-            ),
-            Row(f"angular acceleration {label} it", (second[1] - first[1]) / span, turning, tolerance, "rad/s2"),
+            Row(f"acceleration {label} the threshold of slip", faster, acceleration, tolerance, "m/s2"),
+            Row(f"angular acceleration {label} it", spun, turning, tolerance, "rad/s2"),
         ]
     return rows
 
@@ -183,9 +169,8 @@ def stick_slip(device, precision) -> list[Row]:
         ("highest, two periods on", slip + 4.5 * math.pi / omega, friction * press + ripple),
     ):
         stepper.advance(time)
-        rows.append(
-            Row(f"force of the spring, {label}", float(stepper.state.pairs.load.numpy()[0, 3]), force, 5e-3, "N")
-        )
+        pull = float(stepper.state.pairs.load.numpy()[0, 3])
+        rows.append(Row(f"force of the spring, {label}", pull, force, 5e-3, "N"))
     return rows
 
 

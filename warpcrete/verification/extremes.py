@@ -5,8 +5,6 @@ with spheres of two sizes. Its floor is a piston that moves upwards at full spee
 lies on top of the spheres.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """Figure of the verification: errors of all cases, two published curves, and stability limits of contact laws."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..core.drawing.style import MEASURED, RUN, SECOND, legend_beside, open_frame, rgb

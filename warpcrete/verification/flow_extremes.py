@@ -5,8 +5,6 @@ basic flow is a column of concrete no. 1 of Xu, Li & Jiang 2021 in a channel or 
 scenes a single parameter is extreme, in other scenes several parameters are extreme at once.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 The method of moving particles and the flow on a grid are both verified.
 """
 
-from __future__ import annotations
-
 from ..mps.column import FlowParameters, column_scene
 from ..mps.scene import FluidScene
 from ..mps.simulation import FluidSimulation

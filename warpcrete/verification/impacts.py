@@ -1,7 +1,5 @@
 """Verification by the impact tests 1 to 8 of Chung & Ooi, Granular Matter 13 (2011) 643-656, with Hertz-Mindlin."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Verification of concrete that spreads on a plate in two dimensions: speed of the front, and shape of the heap."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..mps.free.probes import surface

@@ -3,8 +3,6 @@
 All contact laws are tested, with spheres, clumps and bonds.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Verification of pipe flows that a force starts from rest, against a one-dimensional finite volume solution."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

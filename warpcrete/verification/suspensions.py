@@ -4,8 +4,6 @@ The mortar fills the whole simulated box in all cases, so there is no free surfa
 walls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 The solutions for such a pair of spheres are exact. The module `suspensions` verifies single spheres in the same flows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Verification of friction between aggregates in a mortar and walls: a sphere that is pushed along a floor."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..suspension.aggregates import Aggregates

@@ -7,8 +7,6 @@ box: the middle half along the first and second axis. They are the stress on the
 shear rate in the core, and the volume fraction in the core.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

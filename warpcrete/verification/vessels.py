@@ -1,7 +1,5 @@
 """Verification of flows in vessels whose walls pass through cells of the grid (cut cells), against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -205,6 +205,20 @@ class KernelModule(Protocol):
         """Kernels of this module, by name."""
         ...
 
+    @property
+    def execs(self) -> Mapping[tuple[object, int], LoadedModule]:
+        """Compiled code that this process has loaded, by device and block size."""
+        ...
+
+
+class LoadedModule(Protocol):
+    """Compiled code of a module on one device, for one block size."""
+
+    @property
+    def binary_path(self) -> str | None:
+        """Path of the file in Warp's cache from which the code was loaded."""
+        ...
+
 
 def host_copy(array: DeviceArray) -> HostArray:
     """Return the present values of an array, in host memory that no later change of the array affects.

@@ -6,8 +6,6 @@ does the work of all threads is then faster and gives the same results. If there
 thread is pinned to a core of its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

@@ -1,7 +1,5 @@
 """Devices of a run: their memory and cores, the two floating-point precisions, and how work is divided on them."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

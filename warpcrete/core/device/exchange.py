@@ -4,8 +4,6 @@ Several arrays, such as flags and simulated times, are copied with one launch, w
 ordinary copy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import warp as wp

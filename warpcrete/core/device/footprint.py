@@ -1,7 +1,5 @@
 """Functions that find the Warp arrays in objects of this package and add up their device memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from operator import attrgetter
 

@@ -1,7 +1,5 @@
 """Sequences of kernel launches recorded as graphs, each of which the host starts with a single launch."""
 
-from __future__ import annotations
-
 import gc
 import threading
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ such a call, the thread keeps it for milliseconds, and the run cannot give the d
 only while the run waits for the device.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager

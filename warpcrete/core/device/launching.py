@@ -3,8 +3,6 @@
 Arguments are bound to a kernel's parameters by name, never by position.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import time
@@ -24,6 +22,7 @@ from .cores import CoreContention, thread_pinner
 from .device import default_threads, parallel
 from .graphs import GraphLaunch, captured
 from .interrupts import defer_interrupts
+from .kernel_files import note_use
 
 PARALLEL_COMPILATIONS = 16
 """Maximum number of kernels compiled in parallel."""
@@ -88,6 +87,7 @@ def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
 def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> None:
     """Launch a kernel once, with its arguments by name."""
     if tasks_of(dim):
+        note_use(kernel.module)
         launch_kernel(kernel, dim=dim, inputs=bound(kernel, named), device=device)
 
 
@@ -130,6 +130,7 @@ class Stage:
     def record(self) -> None:
         """Load the kernel and record its launch, without running it."""
         if self._command is None and tasks_of(self.dim):
+            note_use(self.kernel.module)
             self._command = launch_kernel(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
                 block_dim=self.block,
@@ -186,6 +187,7 @@ def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
                 module, block = left.popleft()
             except IndexError:
                 return
+            note_use(module)
             load_module(module, device=device, block_dim=block)
             if (tell := _compile_callback.get()) is not None and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
                 reported = True

@@ -3,8 +3,6 @@
 The sums use kernels of this package, so that every launch graph can contain them.
 """
 
-from __future__ import annotations
-
 import warp as wp
 
 from ...kernels.common.reductions import BLOCK

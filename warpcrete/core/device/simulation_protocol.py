@@ -3,8 +3,6 @@
 These modules cannot import the simulation's class from the run loop, because the import would be circular.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import warp as wp

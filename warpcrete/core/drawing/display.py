@@ -1,7 +1,5 @@
 """Displays, which give recorders the data to draw a run: bodies, walls, plots over time and space, a camera view."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass

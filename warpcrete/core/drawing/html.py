@@ -1,7 +1,5 @@
 """HTML tables for notebooks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any

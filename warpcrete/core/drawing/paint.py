@@ -1,7 +1,5 @@
 """Colours that represent quantities, from Matplotlib's colour maps."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

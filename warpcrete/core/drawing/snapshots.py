@@ -1,7 +1,5 @@
 """Copies of a run's state for drawing (snapshots): recorders share each copied value, and a GPU keeps stepping."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Style of most curves and figures: each colour has one meaning, and legends lie next to the plots, not inside."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 One parser serves files, the command and parameters in Python. The schemas of files use the same patterns.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import re
@@ -244,8 +242,8 @@ def amount(field: str, value: object, unit: str, declared: str = "") -> float:
         else:
             units = "without a unit, or with %" if unit == "1" else f"with one of {', '.join(unit_names(unit))}"
         meant = declared or ("" if unit == "1" else unit)
-        refuse(field, value, f"must be a number {units}{more and f'; {more}'}",
-               f"a number without a unit is in {meant}" if meant else "")  # fmt: skip
+        problem = f"must be a number {units}{more and f'; {more}'}"
+        refuse(field, value, problem, f"a number without a unit is in {meant}" if meant else "")
     return number
 
 

@@ -8,8 +8,6 @@ Importing a class runs the code of its module. A class named in Python or on the
 in a file is imported only if its module is loaded already, or if the user trusts the file (`warpcrete --trust`).
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import os
@@ -174,8 +172,8 @@ def trust_option(record: object) -> str:
 
 def _imported(field: Field, value: str, module: str, name: str) -> type:
     if module not in sys.modules and _from_file.get() and not _trusted.get():
-        refuse(field.name, value, f"comes from a file, and loading the file would run the code of the module {module}",
-               f"if you trust it, import {module} first, or use 'warpcrete --trust ...'")  # fmt: skip
+        problem = f"comes from a file, and loading the file would run the code of the module {module}"
+        refuse(field.name, value, problem, f"if you trust it, import {module} first, or use 'warpcrete --trust ...'")
     try:
         with _folder_on_path():
             found = getattr(importlib.import_module(module), name, None)

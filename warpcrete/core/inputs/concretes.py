@@ -13,8 +13,6 @@ The key `base` names another concrete, whose sections the values in this file co
 `calibrated` say where the numbers come from.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -81,8 +79,8 @@ def concrete(name: str) -> NamedConcrete:
     if is_file(name):
         return _read(Path(name), 0)
     if name not in shipped():
-        refuse("concrete", name, f"must be one of {', '.join(shipped())}, or the path of a .yaml file",
-               suggested(name, shipped()))  # fmt: skip
+        problem = f"must be one of {', '.join(shipped())}, or the path of a .yaml file"
+        refuse("concrete", name, problem, suggested(name, shipped()))
     return _shipped(name)
 
 
@@ -93,7 +91,7 @@ def _shipped(name: str) -> NamedConcrete:
 
 def _read(path: Path, depth: int) -> NamedConcrete:
     given = read_mapping(path, "concrete")
-    if depth > MAXIMUM_CHAIN:
+    if depth >= MAXIMUM_CHAIN:
         refuse(
             "concrete base",
             str(path),
@@ -111,8 +109,8 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         found: object = given.get(section) or {}
         if not is_dict(found):
             with errors_located_at(given, section):
-                refuse(f"concrete {section}", found, "must hold 'name: value' lines",
-                       "indent them below the name of the section")  # fmt: skip
+                problem = "must hold 'name: value' lines"
+                refuse(f"concrete {section}", found, problem, "indent them below the name of the section")
         sections[section] = dict(found)
     mix = (
         MixSection(given["mix"], path.parent, elements=sections["elements"], flow=sections["flow"])
@@ -128,12 +126,8 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
-        refuse(
-            "concrete",
-            str(path),
-            "defines no properties",
-            "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'",
-        )
+        hint = "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'"
+        refuse("concrete", str(path), "defines no properties", hint)
     return NamedConcrete(
         **{"name": name_of(path), **texts}, elements=sections["elements"], flow=sections["flow"], mix=mix
     )
@@ -143,8 +137,8 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     if is_file(name):
         return _read(path.parent / name, depth + 1)
     if name not in shipped():
-        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file in "
-               f"the folder of {path.name}", suggested(name, shipped()))  # fmt: skip
+        problem = f"must be one of {', '.join(shipped())}, or a .yaml file in the folder of {path.name}"
+        refuse("concrete base", name, problem, suggested(name, shipped()))
     return _read(SHIPPED / f"{name}.yaml", depth + 1)
 
 

@@ -1,7 +1,5 @@
 """Help for the fields of data classes, made from the texts that stand below the fields in the source."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

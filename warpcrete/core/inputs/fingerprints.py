@@ -1,7 +1,5 @@
 """Fingerprints of scenes and their parts: equal contents have equal fingerprints in every process."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from numbers import Integral

@@ -1,7 +1,5 @@
 """Knobs of a scene: parameters that trade accuracy for computing time, each with levels from coarse to fine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any

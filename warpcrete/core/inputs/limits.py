@@ -6,8 +6,6 @@ level, such as :class:`warpcrete.theory.pipe.Concrete`, take any number that the
 can be tested at its extremes.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass
@@ -123,8 +121,8 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
         refuse(field, value, f"must be a finite number{shown}")
     size = abs(value)
     if size and not limit.low <= size <= limit.high:
-        refuse(field, value, f"is impossible: must be {limit.low:g} to {limit.high:g}{shown} ({limit.why})",
-               _meant(value, unit, limit))  # fmt: skip
+        problem = f"is impossible: must be {limit.low:g} to {limit.high:g}{shown} ({limit.why})"
+        refuse(field, value, problem, _meant(value, unit, limit))
     if size and limit.usual is not None and not limit.usual[0] <= size <= limit.usual[1]:
         meant = _meant(value, unit, limit)
         warn(f"{field} = {value:g}{shown}: is unusual: {limit.why}{f'; {meant}' if meant else ''}")

@@ -136,8 +136,8 @@ def check_named(scene: Any) -> None:
     made = scene.parameters
     hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
     for name in (*made.unwritable, *hidden):
-        refuse(name, made[name], "cannot be rebuilt in another run or process",
-               "define the class of this object in a module file, and declare all its fields there")  # fmt: skip
+        hint = "define the class of this object in a module file, and declare all its fields there"
+        refuse(name, made[name], "cannot be rebuilt in another run or process", hint)
 
 
 def readable(value: object) -> object:

@@ -89,13 +89,13 @@ class SceneFunction(Generic[P, S]):
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
         if args:
-            refuse("parameters", args, "must be given by name, as in name=value",
-                   f"such as {next(iter(known))}=...; help(warpcrete.scenes.{self.__name__}) lists them")  # fmt: skip
+            hint = f"such as {next(iter(known))}=...; help(warpcrete.scenes.{self.__name__}) lists them"
+            refuse("parameters", args, "must be given by name, as in name=value", hint)
         values = self.with_objects(self.completed(given))
         for name in values:
             if name not in known:
-                refuse("parameter", name, f"is not a parameter of scene {self.name}",
-                       self._elsewhere(name) or known_names(name, known))  # fmt: skip
+                problem = f"is not a parameter of scene {self.name}"
+                refuse("parameter", name, problem, self._elsewhere(name) or known_names(name, known))
         try:
             for name, value in values.items():  # Check each value by itself before values are combined.
                 made = known[name].converted(value, name)
@@ -256,12 +256,8 @@ def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[st
             if alias.name in values:
                 value = field.number(values.pop(alias.name), alias.name)
                 if name in values:
-                    refuse(
-                        alias.name,
-                        value,
-                        f"is another name of {name!r}, which is given too",
-                        f"leave out {alias.name!r} or {name!r}",
-                    )
+                    problem = f"is another name of {name!r}, which is given too"
+                    refuse(alias.name, value, problem, f"leave out {alias.name!r} or {name!r}")
                 try:
                     values[name] = alias.convert(value) if alias.convert and value is not None else value
                 except TypeError as error:

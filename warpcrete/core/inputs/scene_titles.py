@@ -1,7 +1,5 @@
 """Names and titles of all scenes, read from their files without importing the scenes and Warp."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

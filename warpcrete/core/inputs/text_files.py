@@ -4,8 +4,6 @@ Each function accepts only regular files up to a maximum size. It turns every er
 and, if known, the line in the file.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

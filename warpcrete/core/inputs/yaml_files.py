@@ -2,8 +2,6 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Reader and writer of YAML 1.2 files: the core schema without tags, with the line number of every entry."""
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

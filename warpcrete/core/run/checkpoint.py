@@ -1,7 +1,5 @@
 """Checkpoint files, which hold the complete state of a run; an interrupted write never leaves half a file."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Acceptance checks of finished runs, with the command option that usually cures a failed check."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import wraps
 

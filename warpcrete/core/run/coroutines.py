@@ -1,7 +1,5 @@
 """Runs as coroutines: a generator requests steps from its caller, which can take the steps of many runs together."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Functions that write files so that no file is ever incomplete, read JSON records, and check new folders."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

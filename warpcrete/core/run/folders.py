@@ -1,7 +1,5 @@
 """Exclusive write access to folders, by a lock that the system releases whenever the owning process ends."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time

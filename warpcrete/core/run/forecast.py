@@ -1,7 +1,5 @@
 """Forecast of a run before it starts: kernel features, time step and its limits, memory, number of steps, wall time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

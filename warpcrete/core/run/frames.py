@@ -1,7 +1,5 @@
 """Schedule of frames: the simulated times at which recorders draw the state of a run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..errors import positive

@@ -13,7 +13,7 @@ import warp as wp
 from ..drawing.display import Display
 from ..units import Quantified, number, quantity, shown
 from .forecast import Forecast, Probe
-from .quantities import CONDITIONS
+from .quantities import declare_conditions
 from .run import Run
 from .run_loop import Simulation
 
@@ -45,10 +45,6 @@ class Quantity:
     """Meaning of the quantity for the reference pages: a sentence without a full stop at its end."""
     only_if: str = ""
     """Condition under which a run has the quantity, as the end of a sentence; empty if there is no simple condition."""
-
-    def __post_init__(self) -> None:
-        if self.only_if:
-            CONDITIONS[self.name] = self.only_if
 
     @property
     def title(self) -> str:
@@ -108,10 +104,7 @@ class Method:
     list_quantities: Callable[[], tuple[Quantity, ...]]
     display: type[Display]
     picture: str
-    """File name of the picture that is drawn with `draw` and saved in the run folder."""
-    draw: Callable[[Any, Run, str], Figure | None]
-    """Function that takes the simulation, its run and the quantity that colours the bodies. It returns a Matplotlib
-    figure, or None if there is nothing to draw."""
+    """File name of the picture that :meth:`drawn` draws and that is saved in the run folder."""
     show: Callable[[Run], Figure | None]
     """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
@@ -122,6 +115,9 @@ class Method:
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
     an error for each simulation."""
+    draw: Callable[[Any, Run, str | None], Figure | None] | None = None
+    """Function that draws the picture of a run folder. It takes the simulation, its run and the quantity that colours
+    the bodies, and returns a Matplotlib figure, or None if there is nothing to draw. By default, `show` draws it."""
     more_pictures: Callable[[Run], Mapping[str, Figure | None]] = lambda run: {}
     """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
     if there is nothing to draw."""
@@ -130,6 +126,20 @@ class Method:
     the name of each check, whether the run passed and what the check found. None if there are no such checks."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
     """Function that takes a scene and returns the quantities that closed-form solutions predict, by name."""
+
+    def __post_init__(self) -> None:
+        declare_conditions(
+            self.scene_type, lambda: {each.name: each.only_if for each in self.quantities if each.only_if}
+        )
+
+    def drawn(self, simulation: Simulation, run: Run, colouring: str | None) -> Figure | None:
+        """Return the picture for a run folder; None if the run has only its initial row, which leaves nothing to draw.
+
+        `colouring` is the quantity that colours the bodies.
+        """
+        if self.draw is not None:
+            return self.draw(simulation, run, colouring)
+        return self.show(run) if len(run.series["time"]) > 1 else None
 
     @property
     def scene_type(self) -> type:

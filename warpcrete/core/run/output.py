@@ -4,8 +4,6 @@ The package `record`, which imports `core`, implements the interface. It registe
 uses this class if the user states a folder as a path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol

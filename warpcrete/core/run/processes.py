@@ -1,7 +1,5 @@
 """Child processes that the system kills when this process ends."""
 
-from __future__ import annotations
-
 import os
 import sys
 

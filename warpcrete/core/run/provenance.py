@@ -1,7 +1,5 @@
 """Provenance of a run, such as versions and processor, and hashes that show whether two results are identical."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import platform

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..drawing.html import html_table
@@ -11,8 +11,33 @@ from ..inputs.amounts import UNITS
 from ..narrowing import is_dict
 from ..units import number
 
-CONDITIONS: dict[str, str] = {}
-"""Condition under which a run has a quantity, by the quantity's name, for messages about a quantity that is absent."""
+_conditions: dict[type, Callable[[], Mapping[str, str]]] = {}
+"""Functions that return a method's conditions, by the type of its scenes; see :func:`conditions_of`."""
+
+
+def declare_conditions(scene_type: type, conditions: Callable[[], Mapping[str, str]]) -> None:
+    """Declare under which conditions runs of the scenes of a type have a quantity; see :func:`conditions_of`.
+
+    `conditions` is called when they are needed, because a user may add standard tests with quantities of their own.
+    """
+    _conditions[scene_type] = conditions
+
+
+def conditions_of(scene: object) -> Mapping[str, str]:
+    """Return the conditions under which runs of a scene have a quantity, by the quantity's name, for messages.
+
+    Each simulation method declares its own, because quantities of several methods may have the same name. If the type
+    of the scene belongs to no method, as in a folder whose scene cannot be built again, the result has the conditions
+    on which all methods agree that declare them.
+    """
+    for kind in type(scene).__mro__:
+        if kind in _conditions:
+            return _conditions[kind]()
+    texts: dict[str, set[str]] = {}
+    for conditions in _conditions.values():
+        for name, text in conditions().items():
+            texts.setdefault(name, set()).add(text)
+    return {name: found.pop() for name, found in texts.items() if len(found) == 1}
 
 
 class Amount(float):

@@ -1,7 +1,5 @@
 """Base class of recorders, which write the output of a run to files or to a viewer."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from .run import Run

@@ -1,7 +1,5 @@
 """Management of a run's recorders: calls to them, failures of single recorders, and errors of writing to disk."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

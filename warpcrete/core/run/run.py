@@ -25,7 +25,7 @@ from .ending import Ending
 from .files import LOCK, PARTIAL, cannot_write, check_new
 from .folders import FolderLock, new_folder
 from .output import RunOutput, output_of
-from .quantities import CONDITIONS, Quantities
+from .quantities import Quantities, conditions_of
 from .tables import Table, dataframe, dataset
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
@@ -90,8 +90,8 @@ class Run:
         if name not in quantities:
             similar = difflib.get_close_matches(name, quantities, 3)
             what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(quantities)}"
-            if name in CONDITIONS:
-                what = f": runs that measure it have it only if {CONDITIONS[name]}{what}"
+            if condition := conditions_of(self.scene).get(name):
+                what = f": runs that measure it have it only if {condition}{what}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
         return quantities[name]
 

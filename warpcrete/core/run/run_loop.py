@@ -3,8 +3,6 @@
 Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Sequence
@@ -107,8 +105,8 @@ class Simulation(SimulationBase):
 
     def _use_folder(self, output: RunOutput) -> None:
         if self.checkpoint_path is not None:
-            refuse("checkpoint_path", str(self.checkpoint_path), "cannot be combined with 'out', because the run "
-                   "folder holds the checkpoint", "leave out 'checkpoint_path'")  # fmt: skip
+            problem = "cannot be combined with 'out', because the run folder holds the checkpoint"
+            refuse("checkpoint_path", str(self.checkpoint_path), problem, "leave out 'checkpoint_path'")
         self.folder = output.path
         self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
         self.recorders = [*output.recorders(self), *self.recorders]

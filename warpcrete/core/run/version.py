@@ -1,7 +1,5 @@
 """Functions that return the versions of installed packages."""
 
-from __future__ import annotations
-
 import functools
 from importlib.metadata import PackageNotFoundError, version
 

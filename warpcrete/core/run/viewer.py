@@ -1,7 +1,5 @@
 """Rerun's viewer, on this screen or in a browser; by default, only this machine can connect to it."""
 
-from __future__ import annotations
-
 import ipaddress
 import os
 import socket

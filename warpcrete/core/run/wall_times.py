@@ -1,7 +1,5 @@
 """Wall times of a run and of its phases, such as packing; time since the last checkpoint; time steps per second."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 

@@ -7,8 +7,6 @@ is missed however many steps are queued, and a scene gives bitwise identical res
 scene still costs a little time, because every kernel visits it; the module `regrouping` removes finished scenes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from functools import cached_property

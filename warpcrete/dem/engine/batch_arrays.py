@@ -1,7 +1,5 @@
 """Device arrays of a batch, in which the arrays of all scenes are joined end to end."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Protocols that declare members of the class `Batch`, for modules that cannot import it without a circular import."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -9,8 +9,6 @@ has two rows, one for each thread. If contacts can heal (form bonds during the r
 Every entry of the list then has a row of its own.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.device.launching import launch

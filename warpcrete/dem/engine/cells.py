@@ -1,7 +1,5 @@
 """Cell grid of the neighbour search, fitted to the space that the scenes of a batch occupy."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

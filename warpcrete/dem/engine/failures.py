@@ -1,7 +1,5 @@
 """Errors to raise for a run that the device has stopped; they name the body, the likely cause and the usual cures."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.errors import InstabilityError

@@ -5,8 +5,6 @@ host, for example for new neighbour lists, halts itself on the device and skips 
 of steps per launch therefore affects speed only, never results.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

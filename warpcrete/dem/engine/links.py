@@ -4,8 +4,6 @@ The lists of a GPU contain every pair twice, once for each sphere. A link repres
 force is computed once and then read by both spheres.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.device.arrays import DeviceArray, copy_array, declared, zeros

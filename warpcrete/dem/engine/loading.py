@@ -1,7 +1,5 @@
 """Compile all kernels of a batch in parallel before its first launch."""
 
-from __future__ import annotations
-
 from ...core.device.arrays import Kernel
 from ...core.device.launching import Stage, load
 from ...kernels.dem import probes

@@ -1,7 +1,5 @@
 """Estimate the device memory that a run needs, and check that it is free before arrays are allocated."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -2,8 +2,6 @@
 needs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -329,12 +327,8 @@ def _law_table(
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = sorted({type(c).__name__ for c in met})
     if len(kinds) > 1:
-        refuse(
-            "contacts",
-            ", ".join(kinds),
-            f"must be one type of law for all contacts with {what}",
-            "use one class of contact law between bodies, and one between bodies and walls",
-        )
+        hint = "use one class of contact law between bodies, and one between bodies and walls"
+        refuse("contacts", ", ".join(kinds), f"must be one type of law for all contacts with {what}", hint)
     law = type(met[0])
     table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met
     return [c if type(c) is law else met[0] for c in table]

@@ -7,8 +7,6 @@ spheres, with one exception: a pair of spheres that belong to different CPU thre
 thread.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Functions that read the pairs of spheres in the neighbour lists from the device, each pair once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .state import State

@@ -1,7 +1,5 @@
 """Phases of a rebuild of the neighbour lists: recorded launches in one fixed order, for the host and CUDA graphs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Every kernel visits all scenes of a batch, so ended scenes still cost time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ...core.device.device import memory_free

@@ -3,8 +3,6 @@
 A formula gives the gain, so that the rest needs no time steps (Roussel 2006).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from ..laws import LubricationLayer

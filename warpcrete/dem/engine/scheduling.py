@@ -3,8 +3,6 @@
 Only this module knows how the coroutines of runs, packings and single steppers become launches of a batch.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext

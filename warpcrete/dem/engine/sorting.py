@@ -1,7 +1,5 @@
 """Sorting of bodies in memory along a space-filling curve, so that spatial neighbours are neighbours in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimate of the largest stable time step of a scene, and of the largest speed that a scene can reach."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Kernel launches (stages) of one time step: contacts, walls, meshes, motion of walls and bodies, simulated time."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """State: the arrays that change during a run of one scene."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import SimpleNamespace

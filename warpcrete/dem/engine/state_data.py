@@ -1,7 +1,5 @@
 """Conversion of a state (all data of a scene that change during a run) to and from checkpoints, and its hash."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

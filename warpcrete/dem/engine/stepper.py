@@ -1,7 +1,5 @@
 """Stepper, which advances one scene of a batch in time and controls its step size and its bonds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Protocol of a stepper, for modules such as `scheduling` that `stepper` imports and that cannot import `stepper`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypedDict

@@ -4,8 +4,6 @@
 folder, `grid.py` defines `Grid` and `stiffness.py` defines `Estimate`. A test compares these names with the structs.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import warp as wp

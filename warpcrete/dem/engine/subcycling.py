@@ -5,8 +5,6 @@ rounds of a step; `kernels/dem/subcycling.py` explains the method. This module m
 the number of rounds, and the kernel launches.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -15,17 +15,6 @@ from .plastic import PlasticMortar
 from .rolling import RollingResistance
 
 __all__ = [
-    "OWN_LAW",
-    "OWN_WALL_LAW",
-    "BinghamMortar",
-    "Contact",
-    "ContactLaw",
-    "HertzMindlin",
-    "LawChoice",
-    "LubricationLayer",
-    "PlasticMortar",
-    "RollingResistance",
-    "WallLawChoice",
-    "damping_ratio",
-    "own_laws",
-]
+    "OWN_LAW", "OWN_WALL_LAW", "BinghamMortar", "Contact", "ContactLaw", "HertzMindlin", "LawChoice",
+    "LubricationLayer", "PlasticMortar", "RollingResistance", "WallLawChoice", "damping_ratio", "own_laws",
+]  # fmt: skip

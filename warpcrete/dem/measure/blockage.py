@@ -7,8 +7,6 @@ A pipe counts as blocked if three conditions hold:
 - The pressure rises.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

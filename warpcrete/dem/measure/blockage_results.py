@@ -1,7 +1,5 @@
 """Quantities and report text that describe the blockage of a pipe."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -40,21 +38,7 @@ QUANTITIES = (
     Quantity("blocked_chains", "1", _of("chains"),
              meaning="Number of networks of strong contacts that span the pipe at the blockage", only_if=BLOCKED),
 )  # fmt: skip
-"""Quantities of a blocked pipe.
-
-- `blocked` is 1 if the pipe was blocked, else 0. Its mean over several seeds is a probability.
-- `blocked_at` is the arc length of the blockage along the pipe's axis.
-- `blocked_time` is the time at which the blockage was detected.
-- `blocked_from_travel` is the travel of the piston at which a part of the concrete stopped.
-- `blocked_pressure` is the pressure at detection.
-- `blocked_pressure_before` is the pressure at the time when that part of the concrete stopped.
-- `blocked_solid_fraction` is the solid fraction at the blockage.
-- `blocked_chains` is the number of networks of strong contacts that span the pipe at the blockage.
-- `blockage_window` is the travel of the piston during which a part of the concrete must stand still to count as
-  blocked.
-- `slowest_advance` is the advance of the slowest part of the concrete, divided by that of the piston, at the last
-  check.
-"""
+"""Quantities of a blocked pipe. The mean of `blocked` over several seeds is a probability."""
 
 
 def _finite(value: float) -> float | None:

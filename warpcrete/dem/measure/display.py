@@ -1,7 +1,5 @@
 """Display of a discrete element run: the colours, lines, plots and walls that recorders and viewers draw."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

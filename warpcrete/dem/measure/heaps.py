@@ -8,8 +8,6 @@ it from the main body. A slump is the difference of two heights measured in this
 roughness cancels.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 FINE = 0.25

@@ -3,8 +3,6 @@
 The values are added in a fixed order and in double precision.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Results of a discrete element run: named numbers, each with its unit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Time series of a discrete element run: the columns, their units, and the measurement of each row."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Segregation of aggregate in a pipe: volume fractions at axis and wall, front and rear; position of large stones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -202,72 +200,28 @@ def _large_outward(known: Any) -> float | None:
 
 
 QUANTITIES = (
-    Quantity(
-        "aggregate_inner",
-        "1",
-        _at_end("aggregate_inner"),
-        meaning="Volume fraction of aggregate in the inner half of the radius of the pipe at the end",
-    ),
-    Quantity(
-        "aggregate_outer",
-        "1",
-        _at_end("aggregate_outer"),
-        meaning="Volume fraction of aggregate in the outer half of the radius of the pipe at the end",
-    ),
-    Quantity(
-        "aggregate_front",
-        "1",
-        _at_end("aggregate_front"),
-        meaning="Volume fraction of aggregate in the front half of the concrete at the end",
-    ),
-    Quantity(
-        "aggregate_rear",
-        "1",
-        _at_end("aggregate_rear"),
-        meaning="Volume fraction of aggregate in the rear half of the concrete at the end",
-    ),
-    Quantity(
-        "segregation",
-        "1",
-        _outward(-1),
-        meaning="`aggregate_outer` minus `aggregate_inner`, divided by the mean volume fraction of aggregate, "
-        "at the end",
-    ),
-    Quantity(
-        "segregation_at_start",
-        "1",
-        _outward(0),
-        meaning="Value of `segregation` at the start, which is not zero, because stones keep a distance from the wall",
-    ),
-    Quantity(
-        "size_segregation",
-        "1",
-        _large_outward,
-        meaning="Fraction of large stones in the aggregate of the outer half of the radius, minus that of the "
-        "inner half",
-    ),
-    Quantity(
-        "mixing",
-        "1",
-        _at_end("mixing"),
-        meaning="Lacey's mixing index of large and small stones at the end: 0 if they are separate, 1 if mixed"
-        " at random",
-    ),
-)
-"""Segregation results of a run.
-
-- `aggregate_inner`, `aggregate_outer`: volume fraction of aggregate in the inner and in the outer half of the pipe's
-  radius, at the end.
-- `aggregate_front`, `aggregate_rear`: volume fraction of aggregate in the front and in the rear half of the concrete,
-  at the end.
-- `segregation`: `aggregate_outer` minus `aggregate_inner`, divided by the mean volume fraction of aggregate, at the
-  end.
-- `segregation_at_start`: the value of `segregation` at the start. It is not zero, because stones always keep a distance
-  from the wall.
-- `size_segregation`: fraction of large stones in the aggregate of the outer half of the radius, minus the fraction of
-  large stones in the aggregate of the inner half, at the end.
-- `mixing`: Lacey's mixing index of large and small stones at the end, 0 if they are separate and 1 if mixed at random.
-"""
+    Quantity("aggregate_inner", "1", _at_end("aggregate_inner"),
+             meaning="Volume fraction of aggregate in the inner half of the radius of the pipe at the end"),
+    Quantity("aggregate_outer", "1", _at_end("aggregate_outer"),
+             meaning="Volume fraction of aggregate in the outer half of the radius of the pipe at the end"),
+    Quantity("aggregate_front", "1", _at_end("aggregate_front"),
+             meaning="Volume fraction of aggregate in the front half of the concrete at the end"),
+    Quantity("aggregate_rear", "1", _at_end("aggregate_rear"),
+             meaning="Volume fraction of aggregate in the rear half of the concrete at the end"),
+    Quantity("segregation", "1", _outward(-1),
+             meaning="`aggregate_outer` minus `aggregate_inner`, divided by the mean volume fraction of aggregate, at "
+                     "the end"),
+    Quantity("segregation_at_start", "1", _outward(0),
+             meaning="Value of `segregation` at the start, which is not zero, because stones keep a distance from the "
+                     "wall"),
+    Quantity("size_segregation", "1", _large_outward,
+             meaning="Fraction of large stones in the aggregate of the outer half of the radius, minus that of the "
+                     "inner half"),
+    Quantity("mixing", "1", _at_end("mixing"),
+             meaning="Lacey's mixing index of large and small stones at the end: 0 if they are separate, 1 if mixed "
+                     "at random"),
+)  # fmt: skip
+"""Segregation results of a run; all values but `segregation_at_start` are those at the end."""
 
 
 def words(run: Any) -> str:

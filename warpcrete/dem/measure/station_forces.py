@@ -1,7 +1,5 @@
 """Forces of all contacts of a state, for measurements along a pipe, and the stress sum of every body."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Friction losses along a pipe, from the stresses that were measured at stations along it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ Granular Matter 12 (2010) 239, with a box as the averaging function). Wall conta
 to the wall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

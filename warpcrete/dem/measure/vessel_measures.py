@@ -1,7 +1,5 @@
 """Measurements in standard tests of fresh concrete, whose concrete consists of spheres in a vessel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Check the state of a run against limits, and stop the run when the state has become meaningless."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

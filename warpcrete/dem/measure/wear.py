@@ -5,8 +5,6 @@ sample is taken, these sums are credited to the patch that the sphere touched la
 are therefore exact, and their places on the wall are accurate to the distance that a sphere moves between two samples.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

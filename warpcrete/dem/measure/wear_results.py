@@ -1,7 +1,5 @@
 """Results and figures of the wear of walls."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -96,57 +94,26 @@ def _place(wall: WornWall, known: Any, which: int, factor: float) -> float | Non
 
 
 QUANTITIES = (
-    Quantity(
-        "wear_sliding_energy",
-        "J/m2",
-        _of(lambda wall, known: _mean(wall, known, 0)),
-        meaning="Energy of sliding friction per area, as a mean over the part of the most worn wall that "
-        "aggregates touched",
-    ),
-    Quantity(
-        "wear_largest_sliding_energy",
-        "J/m2",
-        _of(lambda wall, known: wall.sliding.max()),
-        meaning="Energy of sliding friction per area of the patch where it is largest",
-    ),
-    Quantity(
-        "wear_impact_energy",
-        "J/m2",
-        _of(lambda wall, known: _mean(wall, known, 1)),
-        meaning="Energy of impacts per area, as a mean over the part of the wall that aggregates touched",
-    ),
-    Quantity(
-        "wear_depth_per_hour",
-        "m/h",
-        _of(lambda wall, known: _hourly(wall.mean_depth(covered(wall, known.scene)), known)),
-        meaning="Depth of wear per hour of pumping, as a mean over the part of the wall that aggregates touched",
-    ),
-    Quantity(
-        "wear_largest_depth_per_hour",
-        "m/h",
-        _of(lambda wall, known: _hourly(wall.depth.max(), known)),
-        meaning="Depth of wear per hour of pumping of the most worn patch",
-    ),
-    Quantity(
-        "wear_depth_per_volume",
-        "m/m3",
-        _of(_by_volume),
-        meaning="Depth of wear per volume of pumped concrete, as a mean over the part of the wall that "
-        "aggregates touched",
-    ),
-    Quantity(
-        "wear_worst_along",
-        "m",
-        _of(lambda wall, known: _place(wall, known, 0, 1.0)),
-        meaning="Arc length of the most worn patch along the axis of the pipe",
-    ),
-    Quantity(
-        "wear_worst_angle",
-        "deg",
-        _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi)),
-        meaning="Angle of the most worn patch about the axis of the pipe",
-    ),
-)
+    Quantity("wear_sliding_energy", "J/m2", _of(lambda wall, known: _mean(wall, known, 0)),
+             meaning="Energy of sliding friction per area, as a mean over the part of the most worn wall that "
+                     "aggregates touched"),
+    Quantity("wear_largest_sliding_energy", "J/m2", _of(lambda wall, known: wall.sliding.max()),
+             meaning="Energy of sliding friction per area of the patch where it is largest"),
+    Quantity("wear_impact_energy", "J/m2", _of(lambda wall, known: _mean(wall, known, 1)),
+             meaning="Energy of impacts per area, as a mean over the part of the wall that aggregates touched"),
+    Quantity("wear_depth_per_hour", "m/h",
+             _of(lambda wall, known: _hourly(wall.mean_depth(covered(wall, known.scene)), known)),
+             meaning="Depth of wear per hour of pumping, as a mean over the part of the wall that aggregates touched"),
+    Quantity("wear_largest_depth_per_hour", "m/h", _of(lambda wall, known: _hourly(wall.depth.max(), known)),
+             meaning="Depth of wear per hour of pumping of the most worn patch"),
+    Quantity("wear_depth_per_volume", "m/m3", _of(_by_volume),
+             meaning="Depth of wear per volume of pumped concrete, as a mean over the part of the wall that "
+                     "aggregates touched"),
+    Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0)),
+             meaning="Arc length of the most worn patch along the axis of the pipe"),
+    Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi)),
+             meaning="Angle of the most worn patch about the axis of the pipe"),
+)  # fmt: skip
 """Wear results of the most worn wall since t = 0: means over the part of the wall that aggregates touched, and the
 values of the most worn patch."""
 

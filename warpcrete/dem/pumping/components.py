@@ -1,7 +1,5 @@
 """Conversion of declared parameters into the components of a pumping scene: sizes, contacts, bonds, plug, settings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -114,12 +112,8 @@ def sizes_of(given: AggregateParameters, diameter: float) -> Sizes:
     """
     found = _distribution(given)
     if found.largest >= diameter:
-        refuse(
-            "size_max",
-            found.largest,
-            f"must be below the pipe's diameter, {diameter:g} m",
-            "use smaller aggregates or a wider pipe",
-        )
+        problem = f"must be below the pipe's diameter, {diameter:g} m"
+        refuse("size_max", found.largest, problem, "use smaller aggregates or a wider pipe")
     return found
 
 
@@ -204,8 +198,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     # Use a product: for a very large number, `across**2` would raise OverflowError, but a product becomes infinite.
     count = layers * math.pi * across * across
     if count > MOST_BALLS:
-        refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
-               "increase 'plug_ball', or set 'plug' to plate or none")  # fmt: skip
+        problem = f"would need {count:.2g} balls to plug the pipe"
+        refuse("plug_ball", ball, problem, "increase 'plug_ball', or set 'plug' to plate or none")
     local = []
     for layer in range(layers):
         ring = radius - ball / 2

@@ -3,8 +3,6 @@
 The first line of each class is the heading of its group in the command's help.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar

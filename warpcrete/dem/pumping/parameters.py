@@ -1,7 +1,5 @@
 """Parameters of pumping aggregates through a pipe unit (Zhan et al. 2019), motion of the piston, accuracy settings."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping
@@ -89,38 +87,26 @@ class PipeParameters(
                     refuse("stroke", self.stroke, f"times {self.strokes} strokes {longest}")
                 refuse("travel", self.travel, longest)
             if self.plug == "plate":
-                refuse(
-                    "plug",
-                    self.plug,
-                    "must not be a plate in a bend, because a plate cannot follow it",
-                    "set 'plug' to balls or none",
-                )
+                problem = "must not be a plate in a bend, because a plate cannot follow it"
+                refuse("plug", self.plug, problem, "set 'plug' to balls or none")
         self._check_strokes()
 
     def _check_strokes(self) -> None:
         if self.stroke is not None and self.travel is not None:
-            refuse(
-                "travel",
-                self.travel,
-                f"is already set by {self.strokes} strokes of {self.stroke:g} m",
-                "leave out 'travel' or 'stroke'",
-            )
+            problem = f"is already set by {self.strokes} strokes of {self.stroke:g} m"
+            refuse("travel", self.travel, problem, "leave out 'travel' or 'stroke'")
         if self.stops is not None and self.each < 2 * self.ramp * (1 - 1e-12):
-            refuse("stroke", self.each, f"must hold two ramps of {self.ramp:g} m, one from rest and one to rest",
-                   "use longer strokes, or a shorter 'ramp'")  # fmt: skip
+            problem = f"must hold two ramps of {self.ramp:g} m, one from rest and one to rest"
+            refuse("stroke", self.each, problem, "use longer strokes, or a shorter 'ramp'")
         if self.rest > 0 and self.pause == 0:
-            refuse(
-                "rest",
-                self.rest,
-                "takes place in the last stop between strokes, and there is no stop",
-                "set 'pause' above 0 and 'strokes' to 2 or more",
-            )
+            problem = "takes place in the last stop between strokes, and there is no stop"
+            refuse("rest", self.rest, problem, "set 'pause' above 0 and 'strokes' to 2 or more")
         layer = (
             self.layer_yield or self.layer_viscosity or isinstance(self.wall_contact or self.contact, LubricationLayer)
         )
         if self.rest > 0 and not (self.bonds or layer):
-            refuse("rest", self.rest, "has no effect, because there are no bonds and no lubrication layer on the wall",
-                   "switch on 'bonds', or set 'layer_yield' above 0")  # fmt: skip
+            problem = "has no effect, because there are no bonds and no lubrication layer on the wall"
+            refuse("rest", self.rest, problem, "switch on 'bonds', or set 'layer_yield' above 0")
 
     @property
     def is_bend(self) -> bool:

@@ -52,16 +52,8 @@ class CourseParameters:
     """
 
     common: ClassVar[tuple[str, ...]] = (
-        "unit",
-        "diameter",
-        "straight",
-        "elbow_radius",
-        "angle",
-        "outlet_diameter",
-        "wall",
-        "wall_scale",
-        "line",
-    )
+        "unit", "diameter", "straight", "elbow_radius", "angle", "outlet_diameter", "wall", "wall_scale", "line",
+    )  # fmt: skip
 
     unit: Annotated[
         str,
@@ -240,28 +232,16 @@ def _meshed(given: PartElements) -> PipeLine:
     """
     assert given.wall is not None
     if given.unit != "mesh":
-        refuse(
-            "wall",
-            given.wall,
-            f"can only be combined with 'unit' = mesh, not {given.unit}",
-            "set 'unit' to mesh, or give a pipeline file with a part 'bore' as 'line'",
-        )
+        problem = f"can only be combined with 'unit' = mesh, not {given.unit}"
+        refuse("wall", given.wall, problem, "set 'unit' to mesh, or give a pipeline file with a part 'bore' as 'line'")
     if given.outlet_diameter is not None:
-        refuse(
-            "outlet_diameter",
-            given.outlet_diameter,
-            "has no effect together with 'wall', because the mesh has its own outlet",
-            "leave it out",
-        )
+        problem = "has no effect together with 'wall', because the mesh has its own outlet"
+        refuse("outlet_diameter", given.outlet_diameter, problem, "leave it out")
     mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
     wide, outlet = mesh.ends
     if abs(wide / given.diameter - 1) > DIAMETER_TOLERANCE:
-        refuse(
-            "diameter",
-            given.diameter,
-            f"differs from the diameter of the mesh at its start, {wide:.4g} m",
-            "set 'diameter' to this value, or scale the mesh with 'wall_scale'",
-        )
+        problem = f"differs from the diameter of the mesh at its start, {wide:.4g} m"
+        refuse("diameter", given.diameter, problem, "set 'diameter' to this value, or scale the mesh with 'wall_scale'")
     ends, _ = mesh.axis.at([0.0, mesh.axis.length])
     length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
     level = float(mesh.axis.at(length)[1][0, 2])
@@ -286,8 +266,8 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     radius, straight = given.diameter / 2, given.straight
     narrows = given.outlet_diameter is not None
     if narrows:
-        between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
-                "for a larger change, use a 'line' from a file with several parts 'reducer'")  # fmt: skip
+        hint = "for a larger change, use a 'line' from a file with several parts 'reducer'"
+        between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m", hint)
     # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, it lies downstream, behind a
     # straight section.
     narrowing = straight + given.taper if narrows else 0.0

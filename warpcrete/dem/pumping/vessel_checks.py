@@ -1,7 +1,5 @@
 """Checks, remarks and accuracy settings of discrete element tests of fresh concrete in a vessel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from ...core.inputs.knobs import Knob, Level, precisions, scaled

@@ -1,7 +1,5 @@
 """Parameters of discrete element tests of fresh concrete in a vessel, and the contact laws that follow from them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
@@ -201,8 +199,8 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
                                                   f"{', '.join(RESISTANCES)}", f"leave out {name!r}, or choose one of "
                                                                                "these laws")  # fmt: skip
         if self.mould_grip_or_default > self.plate_grip:
-            refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
-                   "increase 'plate_grip', or reduce 'mould_grip'")  # fmt: skip
+            problem = f"must not exceed plate_grip = {self.plate_grip:g}"
+            refuse("mould_grip", self.mould_grip, problem, "increase 'plate_grip', or reduce 'mould_grip'")
 
     @property
     def stiffness(self) -> float:

@@ -1,7 +1,5 @@
 """Checks that apply to every discrete element run, and the warning about a time step that is too coarse."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """Clump templates: rigid shapes made of overlapping spheres, whose overlaps count only once in mass and inertia."""
 
-from __future__ import annotations
-
 import functools
 import heapq
 from dataclasses import dataclass
@@ -212,12 +210,8 @@ def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
     paths = [part.strip() for part in name.split(",")]
     if all(Path(path).suffix for path in paths):
         return tuple(from_mesh(path, spheres, Path(path).stem) for path in paths)
-    refuse(
-        "shapes",
-        name,
-        "must be one of " + ", ".join(TEMPLATE_SETS) + ", or the path of a closed mesh",
-        "for elongated bodies, write 'shape-' and the ratio of length to width, 1 to 20, as in 'shape-1.5'",
-    )
+    hint = "for elongated bodies, write 'shape-' and the ratio of length to width, 1 to 20, as in 'shape-1.5'"
+    refuse("shapes", name, "must be one of " + ", ".join(TEMPLATE_SETS) + ", or the path of a closed mesh", hint)
 
 
 def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> ClumpTemplate:

@@ -1,7 +1,5 @@
 """Translate a named concrete, or one from a file, to parameters of discrete elements."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -63,12 +61,9 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     flow = flow_amounts(found)
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:
-        refuse(
-            "concrete flow",
-            ", ".join(missing),
-            f"missing in the concrete {found.name!r}, but needed by discrete elements",
-            "add what is missing to the section 'flow' of the concrete's file, or add a section 'elements'",
-        )
+        problem = f"missing in the concrete {found.name!r}, but needed by discrete elements"
+        hint = "add what is missing to the section 'flow' of the concrete's file, or add a section 'elements'"
+        refuse("concrete flow", ", ".join(missing), problem, hint)
     for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):
         if flow.get(name, plain) != plain and not layer_given:
             refuse(

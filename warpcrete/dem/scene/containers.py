@@ -190,30 +190,23 @@ class Fill:
         if self.bulk_density is not None:
             positive("bulk_density", self.bulk_density, "kg/m3")
         if (self.solid_fraction is None) == (self.pressure is None):
-            refuse(
-                "solid_fraction",
-                self.solid_fraction,
-                "must be given if there is no packing pressure, and left out otherwise",
-            )
+            problem = "must be given if there is no packing pressure, and left out otherwise"
+            refuse("solid_fraction", self.solid_fraction, problem)
         if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:
             refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
         if self.pressure is not None:
             positive("packing pressure", self.pressure, "Pa")
         if isinstance(self.templates, ClumpTemplate) or not self.templates:
-            refuse("templates", self.templates, "must be a tuple of at least one template",
-                   "for single spheres: (warpcrete.dem.scene.clumps.sphere(),)")  # fmt: skip
+            problem = "must be a tuple of at least one template"
+            refuse("templates", self.templates, problem, "for single spheres: (warpcrete.dem.scene.clumps.sphere(),)")
         given = np.ones(len(self.templates)) if self.fractions is None else np.asarray(self.fractions, float)
         wrong = given.shape != (len(self.templates),) or not np.all(np.isfinite(given)) or np.any(given < 0)
         if wrong or not given.sum() > 0:
-            refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers, none below 0 and not all 0",
-                   "give one fraction for each shape")  # fmt: skip
+            problem = f"must be {len(self.templates)} numbers, none below 0 and not all 0"
+            refuse("fractions", self.fractions, problem, "give one fraction for each shape")
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
         # A long aggregate may lie along the container, so compare only its thickness with the width of the container.
         thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
         if thickest >= self.container.narrowest:
-            refuse(
-                "largest size",
-                self.sizes.largest,
-                f"exceeds the width of the container, {self.container.narrowest:g} m",
-                "choose smaller aggregates or a wider pipe",
-            )
+            problem = f"exceeds the width of the container, {self.container.narrowest:g} m"
+            refuse("largest size", self.sizes.largest, problem, "choose smaller aggregates or a wider pipe")

@@ -3,8 +3,6 @@
 Defaults are the reference concrete of Zhan et al. 2019, Table 1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -100,12 +98,8 @@ class Bodies:
                 if value.shape != (n, width) or not np.all(np.isfinite(value)):
                     refuse(name, f"shape {value.shape}", f"must be finite, shape ({n}, {width})")
                 if name == "orientations" and np.any(np.abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
-                    refuse(
-                        name,
-                        "a quaternion whose length is not 1",
-                        "must be unit quaternions (x, y, z, w)",
-                        "divide each quaternion by its length",
-                    )
+                    problem = "must be unit quaternions (x, y, z, w)"
+                    refuse(name, "a quaternion whose length is not 1", problem, "divide each quaternion by its length")
                 object.__setattr__(self, name, value)
 
 

@@ -1,7 +1,5 @@
 """Groups of settings of a scene: bonds, time step, settling, rest, limits, wear and blockage."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -77,12 +75,8 @@ class TimeStep(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.rounds is not None and self.rounds < 1:
-            refuse(
-                "rounds",
-                self.rounds,
-                "must be a whole number, 1 or more",
-                "leave out 'rounds' to use as many as needed",
-            )
+            problem = "must be a whole number, 1 or more"
+            refuse("rounds", self.rounds, problem, "leave out 'rounds' to use as many as needed")
         if self.fixed is not None:
             positive("time_step", self.fixed, "s", "leave out the fixed time step for an automatic one")
         if self.interval < 1:

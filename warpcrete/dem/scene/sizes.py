@@ -91,8 +91,8 @@ class SieveCurve:
         try:
             openings, passing = zip(*(map(float, part.split(":")) for part in text.split(",")), strict=True)
         except ValueError:
-            refuse(field, text, allowed,
-                   "for example '5:0,10:0.4,20:1', pairs of opening [mm] and passing share of the mass")  # fmt: skip
+            hint = "for example '5:0,10:0.4,20:1', pairs of opening [mm] and passing share of the mass"
+            refuse(field, text, allowed, hint)
         return cls(tuple(1e-3 * opening for opening in openings), tuple(passing))
 
     def retained(self, size: float) -> float:

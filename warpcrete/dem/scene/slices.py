@@ -1,7 +1,5 @@
 """Slices of a pipe in which a run measures stresses, solid fraction and velocities."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Pressure over the strokes of a piston: peaks, the pressure held at a stop, and the restart."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Allocation of the device arrays that are members of the kernels' structs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

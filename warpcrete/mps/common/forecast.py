@@ -5,8 +5,6 @@ the flow is run to predict the simulated time, which is set by physics rather th
 step is measured in the first steps of the flow itself.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Concretes for flows, by name or from a file, and the parameters of a scene that select them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -148,23 +146,15 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
     named = {} if _is_complete(name, given) else _flow_of(name)
     missing = sorted(set(BINGHAM_CONSTANTS) - set(given) - set(named))
     if missing:
-        refuse(
-            "concrete",
-            name,
-            f"has no value for {', '.join(missing)}",
-            f"give these values, or use one of the concretes {', '.join(flowing())}",
-        )
+        problem = f"has no value for {', '.join(missing)}"
+        refuse("concrete", name, problem, f"give these values, or use one of the concretes {', '.join(flowing())}")
     if slip_thickness > 0 and "slip_viscosity" not in given and name in SLIP_VISCOSITY_BY_THICKNESS:
         table = SLIP_VISCOSITY_BY_THICKNESS[name]
         match = [eta for thickness, eta in table.items() if abs(thickness - slip_thickness) < 1e-9]
         if not match:
             printed = ", ".join(f"{x:g}" for x in table)
-            refuse(
-                "slip_thickness",
-                slip_thickness,
-                f"must be one of the published thicknesses ({printed} m) unless 'slip_viscosity' is given",
-                "use a published thickness, or set 'slip_viscosity'",
-            )
+            problem = f"must be one of the published thicknesses ({printed} m) unless 'slip_viscosity' is given"
+            refuse("slip_thickness", slip_thickness, problem, "use a published thickness, or set 'slip_viscosity'")
         given["slip_viscosity"] = match[0]
     known = {**FACTORS, **named, **given}
     factors = [known.pop(key) for key in FACTORS]

@@ -1,7 +1,5 @@
 """Settings that flows of every kind share."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 After several graphs, the host reads the control flags from the device. They contain the number of completed steps.
 """
 
-from __future__ import annotations
-
 import math
 import traceback
 from abc import ABC, abstractmethod

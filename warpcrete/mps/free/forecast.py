@@ -4,8 +4,6 @@ A coarser copy of the flow is run to predict the simulated time until the concre
 measured in the first steps of the flow itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any

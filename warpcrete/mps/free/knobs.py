@@ -1,7 +1,5 @@
 """Settings ("knobs") that trade accuracy of a free-surface flow for run time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Layout of a vessel on a grid: its cells, its walls, and the concrete in it at the start."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.errors import refuse
@@ -60,12 +58,8 @@ def free_layout(scene: FreeScene) -> GridLayout:
     places, mass = fill_cells(room, per_axis, concrete)
     layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (NO_SLIP_VISCOSITY, 0.0)
     if len(places) == 0:
-        refuse(
-            "outline",
-            scene.outline,
-            "must enclose concrete, but walls fill the whole outline",
-            "move the outline, or the walls",
-        )
+        problem = "must enclose concrete, but walls fill the whole outline"
+        refuse("outline", scene.outline, problem, "move the outline, or the walls")
     size = float(np.ptp(scene.extent, axis=0).min())
     slips = scene.plate_slips or scene.walls_slip
     slip_law = scene.concrete.layer_law.name if slips else BINGHAM

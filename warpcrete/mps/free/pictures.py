@@ -1,7 +1,5 @@
 """Matplotlib figures of free-surface flows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -70,8 +68,3 @@ def _curves(scene: FreeScene) -> Mapping[str, str]:
     if scene.test and scene.test.curves:
         return scene.test.curves
     return {"spread": "spread" if scene.about_axis else "position of the front", "top": "highest point"}
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
-    return plot_free(run) if "surface" in run.result else None

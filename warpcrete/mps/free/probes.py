@@ -1,7 +1,5 @@
 """Measurements of concrete with a free surface."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...standards import Specimen

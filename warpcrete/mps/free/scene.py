@@ -50,7 +50,7 @@ class FreeSettings(Declared):
     maximum_iterations: MaximumIterations = 5000
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "Random seed; without effect, because nothing in this flow is random", Within(0)] = 0
+    seed: Annotated[int, "Random seed of the places and sizes of aggregates; nothing else is random", Within(0)] = 0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -126,26 +126,14 @@ class FreeScene(Parametrised, FreeSettings):
             positive(name, getattr(self, name), "m")
         between("depth", self.depth, 0, np.inf, "m")
         if self.axial and self.depth:
-            refuse(
-                "depth",
-                self.depth,
-                "must be 0 for a flow about an axis, because only a flow in space has a depth",
-                "use 0",
-            )
+            problem = "must be 0 for a flow about an axis, because only a flow in space has a depth"
+            refuse("depth", self.depth, problem, "use 0")
         if self.round and not self.depth:
-            refuse(
-                "round",
-                self.round,
-                "needs a room in space",
-                "set 'depth' to the width of the room, or use 'axial' for a flow about an axis",
-            )
+            hint = "set 'depth' to the width of the room, or use 'axial' for a flow about an axis"
+            refuse("round", self.round, "needs a room in space", hint)
         if self.walls and not self.depth:
-            refuse(
-                "walls",
-                f"{len(self.walls)}",
-                "must be empty for a flow in a plane or about an axis",
-                "set 'depth' above 0, or use 'blocks' instead",
-            )
+            problem = "must be empty for a flow in a plane or about an axis"
+            refuse("walls", f"{len(self.walls)}", problem, "set 'depth' above 0, or use 'blocks' instead")
         for name, kind in self.sides.items():
             one_of("sides", name, [side for pair in SIDES for side in pair])
             one_of(f"sides[{name}]", kind, (WALL, MIRROR, OPEN_SIDE))
@@ -159,12 +147,8 @@ class FreeScene(Parametrised, FreeSettings):
                 continue
             corners = np.array(points, dtype=float)
             if corners.ndim != 2 or corners.shape[0] < 3 or corners.shape[1] != 2 or not np.isfinite(corners).all():
-                refuse(
-                    name,
-                    points,
-                    "must be three or more corners, each of two finite numbers [m]",
-                    "list the corners in the order in which they follow each other",
-                )
+                problem = "must be three or more corners, each of two finite numbers [m]"
+                refuse(name, points, problem, "list the corners in the order in which they follow each other")
         if self.test:
             self.test.check_dimensions(self.dimensions)
             if self.test.in_space and not self.depth:
@@ -172,35 +156,20 @@ class FreeScene(Parametrised, FreeSettings):
                     "depth", self.depth, f"must be above 0 for test {self.test.name!r}", "use half of the box's width"
                 )
         if np.any(np.ptp(self.extent, axis=0) <= 0):
-            refuse(
-                "outline",
-                self.outline,
-                f"must lie within the simulated space, {self.width:g} by {self.height:g} m",
-                "move the corners of the outline, or enlarge the simulated space",
-            )
+            problem = f"must lie within the simulated space, {self.width:g} by {self.height:g} m"
+            refuse("outline", self.outline, problem, "move the corners of the outline, or enlarge the simulated space")
         for wall in self.walls:
             if wall.motion is not None:
-                refuse(
-                    f"{wall.name}.motion",
-                    "given",
-                    "must be left out, because walls of a flow with a free surface stand still",
-                )
+                problem = "must be left out, because walls of a flow with a free surface stand still"
+                refuse(f"{wall.name}.motion", "given", problem)
         between("lift_speed", self.lift_speed, 0, np.inf, "m/s")
         if self.gate and not self.lift_speed:
-            refuse(
-                "lift_speed",
-                self.lift_speed,
-                "must be above 0, because the scene has a gate that is lifted",
-                "use about 0.1 m/s, or leave out the gate",
-            )
+            problem = "must be above 0, because the scene has a gate that is lifted"
+            refuse("lift_speed", self.lift_speed, problem, "use about 0.1 m/s, or leave out the gate")
         smallest = min(np.ptp(self.extent, axis=0))
         if self.spacing > smallest / 4:
-            refuse(
-                "spacing",
-                self.spacing,
-                "is too coarse: at least four cells must fit across the concrete at the start",
-                f"use {at_most(smallest / 4)} m or less",
-            )
+            problem = "is too coarse: at least four cells must fit across the concrete at the start"
+            refuse("spacing", self.spacing, problem, f"use {at_most(smallest / 4)} m or less")
         check_interval(self)
         fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))
         if not self.step_error and self.time_step * fall > self.spacing:
@@ -241,6 +210,16 @@ class FreeScene(Parametrised, FreeSettings):
 @dataclass(frozen=True, kw_only=True)
 class FreeConcrete(ConcreteParameters, FreeSettings):
     """Parameters that the flow simulations of all standard tests of fresh concrete share."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.slip_thickness:
+            refuse(
+                "slip_thickness",
+                self.slip_thickness,
+                "must be 0, because the cells represent the whole vessel",
+                "leave out 'slip_thickness'; 'slip_viscosity' and 'slip_yield' describe the layer",
+            )
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""

@@ -1,7 +1,5 @@
 """Signed distances of points from walls: planes, pipes, meshes, and polygons that extend along the other axes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

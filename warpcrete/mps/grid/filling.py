@@ -1,7 +1,5 @@
 """Particles that fill the cells of a grid with concrete at the start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -5,8 +5,6 @@ linearly. It gives the fractions of the cell's volume and faces that are open to
 open fraction around the edges of the cell weights the shear there (Batty & Bridson 2008).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -76,6 +76,19 @@ class GridLayout:
     inflow: tuple[float, ...] | None = None
     """Velocity with which particles re-enter the grid after they have left it [m/s]; None for zero."""
 
+    def __post_init__(self) -> None:
+        """Refuse a gate together with moving walls.
+
+        An opening gate leaves the member `swept` of the geometry as it is: the parts of faces that only moving walls
+        close. The gate counts as a standing wall there, so where it covered a moving wall, the moving wall would not
+        displace concrete after the gate has opened.
+        """
+        if self.opened is not None and self.motions:
+            raise ValueError(
+                "a grid cannot have both a gate ('opened') and moving walls ('motions'), because faces that the gate "
+                "covered would stay closed to the motion of the walls; leave out one of them"
+            )
+
     @property
     def cells(self) -> tuple[int, ...]:
         """Numbers of cells along each axis."""

@@ -7,8 +7,6 @@
 5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import warp as wp

@@ -1,7 +1,5 @@
 """State of a flow on a grid: its particles, and arrays on cells, faces and edges."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

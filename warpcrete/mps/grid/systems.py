@@ -1,7 +1,5 @@
 """Linear systems of a flow on a grid, and the levels of their multigrid preconditioner."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The time until the flow is steady is predicted by a run of the same flow on a co
 measured in the first steps of the flow itself.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from ...core.run.forecast import Forecast, Probe

@@ -5,8 +5,6 @@ which is a wall that moves with the velocity of the flow. Particles that have le
 plane.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

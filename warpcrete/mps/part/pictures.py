@@ -1,7 +1,5 @@
 """Matplotlib figures of flows through parts of a pump line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
@@ -49,8 +47,3 @@ def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
         yield "other bore", *scene.middle
     for section in odd:
         yield section.kind, section.begin, section.end
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
-    return plot_part(run) if "profile" in run.result else None

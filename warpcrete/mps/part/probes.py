@@ -1,7 +1,5 @@
 """Measurements of concrete that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Result quantities of a flow through a part of a pump line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Scenes of a part of a pump line that is full of concrete, which flows through it at a stated rate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -139,33 +137,23 @@ class PartScene(Parametrised, PartSettings):
                            "use a wider bend, or a mesh with more rings of triangles around it; discrete elements "
                            "accept the mesh")  # fmt: skip
                 if piece.radius <= wide.max():
-                    refuse("elbow radius", piece.radius, "must exceed the pipe's radius",
-                           f"use more than {wide.max():g} m")  # fmt: skip
-                between(
-                    "angle",
-                    piece.angle,
-                    1e-3,
-                    0.75 * np.pi,
-                    "rad",
-                    "in a sharper turn the pipe would cross itself; use a straight piece instead of a smaller turn",
-                )
+                    problem = "must exceed the pipe's radius"
+                    refuse("elbow radius", piece.radius, problem, f"use more than {wide.max():g} m")
+                hint = "in a sharper turn the pipe would cross itself; use a straight piece instead of a smaller turn"
+                between("angle", piece.angle, 1e-3, 0.75 * np.pi, "rad", hint)
                 if np.ptp(wide) > 1e-9 * wide.max():
                     refuse(
                         "bores", wide.tolist(), "must be constant in a bend", "put the taper before or behind the bend"
                     )
             begin += piece.length
         if self.bores.places[-1] > self.axis.length * (1 + 1e-9):
-            refuse(
-                "taper",
-                self.bores.places[-1],
-                f"must end before the end of the pipe, which is {self.axis.length:g} m long",
-            )
+            problem = f"must end before the end of the pipe, which is {self.axis.length:g} m long"
+            refuse("taper", self.bores.places[-1], problem)
         object.__setattr__(self, "_bores", self._measured_bores())
         least = 2 * self.narrowest
         if self.spacing > least / MIN_ACROSS:
-            refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest "
-                                            f"bore, {least:.4g} m",
-                   f"use {at_most(least / MIN_ACROSS)} m or less")  # fmt: skip
+            problem = f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest bore, {least:.4g} m"
+            refuse("spacing", self.spacing, problem, f"use {at_most(least / MIN_ACROSS)} m or less")
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
@@ -173,8 +161,8 @@ class PartScene(Parametrised, PartSettings):
             # differences of arc lengths.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
-                refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
-                       f"use {at_least(wanted)} m or more")  # fmt: skip
+                problem = f"is too short to measure the pressure loss of straight pipe{share}"
+                refuse("straight", length, problem, f"use {at_least(wanted)} m or more")
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
@@ -200,8 +188,8 @@ class PartScene(Parametrised, PartSettings):
             self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUNDNESS_TOLERANCE))
         )
         if abs(radii[0] / self.radius - 1) > 0.1:
-            refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m",
-                   "use this radius, or correct the scale (0.001 for a mesh in millimetres)")  # fmt: skip
+            hint = "use this radius, or correct the scale (0.001 for a mesh in millimetres)"
+            refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m", hint)
         return s, radii
 
     @property

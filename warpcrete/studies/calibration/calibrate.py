@@ -6,8 +6,6 @@ Every run has its own random seed, and the scatter between seeds enters the post
 runs simulate the likeliest parameters with fresh seeds.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

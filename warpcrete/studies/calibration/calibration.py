@@ -1,7 +1,5 @@
 """Results of a calibration: its trials, the parameters found, and the questions that the data leave open."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

@@ -9,8 +9,6 @@ where z and s are the measured value and its uncertainty, and m and e are the em
 O'Hagan 2001, without their term for model error). An ensemble of walkers samples the posterior (Goodman & Weare 2010).
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping, Sequence

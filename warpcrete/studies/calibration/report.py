@@ -1,7 +1,5 @@
 """Output files of a calibration: tables, a figure, and the calibrated concrete."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,9 +1,7 @@
 """Initial parameters of a calibration: those whose closed-form predictions are closest to the targets."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,9 +24,9 @@ def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(task.free), seed=0).random_base2(int(math.log2(START_CANDIDATES)))
-    known = [target for target in task.fitted
-             if any(_closed_form(task, target, point, modules) is not None for point in points)]  # fmt: skip
-    misfits = [_misfit(task, known, point, modules) for point in points] if known else []
+    found = [_closed_forms(task, task.fitted, point, modules) for point in points]
+    known = [target for target in task.fitted if any(target in predictions for predictions in found)]
+    misfits = [_misfit(known, predictions) for predictions in found] if known else []
     if not np.isfinite(min(misfits, default=np.inf)):
         return []
     return [points[int(np.argmin(misfits))].tolist()]
@@ -39,25 +37,35 @@ def closed_forms(task: Task, point: Any, modules: Mapping[str, Any]) -> dict[Tar
 
     The coordinates of the point are the free parameters, each scaled from its range to 0 to 1.
     """
-    found = {target: _closed_form(task, target, point, modules) for target in task.targets}
-    return {target: value for target, value in found.items() if value is not None}
+    return _closed_forms(task, task.targets, point, modules)
 
 
-def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, Any]) -> float:
-    values = [_closed_form(task, target, point, modules) for target in known]
-    return sum(math.inf if value is None else ((value - target.value) / target.uncertainty) ** 2
-               for value, target in zip(values, known))  # fmt: skip
+def _misfit(known: Sequence[Target], predictions: Mapping[Target, float]) -> float:
+    """Return the sum of squared deviations from the `known` targets; infinite if one of them has no prediction."""
+    return sum(((predictions.get(target, math.inf) - target.value) / target.uncertainty) ** 2 for target in known)
 
 
-def _closed_form(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> float | None:
-    """Return the closed-form prediction of a target's quantity at a `point` in the ranges of the free parameters.
+def _closed_forms(task: Task, targets: Sequence[Target], point: Any, modules: Mapping[str, Any]) -> dict[Target, float]:
+    """Return the closed-form predictions of some `targets` at a `point` in the ranges of the free parameters.
 
-    The coordinates of the point are the parameters, each scaled from its range to 0 to 1. The result is None if the
-    scene has no closed form for the quantity, or if the parameters are impossible.
+    Targets that have no closed form, or whose parameters are impossible at this point, are left out. Targets whose
+    quantities come from the same run share a scene, because a closed form returns all quantities of a scene at once.
     """
+    expected: dict[str, Mapping[str, float]] = {}
+    found: dict[Target, float] = {}
+    for target in targets:
+        if target.key not in expected:
+            expected[target.key] = _expected(task, target, point, modules)
+        if target.quantity in expected[target.key]:
+            found[target] = expected[target.key][target.quantity]
+    return found
+
+
+def _expected(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> Mapping[str, float]:
+    """Return all quantities of a target's scene by theory at a `point`; empty if the parameters are impossible."""
     module = modules[target.scene]
     try:
         scene = module.scene(**task.parameters(target, task.values(point), module))
     except SceneError:
-        return None
-    return method_of(scene).expected(scene).get(target.quantity)
+        return {}
+    return method_of(scene).expected(scene)

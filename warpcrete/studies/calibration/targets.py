@@ -1,7 +1,5 @@
 """Task of a calibration: measured quantities of scenes, and free parameters with their ranges."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -173,34 +171,22 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
             "vary", vary, "must list one or more parameters, each with its range", "for example 'friction: [0, 0.5]'"
         )
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-        refuse(
-            "targets",
-            listed,
-            "must be a list of one or more targets",
-            "for example '- {scene: slump, quantity: spread, value: 550 mm, uncertainty: 5%}'",
-        )
+        hint = "for example '- {scene: slump, quantity: spread, value: 550 mm, uncertainty: 5%}'"
+        refuse("targets", listed, "must be a list of one or more targets", hint)
     targets = []
     for place, each in enumerate(listed):
         with errors_located_at(listed, place):
             targets.append(_target(place + 1, each, modules, vary, folder or Path()))
     if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
-        refuse(
-            "base",
-            base,
-            "has no effect, because no scene of the targets has a parameter 'concrete'",
-            "leave out 'base'",
-        )
+        problem = "has no effect, because no scene of the targets has a parameter 'concrete'"
+        refuse("base", base, problem, "leave out 'base'")
     free = []
     for name, given in vary.items():
         with errors_located_at(vary, name):
             free.append(_free(str(name), given, _field(str(name), targets, modules)))
     if all(target.held_out for target in targets):
-        refuse(
-            "held_out",
-            True,
-            "must not be true for all targets, because at least one must be fitted",
-            "leave out 'held_out' for one target",
-        )
+        problem = "must not be true for all targets, because at least one must be fitted"
+        refuse("held_out", True, problem, "leave out 'held_out' for one target")
     task = Task(None if base is None else str(base), tuple(free), tuple(targets))
     checked = []
     for place, target in enumerate(targets):
@@ -226,8 +212,8 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     if missing:
         refuse(called, dict(given), f"has no {', '.join(missing)}", "add what is missing")
     if not isinstance(given["scene"], str) or given["scene"] not in modules:
-        refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}",
-               suggested(given["scene"], modules))  # fmt: skip
+        problem = f"must be one of {', '.join(modules)}"
+        refuse(f"{called} scene", given["scene"], problem, suggested(given["scene"], modules))
     value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         refuse(f"{called} value", value, "must be a finite number, in SI units or with its unit")
@@ -243,12 +229,8 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
             parameters[name] = os.path.realpath(folder / parameters[name])
     for name in vary:
         if name in parameters:
-            refuse(
-                f"{called} parameters",
-                name,
-                "cannot be both given here and varied",
-                f"leave out {name!r} here or under 'vary'",
-            )
+            problem = "cannot be both given here and varied"
+            refuse(f"{called} parameters", name, problem, f"leave out {name!r} here or under 'vary'")
     held = given.get("held_out", False)
     if not isinstance(held, bool):
         refuse(f"{called} held_out", held, "must be true or false")
@@ -274,12 +256,8 @@ def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
     elif not (isinstance(given, str) and "%" in given):
         given = _in_unit(called, given, quantity)
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:
-        refuse(
-            called,
-            given,
-            "must be a number above 0 in the value's unit, or a percentage of the value",
-            "for example '5%'",
-        )
+        problem = "must be a number above 0 in the value's unit, or a percentage of the value"
+        refuse(called, given, problem, "for example '5%'")
     return float(given)
 
 
@@ -292,16 +270,11 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
     known = [_known(modules, scene) for scene in scenes]
     fields = [each[name] for each in known if name in each]
     if not fields:
-        refuse("vary", name, f"is not a parameter of {', '.join(scenes)}",
-               suggested(name, {key for each in known for key in each}) or
-               "'warpcrete run SCENE --help-all' lists them")  # fmt: skip
+        hint = suggested(name, {key for each in known for key in each}) or "'warpcrete run SCENE --help-all' lists them"
+        refuse("vary", name, f"is not a parameter of {', '.join(scenes)}", hint)
     if {field.kind for field in fields} - {int, float} or name == "seed":
-        refuse(
-            "vary",
-            name,
-            "cannot be varied, because only numeric parameters other than the seed can",
-            "leave out this parameter",
-        )
+        problem = "cannot be varied, because only numeric parameters other than the seed can"
+        refuse("vary", name, problem, "leave out this parameter")
     return next((field for field in fields if field.kind is int), fields[0])
 
 
@@ -311,12 +284,8 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
     scale = None
     if isinstance(given, Mapping):
         if set(given) - {"low", "high", "scale"} or not {"low", "high"} <= set(given):
-            refuse(
-                called,
-                dict(given),
-                "must have 'low' and 'high', and may have 'scale'",
-                "for example {low: 0.1, high: 1, scale: log}",
-            )
+            problem = "must have 'low' and 'high', and may have 'scale'"
+            refuse(called, dict(given), problem, "for example {low: 0.1, high: 1, scale: log}")
         scale, given = given.get("scale"), [given["low"], given["high"]]
     numbers = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2
     if numbers:
@@ -359,8 +328,7 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
                 raise SceneError(f"vary {free.name} = {[free.low, free.high]}: {target.label}: {error}") from error
     known: dict[str, Quantity] = {each.name: each for each in method_of(scene).quantities}
     if target.quantity not in known:
-        refuse("quantity", target.quantity, f"is not measured in {target.scene}",
-               known_names(target.quantity, known))  # fmt: skip
+        refuse("quantity", target.quantity, f"is not measured in {target.scene}", known_names(target.quantity, known))
     unit = known[target.quantity].unit
     if unit in ("m", "s") and target.value < 0:
         refuse(f"{target.quantity} of {target.scene}", target.value, f"must be at least 0 {unit}")

@@ -1,7 +1,5 @@
 """Answers to a site engineer: what makes the pressure uncertain, motor power, and whether the pump is strong enough."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +29,8 @@ ADVICE = {
     "hoses": "measure the pressure on both sides of one, and state its 'factor'",
     "valves": "ask the manufacturer for their loss, and state it as 'equivalent'",
     "bores": "measure the pressure on both sides of one, and state its 'factor'",
-    "unknown yield stress of the slip layer": "read the gauges of the trial line at a second flow",
+    "unknown yield stress of the slip layer": "read more gauges of the trial line, at flows that differ clearly",
+    "yield stress of the slip layer": "read the gauges of the trial line at flows that differ more",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy; published "
     "rates are 0.1 to 1.7 Pa/s (notebooks/theory/restarts.md)",
 }
@@ -145,6 +144,7 @@ class FastGrowth:
             "growth": quantity(self.growth, "Pa/s"),
             "pressure_high": quantity(self.high, "Pa"),
             "longest_stop": None if self.longest is None else quantity(self.longest, "s"),
+            "bearable_growth": quantity(self.bearable, "Pa/s"),
         }
 
 

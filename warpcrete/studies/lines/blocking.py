@@ -4,8 +4,6 @@ Each seed packs the stones differently. On a GPU all runs form one batch, on a C
 runs are a study in the line's folder, so an interrupted command continues with the seeds that are missing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -179,11 +177,8 @@ def _counted(study: Study, part: Part, elements: Elements) -> BlockingProbabilit
     results = list(study.results.values())
     if not results:
         first = next(iter(study.failures.values()), "")
-        refuse(
-            "blocking",
-            len(study.cases),
-            f"gives no result, because no run finished; the first run failed with: {first}",
-        )
+        problem = f"gives no result, because no run finished; the first run failed with: {first}"
+        refuse("blocking", len(study.cases), problem)
     blocked = [bool(number(result["blocked"])) for result in results]
     given = modules()[SCENE].scene(**study.cases[0].parameters)
     return BlockingProbability(

@@ -5,8 +5,6 @@ friction relative to that of straight pipe. The pressure along the line follows 
 pressure is zero, to its start.
 """
 
-from __future__ import annotations
-
 import time as wall_clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Figure of the pressure along a pump line."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

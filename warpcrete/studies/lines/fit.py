@@ -3,8 +3,6 @@
 The pressures were measured at several places, at one or more flows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,18 +14,15 @@ from ...geometry.pipe_line import PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
 from .fit_band import with_expected, with_gauges, with_known
-from .fit_flows import with_open_yield
+from .fit_flows import known_yields, with_yields
 from .fittings import MODEL_ERRORS
-from .line_fit import FittedConstant, LineFit
+from .line_fit import NO_YIELD, FittedConstant, LineFit
 from .losses import GRAVITY
 from .tap_model import TapModel, metre_model
-from .taps import Tap, is_free
+from .taps import SAME_FLOW, Tap, at_one_flow, is_free
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
-SAME_FLOW = 0.02
-"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
-distinguish the yield stress of the slip layer from its viscosity."""
 REVERSED = 1.1
 """Largest accepted ratio of two frictions at the same flow: that between a gauge and the end of the line, divided by
 that between a gauge nearer to the pump and the end. The true ratio is below 1; the tolerance is for errors of gauges
@@ -41,10 +36,8 @@ friction factor of bends. A fit in which a constant does not exceed its limit is
 NO_SLIP = 1e6
 """Slip viscosity [Pa s/m] at which concrete practically sticks to the wall. Slip layers have 100 to 10000 Pa s/m. A
 larger fitted value hardly changes the friction any more, so it means that no slip layer explains the pressures."""
-NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
-"""Reasons why a constant was left out of a fit: NO_YIELD for the yield stress of the slip layer, which is then zero,
-and NO_FACTOR for the friction factor of bends."""
+"""Reason why the friction factor of bends was left out of a fit."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Limits below which a fitted constant cannot be distinguished from zero, so that it gets its default value. The key 1
 stands for the yield stress of the slip layer [Pa], and the key 2 for the friction factor of bends."""
@@ -72,7 +65,8 @@ def fit_line(
     It also supplies the fitted constants that the pressures do not determine:
 
     - The yield stress of the layer, if all pressures were measured at a single flow, or if there are only two. Such
-      pressures do not distinguish it from the layer's viscosity.
+      pressures do not distinguish it from the layer's viscosity. It is also kept if its error would exceed half the
+      range of :func:`.known_yields`, because the flows hardly differ or the pressures scatter.
     - The factor of bends, if its band is as wide as that of published measurements, or if the points are too few. It is
       then left out of the fit, and each bend keeps its factor from the table of simulated bends.
 
@@ -83,8 +77,8 @@ def fit_line(
     `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge have the
     same error. The scatter of the pressures about the fit adds to it if there are enough pressures, or if `gauge` is 0.
 
-    `yields` is the range of the layer's yield stress that the mix states [Pa]. If the pressures do not determine the
-    yield stress, the band at other flows follows from this range (:func:`.with_open_yield`).
+    `yields` is the range of the layer's yield stress that the mix states [Pa]. The band at other flows follows from the
+    error of the fitted yield stress, or from this range if the yield stress was not fitted (:func:`.with_yields`).
 
     Points with the same place, flow and pressure count once, because a repeated row makes the band narrower without a
     further measurement.
@@ -98,19 +92,19 @@ def fit_line(
     _check_pressures(line, concrete, taps)
     if gauge is None:
         gauge = GAUGE * max(tap.pressure for tap in taps)
-    fit = None
+    low, high = known_yields(concrete)
+    fit, widest = None, 0.5 * (high - low)
     if any(is_free(part) for part in line.parts):
         # Errors of the gauges may lead to an impossible factor of bends, which raises an error. Ignore this error,
         # because a fit without this factor, as below, may still be possible.
         with suppress(SceneError):
-            fit = _fitted(line, concrete, taps, True, gauge)
+            fit = _fitted(line, concrete, taps, True, gauge, widest)
     if fit is None or not _is_better_than_published(fit.constants[2]):
-        fit = _fitted(line, concrete, taps, False, gauge)
+        fit = _fitted(line, concrete, taps, False, gauge, widest)
     if prior is not None:
         fit = with_known(fit, line, concrete, prior)
     fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
-    own = fit.constants[1]
-    return fit if own.fitted or own.reason == NO_YIELD else with_open_yield(fit, line, concrete, yields)
+    return with_yields(fit, line, concrete, yields)
 
 
 def _is_better_than_published(factor: FittedConstant) -> bool:
@@ -133,31 +127,36 @@ def _check_pressures(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) ->
     rises = TapModel(line, concrete, taps).rises
     for tap, rise in zip(taps, rises, strict=True):
         if tap.pressure <= (weight := concrete.density * GRAVITY * rise):
-            refuse(
-                f"fit, line {tap.row}: pressure", tap.pressure,
-                f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
-                "check the place of the gauge, its unit and zero point, and the density of the concrete",
-            )  # fmt: skip
+            problem = f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa"
+            hint = "check the place of the gauge, its unit and zero point, and the density of the concrete"
+            refuse(f"fit, line {tap.row}: pressure", tap.pressure, problem, hint)
     _check_course(taps, np.array([tap.pressure for tap in taps]) - concrete.density * GRAVITY * np.array(rises))
 
 
-def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: bool, gauge: float) -> LineFit:
+def _fitted(
+    line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: bool, gauge: float, widest: float
+) -> LineFit:
     """Return the fit of those constants that the measured pressures determine.
 
-    The friction factor of bends is among them only if `factor` is True.
+    The friction factor of bends is among them only if `factor` is True, and the yield stress of the slip layer only if
+    its error is at most `widest` [Pa].
     """
     model = TapModel(line, concrete, taps, bends=factor)
     measured = np.array([tap.pressure for tap in taps])
-    flows = np.array([tap.flow for tap in taps])
     start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
     free = [0]
-    if len(taps) > 2 and np.ptp(flows) > SAME_FLOW * flows.mean():
+    if len(taps) > 2 and not at_one_flow(taps):
         free.append(1)
     if factor and len(taps) > len(free) + 1:
         free.append(2)
     free = _determined(model.sensitivities(start, free), free)
     if 2 not in free:
         model = TapModel(line, concrete, taps, bends=False)
+    error = 0.0
+    if 1 in free:
+        error = _yield_error(model, measured, start, free, gauge)
+        if error > widest:
+            free.remove(1)
     found = _least_squares(model, measured, start, free)
     reasons = {2: NO_FACTOR}
     for place, value in ((2, 1.0), (1, 0.0), (2, 1.0)):
@@ -175,12 +174,11 @@ def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: boo
     fitted = model.pressures(found)
     slopes = model.sensitivities(found, free)
     squares = _squares(fitted - measured, taps, len(free), gauge)
-    inverse = np.linalg.pinv(slopes)
-    covariance = inverse @ squares @ inverse.T
+    covariance = _covariance(slopes, squares)
     widths = dict(zip(free, np.sqrt(np.diag(covariance)), strict=True))
     constants = []
     for place in range(3 if any(is_free(part) for part in line.parts) else 2):
-        value, wide = float(found[place]), float(widths.get(place, 0.0))
+        value, wide = float(found[place]), float(widths.get(place, error if reasons.get(place) == NO_YIELD else 0.0))
         reason = {"reason": reasons[place]} if place in reasons else {}
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths, **reason))  # fmt: skip
@@ -206,6 +204,26 @@ def _squares(off: np.ndarray, taps: Sequence[Tap], fitted: int, gauge: float) ->
     if count >= ENOUGH or gauge == 0:
         squares = squares + student_t(count) ** 2 * float(off @ off) / count * np.eye(len(taps))
     return squares
+
+
+def _covariance(slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Return the covariance matrix of fitted constants, from that of the pressures and from the sensitivities."""
+    inverse = np.linalg.pinv(slopes)
+    return inverse @ squares @ inverse.T
+
+
+def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free: Sequence[int], gauge: float) -> float:
+    """Return the error that the yield stress of the slip layer would have if it is fitted with the constants `free`.
+
+    The error is the 95 % limit [Pa]. The model is linearised about the fit of the other constants, because a fit of the
+    yield stress to flows that hardly differ may give impossible constants.
+    """
+    found = _least_squares(model, measured, start, [place for place in free if place != 1])
+    slopes = model.sensitivities(found, free)
+    off = model.pressures(found) - measured
+    off -= slopes @ np.linalg.lstsq(slopes, off, rcond=None)[0]
+    own = list(free).index(1)
+    return math.sqrt(float(_covariance(slopes, _squares(off, model.taps, len(free), gauge))[own, own]))
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:

@@ -4,8 +4,6 @@ The band takes into account what was known of the layer before the measurement, 
 gauges unless their errors explain the difference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -130,10 +128,10 @@ def _at_taps(fit: LineFit, line: PipeLine, concrete: Concrete) -> Callable[[floa
 
     The argument of the function is a factor by which both constants of the fitted slip layer are multiplied.
     """
-    bends = fit.constants[2] if len(fit.constants) > 2 and fit.constants[2].fitted else None
-    model = TapModel(line, concrete, fit.taps, bends=bends is not None)
+    factor = fit.bend_factor
+    model = TapModel(line, concrete, fit.taps, bends=factor is not None)
     eta, tau = (each.value for each in fit.constants[:2])
-    return lambda x: model.pressures(np.array([x * eta, x * tau, 1.0 if bends is None else bends.value]))
+    return lambda x: model.pressures(np.array([x * eta, x * tau, factor or 1.0]))
 
 
 def _contradiction(fit: LineFit, line: PipeLine, concrete: Concrete) -> Contradiction | None:

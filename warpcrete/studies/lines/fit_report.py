@@ -1,13 +1,12 @@
 """Report on a fit to pressures along a trial line, with entries to copy into the files of the concrete and the line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...geometry.pipe_line import PipeLine
 from .answers import CUSTOMARY_SIZES, beside
 from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
+from .taps import at_one_flow
 
 NOTICED = 0.01
 """Smallest weight from 0 to 1 at which the report mentions that earlier knowledge of the slip layer was combined with
@@ -25,7 +24,6 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
-    stated = fit.uncertainty if fit.later_uncertainty is None else fit.later_uncertainty
     found = [
         f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 % for gauges that are "
         f"off by up to {fit.gauge / 1e5:.2g} bar{beside(line.customary, 'psi', fit.gauge)}, see --gauge)",
@@ -37,7 +35,7 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
             else []
         ),
         f"- {_meaning(fit)}",
-        *([f"- {_open_yield(fit, line.customary)}"] if fit.open_yield is not None else []),
+        *([f"- {_open_yield(fit, line.customary)}"] if not fit.knows_yield else []),
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
         f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
@@ -45,17 +43,11 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         f"(line {fit.taps[worst].row})",
         *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else []),
         "",
-        *_layer_entries(fit, stated, factors, mix),
+        *_layer_entries(fit, factors, mix),
         "",
-        *(
-            [
-                f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
-                f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
-                "",
-            ]
-            if fit.later_uncertainty is not None
-            else []
-        ),
+        f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
+        f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
+        "",
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
     if bends and bends[0].fitted:
@@ -77,11 +69,11 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     return found
 
 
-def _layer_entries(fit: LineFit, uncertainty: float, factors: tuple[float, float], mix: bool) -> list[str]:
+def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> list[str]:
     """Return the fitted slip layer as entries for the file of the concrete, with words on where to write them.
 
     The factors on yield stresses and viscosities in this file will multiply the entries, which are therefore divided by
-    them. `uncertainty` is that of the friction of straight pipe.
+    them.
     """
     tau, eta = (each.value / factor for each, factor in zip((fit.constants[1], fit.constants[0]), factors, strict=True))
     before = "" if factors == (1.0, 1.0) else ", divided by the factors that it states"
@@ -91,11 +83,11 @@ def _layer_entries(fit: LineFit, uncertainty: float, factors: tuple[float, float
             "the band is 30 %, that of other deliveries):",
             "",
             f"    layer: {{viscosity: {eta:.4g} Pa s/m, yield_stress: {tau:.4g} Pa, "
-            f"uncertainty: {max(100 * uncertainty, 0.1):.3g} %, from: pipe}}",
+            f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
         ]
     return [
         f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor "
-        f"{1 + max(uncertainty, 0.001):.4g} for this delivery, or --layer-factor 1.3 for others:",
+        f"{1 + max(fit.later_uncertainty, 0.001):.4g} for this delivery, or --layer-factor 1.3 for others:",
         "",
         f"    slip_viscosity: {eta:.4g} Pa s/m",
         f"    slip_yield: {tau:.4g} Pa",
@@ -112,14 +104,18 @@ def _meaning(fit: LineFit) -> str:
 
 def _open_yield(fit: LineFit, customary: bool) -> str:
     """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which it widens the band."""
-    assert fit.open_yield is not None, "the yield stress is known"
+    assert not fit.knows_yield, "the yield stress is known"
     unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
-    (_, low), (_, high) = fit.open_yield
-    flows = sorted({f"{tap.flow / size:.4g}" for tap in fit.taps}, key=float)
-    many = "All gauges were read at" if len(flows) == 1 else "The gauges were read at"
-    more = "read gauges at a second flow" if len(flows) == 1 else "read more gauges at these flows"
+    (_, low), (_, high) = fit.yield_layers
+    rates = [tap.flow / size for tap in fit.taps]
+    flows = sorted({f"{rate:.4g}" for rate in rates}, key=float)
+    if at_one_flow(fit.taps):
+        about = f"{'about ' if len(flows) > 1 else ''}{sum(rates) / len(rates):.4g}"
+        read, more = f"All gauges were read at {about}", "read gauges at a second flow"
+    else:
+        read, more = f"The gauges were read at {' and '.join(flows)}", "read more gauges, or at flows that differ more"
     return (
-        f"{many} {' and '.join(flows)} {unit}; at another flow the band is wider, because the pressures do not "
+        f"{read} {unit}; at another flow the band is wider, because the pressures do not "
         f"determine the yield stress of the slip layer, which may be {low:.3g} to {high:.3g} Pa; {more}"
     )
 

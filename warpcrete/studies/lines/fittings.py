@@ -3,8 +3,6 @@
 Each kind of part has a range of factors and the source of this range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

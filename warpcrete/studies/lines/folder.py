@@ -1,7 +1,5 @@
 """Folder of a simulated pump line, with one run for each kind of part. An interrupted simulation continues there."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,8 +16,8 @@ from .line_folder import PARTS
 def check_known(known: Path | None) -> None:
     """Raise an error if `known` is not the folder of a line with simulated parts, whose runs can be reused."""
     if known is not None and not (known / PARTS).is_dir():
-        refuse("known", str(known), "is not the folder of a line with simulated parts",
-               "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'")  # fmt: skip
+        hint = "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'"
+        refuse("known", str(known), "is not the folder of a line with simulated parts", hint)
 
 
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:

@@ -1,7 +1,5 @@
 """Result of a fit of the slip layer and of the friction factor of bends to pressures along a trial line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -15,8 +13,11 @@ from ...theory.pipe import Concrete
 from .losses import with_layer_factor
 from .taps import Tap, is_free
 
-OPEN_YIELD = "unknown yield stress of the slip layer"
-"""Cause of uncertainty of a line's pressure at another flow than that of the gauges, as it is named in reports."""
+OPEN_YIELD, FITTED_YIELD = "unknown yield stress of the slip layer", "yield stress of the slip layer"
+"""Causes of uncertainty of a line's pressure at other flows than those of the gauges, as they are named in reports: a
+yield stress that the measured pressures do not determine, and the error of one that they determine."""
+NO_YIELD = "fitted without it, because the points would give a negative one"
+"""Reason why the yield stress of the slip layer was left out of a fit, so that it is zero."""
 
 
 @dataclass(frozen=True)
@@ -91,21 +92,29 @@ class LineFit:
     contradiction: Contradiction | None = None
     """Contradiction between the gauges; None if one slip layer explains them all."""
 
-    open_yield: tuple[tuple[float, float], tuple[float, float]] | None = None
+    yield_layers: tuple[tuple[float, float], ...] = ()
     """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers with the smallest and the largest yield stress
-    that the measured pressures do not distinguish from the fitted layer; None if they determine the yield stress."""
-    later_uncertainty: float | None = None
-    """Uncertainty u of the friction of straight pipe at 0.5 to 2 times the measured flow, for a layer that is used
-    later; None if the pressures determine the yield stress of the layer."""
+    that the measured pressures do not distinguish from the fitted layer."""
+    later_uncertainty: float = 0.0
+    """Uncertainty u of the friction of straight pipe at 0.5 to 2 times the measured flows, for a layer that is used
+    later."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
     outside: tuple[str, ...] = ()
     """Names of the fitted constants that lie outside the band that the mix, or the assumed layer, gave them."""
 
     @property
-    def open_layers(self) -> tuple[tuple[float, float], ...]:
-        """Slip layers of `open_yield`, or none."""
-        return self.open_yield or ()
+    def knows_yield(self) -> bool:
+        """True if the measured pressures determine the yield stress of the slip layer."""
+        own = self.constants[1]
+        return own.fitted or own.reason == NO_YIELD
+
+    @property
+    def bend_factor(self) -> float | None:
+        """Fitted friction of bends divided by that of straight pipe; None if the measured pressures do not determine
+        it."""
+        bends = self.constants[2] if len(self.constants) > 2 else None
+        return bends.value if bends is not None and bends.fitted else None
 
     @property
     def scatter(self) -> float:
@@ -127,17 +136,17 @@ class LineFit:
         """Return, for each cause of uncertainty, two concretes at the lower and the upper end of its band.
 
         The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
-        whose concretes are in `before`. The cause `OPEN_YIELD` is present if the measured pressures do not determine
-        the yield stress of the layer. It has no effect at the measured flow. Viscosity and yield stress of the bulk are
-        no causes of their own: an error of theirs is compensated by the slip layer, because both together give the
-        measured pressures.
+        whose concretes are in `before`. The cause `FITTED_YIELD` has the layers of `yield_layers`, or `OPEN_YIELD` if
+        the measured pressures do not determine the yield stress of the layer. It hardly has an effect at the measured
+        flows. Viscosity and yield stress of the bulk are no causes of their own: an error of theirs is compensated by
+        the slip layer, because both together give the measured pressures.
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         found = {"slip layer": (low, high)}
-        if self.open_yield is not None:
-            thin, thick = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.open_yield)
-            found[OPEN_YIELD] = (thin, thick)
+        if self.yield_layers:
+            thick, thin = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.yield_layers)
+            found[FITTED_YIELD if self.knows_yield else OPEN_YIELD] = (thick, thin)
         if before is not None and "density" in before:
             found["density"] = (self.concrete(before["density"][0]), self.concrete(before["density"][1]))
         return found
@@ -163,7 +172,7 @@ class LineFit:
                           for x in self.constants},
             "uncertainty": self.uncertainty,
             "later_uncertainty": self.later_uncertainty,
-            "open_yield": None if self.open_yield is None else [quantity(tau, "Pa") for _, tau in self.open_yield],
+            "open_yield": None if self.knows_yield else [quantity(tau, "Pa") for _, tau in self.yield_layers],
             "over_expected": self.expected,
             "prior_share": self.prior_share,
             "surprise": self.surprise,

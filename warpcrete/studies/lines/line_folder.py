@@ -1,7 +1,5 @@
 """Lock on the folder of a simulated pump line, which ensures that all runs in the folder belong to the same line."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Friction of the parts of a pump line by closed forms, and its dependence on the slip layer."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Pressure of a whole pipeline, extrapolated from pressures of short pipe units (Zhan et al. 2019, Eq. 13)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ...core.errors import RunFolderError, at_least, between, one_of, refuse
@@ -32,19 +30,13 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
-        refuse(
-            "pipeline",
-            scene.name,
-            "needs a straight pipe of discrete elements (Eq. 13 of Zhan et al. 2019)",
-            "use the scene pipe",
-        )
+        problem = "needs a straight pipe of discrete elements (Eq. 13 of Zhan et al. 2019)"
+        refuse("pipeline", scene.name, problem, "use the scene pipe")
     one_of("unit", pipe.name, STRAIGHT_UNITS)
     if not past_ramp(scene, pipe.travel):
-        refuse(
-            "travel", pipe.travel, "is too short for a plateau of the pressure, which Eq. 13 needs (ramp "
-                                   f"{pipe.ramp:g} m)",
-            f"set 'travel' to {at_least(pipe.ramp / (1 - WINDOW))} m or more, or reduce 'ramp'",
-        )  # fmt: skip
+        problem = f"is too short for a plateau of the pressure, which Eq. 13 needs (ramp {pipe.ramp:g} m)"
+        hint = f"set 'travel' to {at_least(pipe.ramp / (1 - WINDOW))} m or more, or reduce 'ramp'"
+        refuse("travel", pipe.travel, problem, hint)
     if other is not None:
         if not other.get("finished") or "plateau_pressure" not in other or "concrete_length" not in other:
             raise RunFolderError(

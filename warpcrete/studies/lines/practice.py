@@ -5,8 +5,6 @@ a measurement. Here, the friction that the program calculates replaces the measu
 losses themselves, which depend neither on the concrete nor on the flow.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Pressure along a pump line, summed over its parts, with its uncertainty band."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

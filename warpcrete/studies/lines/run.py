@@ -1,7 +1,5 @@
 """Pressure of a pump line by flow simulation: each kind of part is simulated once, and the losses are added up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

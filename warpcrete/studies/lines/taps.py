@@ -1,8 +1,7 @@
 """Pressures that were measured at taps, the places of gauges along a trial line, read from a file."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,10 @@ COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
 where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
 before which it sits."""
+
+SAME_FLOW = 0.02
+"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
+distinguish the yield stress of the slip layer from its viscosity."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +71,8 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
                 refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
             values["place"] = float(starts[int(values["part"]) - 1])
         field = f"{path.name}, line {row}: place"
-        at_least_and_below(
-            field, values["place"], 0.0, float(starts[-1]), "m",
-            "'place' is the distance from the pump along the line, and must lie before the open end",
-        )  # fmt: skip
+        hint = "'place' is the distance from the pump along the line, and must lie before the open end"
+        at_least_and_below(field, values["place"], 0.0, float(starts[-1]), "m", hint)
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
         found.append(Tap(values["place"], values["pressure"], values["flow"], row))
     return tuple(found)
@@ -95,7 +96,14 @@ def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, li
     used = {name: column for name, column in columns.items() if name in COLUMNS}
     places = [place for place, _ in used.values()]
     header, _ = read_rows(path, "fit")
-    return used, rows, [head.strip() for place, head in enumerate(header) if place not in places]
+    others = (head.strip() for place, head in enumerate(header) if place not in places)
+    return used, rows, [name for name in others if name]  # A comma at the end of the line has no name behind it.
+
+
+def at_one_flow(taps: Sequence[Tap]) -> bool:
+    """Return whether all pressures were measured at the same flow, up to a relative difference of `SAME_FLOW`."""
+    flows = np.array([tap.flow for tap in taps])
+    return bool(np.ptp(flows) <= SAME_FLOW * flows.mean())
 
 
 def is_free(part: Part) -> bool:

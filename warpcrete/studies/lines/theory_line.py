@@ -5,8 +5,6 @@ was found in earlier simulations of such parts. This module must not import the 
 alone takes longer than the calculation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of two papers (Zhan et al. 2019; Xu, Li & Jiang 2021), as cases to run and claims to judge."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Report of a reproduction: simulated results next to those of the paper, a verdict on each trend, and a figure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any

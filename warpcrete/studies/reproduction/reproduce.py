@@ -1,7 +1,5 @@
 """Reproduction of a paper: run the paper's cases, and judge whether the results agree with its numbers and trends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -121,8 +119,7 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
         one_of("only", name, [*columns, *rows])
     columns, rows = [name for name in columns if name in only], [name for name in rows if name in only]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
-        refuse("only", list(only), "selects no runs",
-               f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")  # fmt: skip
+        refuse("only", list(only), "selects no runs", f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")
     return columns, rows
 
 

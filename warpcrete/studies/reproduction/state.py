@@ -1,7 +1,5 @@
 """State of a reproduction: the runs of a paper's cases, and verdicts on the paper's claims."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

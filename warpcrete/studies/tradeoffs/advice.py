@@ -1,7 +1,5 @@
 """Choice of the settings that reach a wanted accuracy, from a measured trade-off between speed and accuracy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -133,9 +131,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     if chosen is None:
         more = f"make a longer one with 'warpcrete trade {name} --budget 1h'" if trade.suffix == ".json" else (
             "continue the trade with 'warpcrete trade --resume'")  # fmt: skip
-        refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
-                                                    "best",
-               f"use {at_least(100 * best, 2)} % or more, or {more}")  # fmt: skip
+        problem = f"was not reached: this trade guarantees {100 * best:.2g} % at best"
+        refuse("accuracy", f"{100 * accuracy:g} %", problem, f"use {at_least(100 * best, 2)} % or more, or {more}")
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}

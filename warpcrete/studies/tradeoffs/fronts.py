@@ -1,7 +1,5 @@
 """Statistics of trade-off studies: errors with confidence intervals, the Pareto front, and cheapest settings."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Errors of the settings of a trade-off study, of its reference setting, and bounds for errors in other scenes."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

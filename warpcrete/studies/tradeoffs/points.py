@@ -1,7 +1,5 @@
 """Settings tried in a trade-off study, the results of their runs, and the error bound promised for the best of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Output files of a trade-off study: tables, numbers and a figure."""
 
-from __future__ import annotations
-
 import csv
 import math
 from typing import Any

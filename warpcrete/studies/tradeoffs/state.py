@@ -1,7 +1,5 @@
 """State of a trade-off study: the settings that it tries, the results of their runs, and their costs and errors."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -99,7 +97,6 @@ class Trade(Judging):
 
     @property
     def seeds(self) -> list[int]:
-        """Random seeds with which every setting is run; only 0 if the scene's results do not depend on the seed."""
         return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
 
     @property

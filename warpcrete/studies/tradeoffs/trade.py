@@ -7,8 +7,6 @@ and tests them with fresh seeds. Every run has its own folder, so a resumed stud
 would falsify each other's wall times. Therefore only one run at a time takes place on this machine, or on each worker.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from collections.abc import Mapping, Sequence
@@ -83,12 +81,8 @@ def run_trade(
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
     if trading is None:
-        refuse(
-            "scene",
-            scene_name,
-            "has no settings that a trade could vary",
-            "use a scene that has such settings, or define the variable 'trading' in the scene's file",
-        )
+        hint = "use a scene that has such settings, or define the variable 'trading' in the scene's file"
+        refuse("scene", scene_name, "has no settings that a trade could vary", hint)
     scene = module.scene(**(base or {}))
     check_named(scene)
     given = module.scene.declared(base or {})
@@ -99,8 +93,8 @@ def run_trade(
         if name not in known:
             refuse("quantity", name, f"must be one of {', '.join(known)}")
         if trading.closed_form(given) and f"{name}_error" not in known:
-            refuse("quantity", name, "has no exact solution for comparison",
-                   f"use {' or '.join(n for n in known if f'{n}_error' in known)}")  # fmt: skip
+            problem = "has no exact solution for comparison"
+            refuse("quantity", name, problem, f"use {' or '.join(n for n in known if f'{n}_error' in known)}")
     all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
     for name in knobs or ():
         if name not in all_knobs:
@@ -161,10 +155,8 @@ def _check_cores(scheduler: str | None, workers: int | None, device: str | None,
     cores = default_threads()
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
-        refuse(
-            "workers", workers, f"times 'threads' = {threads} exceeds the {cores} cores of this machine",
-            "use fewer workers or threads, because runs that share cores give wrong times",
-        )  # fmt: skip
+        hint = "use fewer workers or threads, because runs that share cores give wrong times"
+        refuse("workers", workers, f"times 'threads' = {threads} exceeds the {cores} cores of this machine", hint)
 
 
 def resume_trade(
@@ -256,18 +248,13 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     # and a few further runs may be enough to complete the study. Therefore, refuse a short budget only if `spent` is
     # above 0.
     if trade.spent > 0 and needed > trade.budget:
-        refuse(
-            "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
-            f"one run takes {given.cost:.3g} s; give {at_least(5 * needed, 2)} s or more",
-        )  # fmt: skip
+        problem = "is too short for two runs" + " for every seed" * trade.has_seeds
+        hint = f"one run takes {given.cost:.3g} s; give {at_least(5 * needed, 2)} s or more"
+        refuse("budget", f"{trade.budget:.3g} s", problem, hint)
     missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
     if missing:
-        refuse(
-            "quantity",
-            missing[0],
-            "is missing in the result of the scene with the given parameters",
-            "choose another quantity, or change the parameters",
-        )
+        problem = "is missing in the result of the scene with the given parameters"
+        refuse("quantity", missing[0], problem, "choose another quantity, or change the parameters")
     if not trade.run(given, trade.seeds, tell):
         return
     _one_at_a_time(trade, tell)

@@ -1,7 +1,5 @@
 """Runs of a trade-off study on a worker, one at a time, so that their wall times are valid."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Comparison of the rules against blocking with measured concretes, some of which blocked."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ...core.inputs.amounts import amount

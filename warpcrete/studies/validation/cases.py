@@ -1,7 +1,5 @@
 """Measured cases: their files, entries and sources, and the choice of cases that are held out (never fitted)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -105,12 +103,8 @@ def read_cases(path: Path) -> list[Case]:
             one_of("key of a file of cases", key, FILE_KEYS)
     entries = given.get("cases")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        refuse(
-            "cases",
-            entries,
-            "must be a list of measured cases",
-            "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'",
-        )
+        problem = "must be a list of measured cases"
+        refuse("cases", entries, problem, "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'")
     sources, lines = (_mapping(given, key) for key in ("sources", "lines"))
     found = []
     for number, entry in enumerate(entries):

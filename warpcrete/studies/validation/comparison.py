@@ -1,7 +1,5 @@
 """Comparison of one measured case with its prediction."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

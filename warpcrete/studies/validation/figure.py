@@ -1,7 +1,5 @@
 """Figure of predicted against measured values on logarithmic axes, with the uncertainty bands of the predictions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

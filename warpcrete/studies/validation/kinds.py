@@ -1,7 +1,5 @@
 """Kinds of measurements with which predictions are compared, each with its quantity and SI unit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

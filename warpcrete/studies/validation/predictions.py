@@ -1,7 +1,5 @@
 """Blind predictions of measured cases, each calculated in the way that the documentation describes for users."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Predictions of standard tests by flow simulations instead of closed forms."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ...core.units import number

@@ -1,7 +1,5 @@
 """Comparison of predictions with measured cases: ratios, medians and the share of cases inside their bands."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -145,15 +143,8 @@ class Validation:
 
 
 SUMMARY_COLUMNS = (
-    "kind",
-    "cases",
-    "number",
-    "groups",
-    "median ratio",
-    "median error",
-    "inside",
-    "median factor of band",
-)
+    "kind", "cases", "number", "groups", "median ratio", "median error", "inside", "median factor of band",
+)  # fmt: skip
 BLOCKING_COLUMNS = ("case", "held out", "observed", "verdict", "rules that warn", "agrees")
 CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "low", "high", "ratio", "inside")
 

@@ -1,7 +1,5 @@
 """Blockage of a part of a pump line by aggregates: when the part counts as blocked, and where."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...dem.measure.blockage import STANDING_RATIO

@@ -1,7 +1,5 @@
 """Acceptance checks of mortar with aggregates that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 from ...core.run.checks import NO_SAMPLE, with_cures
 from ...core.run.run import Run
 from ...core.units import number

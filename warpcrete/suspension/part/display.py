@@ -1,7 +1,5 @@
 """Display of a part of a pump line for recorders: mortar behind the axis, all aggregates, and a transparent wall."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.drawing.surfaces import Surface

@@ -4,8 +4,6 @@ A straight extension of the pipe behind this plane holds all aggregates that wil
 together with those in the part, so that the volume fraction is the same on both sides of the plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

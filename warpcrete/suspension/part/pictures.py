@@ -1,7 +1,5 @@
 """Matplotlib figures of parts of pump lines with aggregates."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -30,8 +28,3 @@ def plot_part_with_aggregates(run: Run) -> Any:
         # Move the legend aside, because the numbers and the label of the second vertical axis lie at its usual place.
         legend.set_bbox_to_anchor((RIGHT_OF_AXIS, 0.5), transform=along.transAxes)
     return figure
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
-    return plot_part_with_aggregates(run) if "profile" in run.result else None

@@ -1,7 +1,5 @@
 """Measurements of mortar with aggregates that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...dem.measure.blockage import least_advance

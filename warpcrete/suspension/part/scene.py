@@ -1,14 +1,12 @@
 """Scenes of a mortar with aggregates that flows through a part of a pump line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar
 
 from ...core.errors import refuse
 from ...core.inputs.parameters import Above, Declared
 from ...mps.part.scene import PartScene
-from ..scene import AggregateParameters, SphereFields
+from ..scene import USED_BY_AGGREGATES, AggregateParameters, SphereFields
 
 MAX_PART = 0.9
 """Largest accepted diameter of an aggregate, divided by the width of the narrowest simulated bore."""
@@ -25,9 +23,13 @@ class BlockageSettings(Declared):
         "Travel of the inflow during which part of the aggregates must stand still for the pipe to count as blocked "
         "[m]; default: the largest diameter of the aggregates",
         Above(),
+        USED_BY_AGGREGATES,
     ] = None
     pressure_limit: Annotated[
-        float, "Frictional pressure at the start above which a pipe with aggregates counts as blocked [Pa]", Above()
+        float,
+        "Frictional pressure at the start above which a pipe with aggregates counts as blocked [Pa]",
+        Above(),
+        USED_BY_AGGREGATES,
     ] = 1e7
 
 
@@ -43,12 +45,8 @@ class PartSuspensionScene(SphereFields, BlockageSettings, PartScene):
         room = self.narrowest if self.is_half else 2 * self.narrowest
         if self.diameters[1] > MAX_PART * room:
             half = "; symmetry = 'whole' admits twice as large ones" if self.is_half else ""
-            refuse(
-                "aggregate_largest",
-                self.diameters[1],
-                f"is too large: the simulated part of the narrowest bore is {room:.3g} m wide",
-                f"use {MAX_PART * room:.3g} m or less{half}",
-            )
+            problem = f"is too large: the simulated part of the narrowest bore is {room:.3g} m wide"
+            refuse("aggregate_largest", self.diameters[1], problem, f"use {MAX_PART * room:.3g} m or less{half}")
 
     @property
     def cell_width(self) -> float:

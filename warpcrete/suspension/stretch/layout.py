@@ -1,7 +1,5 @@
 """Grid, wall, mortar and aggregates of a stretch of pipe at the start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Matplotlib figure of mortar with aggregates in a stretch of pipe."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -36,8 +34,3 @@ def plot_stretch(run: Run) -> Any:
     open_frame(speed, fraction, course)
     figure.suptitle(run.scene.caption, fontsize=10)
     return figure
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure of a run folder, or None if the run has only its initial row."""
-    return plot_stretch(run) if "profile" in run.result else None

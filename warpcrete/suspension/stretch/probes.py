@@ -1,7 +1,5 @@
 """Measurements of mortar with aggregates in a stretch of pipe."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes of mortar with aggregates in a stretch of an endless pipe."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -99,8 +97,8 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
         for name, unit in (("radius", "m"), ("length", "m"), ("spacing", "m"), ("gradient", "Pa/m")):
             positive(name, getattr(self, name), unit)
         if not self.aggregate_fraction > 0:
-            refuse("aggregate_fraction", self.aggregate_fraction, "must be above 0", "use the scene 'tube' for a flow "
-                   "without aggregates")  # fmt: skip
+            hint = "use the scene 'tube' for a flow without aggregates"
+            refuse("aggregate_fraction", self.aggregate_fraction, "must be above 0", hint)
         self.check_aggregates()
         largest = self.diameters[1]
         if self.length < MIN_LENGTH * largest:
@@ -108,23 +106,22 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
                                           "because the ends of the stretch are connected",
                    f"use {at_least(MIN_LENGTH * largest)} m or more")  # fmt: skip
         if self.depth and largest > 0.5 * self.depth:
-            refuse("depth", self.depth, "must be at least two diameters of the largest aggregate, because no aggregate "
-                                        "crosses its ends",
-                   f"use {at_least(2 * largest)} m or more")  # fmt: skip
+            problem = "must be at least two diameters of the largest aggregate, because no aggregate crosses its ends"
+            refuse("depth", self.depth, problem, f"use {at_least(2 * largest)} m or more")
         if largest > self.radius:
-            refuse("aggregate_largest", largest, f"must be at most the radius of the pipe, {self.radius:g} m",
-                   "use smaller aggregates or a wider pipe")  # fmt: skip
+            problem = f"must be at most the radius of the pipe, {self.radius:g} m"
+            refuse("aggregate_largest", largest, problem, "use smaller aggregates or a wider pipe")
         if 2 * self.radius < MIN_ACROSS * self.spacing:
-            refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the pipe",
-                   f"use {at_most(2 * self.radius / MIN_ACROSS)} m or less")  # fmt: skip
+            problem = f"is too coarse: at least {MIN_ACROSS} cells must fit across the pipe"
+            refuse("spacing", self.spacing, problem, f"use {at_most(2 * self.radius / MIN_ACROSS)} m or less")
         stress, words = self.concrete.yield_stress, f"a yield stress of {self.concrete.yield_stress:g} Pa"
         if self.slips:
             stress = least_stress(self.concrete, self.line)
             words += f" and a slip layer of {self.concrete.slip_yield:g} Pa"
         least = self.ways * stress / self.radius
         if self.gradient <= least:
-            refuse("gradient", self.gradient, f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m",
-                   f"use {at_least(1.5 * least)} Pa/m or more")  # fmt: skip
+            problem = f"is too small: mortar with {words} does not flow below {least:.4g} Pa/m"
+            refuse("gradient", self.gradient, problem, f"use {at_least(1.5 * least)} Pa/m or more")
 
     @property
     def cell_width(self) -> float:
