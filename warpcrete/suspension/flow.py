@@ -55,7 +55,8 @@ class SuspensionStep(GridStep):
     def before(self) -> list[Any]:
         """Return the stages before the coupled solve, which set up its equations."""
         flow, kind, scalar, slots = self.flow, self.kind, self.scalar, self.slots
-        bins, serial = bin_kernels(scalar, kind), not flow.parallel
+        serial = not flow.parallel
+        bins = bin_kernels(scalar, serial, kind)
         bodies, abreast = flow.aggregates.kind, flow.aggregates.count * warp_width(flow.device)
         cover, free = cover_kernels(scalar, kind, bodies), release_kernels(scalar, kind)
         motion, strain = motion_kernels(scalar, kind), strain_kernels(scalar, kind)
@@ -69,8 +70,8 @@ class SuspensionStep(GridStep):
             *self._alone(bins.allot, slots),
             *self._shared(bins.sort, flow.count),
             *self._cells(bins.order),
-            *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
-            *self._cells(gather_kernel(scalar, kind)),
+            *([] if flow.full else self._cells(fill_kernel(scalar, serial, kind))),
+            *self._cells(gather_kernel(scalar, serial, kind)),
             *(self._alone(pose_kernel(scalar), count) if bodies.clumps else []),
             *(self._alone(leaving.park, count, opens=flow.opens) if flow.opens else []),
             *self._entering("guide"),

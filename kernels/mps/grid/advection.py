@@ -217,12 +217,17 @@ def advect_kernel(scalar, of: GridKind):
             after[last] = after[last] - length * wp.floor((after[last] - g.origin[last]) / length)
         if wp.static(of.cut):
             # Rounding errors and the curvature of the particle's path may lead a particle into a wall, so push the
-            # particle out.
+            # particle out. Most particles are far from walls, so compute the direction only of those that are not.
+            near = wp.bool(True)
             for _ in range(2):
-                gap, outward = clearance(g, geometry, after)
-                steep = wp.length(outward)
-                if gap < scalar(CLEAR) * g.width[0] and steep > scalar(0.1):
-                    after += wp.min(scalar(CLEAR) * g.width[0] - gap, g.width[0]) / (steep * steep) * outward
+                if near:
+                    gap, _outward = clearance(g, geometry, after)
+                    near = gap < scalar(CLEAR) * g.width[0]
+                    if near:
+                        gap, outward = clearance(g, geometry, after)
+                        steep = wp.length(outward)
+                        if steep > scalar(0.1):
+                            after += wp.min(scalar(CLEAR) * g.width[0] - gap, g.width[0]) / (steep * steep) * outward
         gone = wp.bool(False)
         if wp.static(of.cut and not of.periodic):
             gone = leaves(g, mesh, after)

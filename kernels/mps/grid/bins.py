@@ -7,11 +7,12 @@ import warp as wp
 
 from ...common.control import HALTED
 from .cells import NOW, GridKind, grid_parameters_struct, grid_structs, item
+from .columns import LANES, column_functions
 from .places import grid_functions
 
 
 @functools.cache
-def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
+def bin_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which together sort particles into cells.
 
     A step launches them in this order. All cells share one list of particles, in which each cell reserves as many
@@ -23,6 +24,7 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
     structs = grid_structs(scalar, dims)
     Particles, Fields = structs.Particles, structs.Fields
     f = grid_functions(scalar, of)
+    store = column_functions(scalar, dims).store
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Fields):
@@ -69,7 +71,8 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def order(flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Fields, worker: wp.int32, workers: wp.int32):
         """Sort the particles of each cell by their numbers, so that sums are reproducible, with one task per cell.
 
-        Then copy the positions and masses of the particles in this order, because many cells and faces read them.
+        Then copy the positions and masses of the particles in this order, because many cells and faces read them. On a
+        CPU, copy the particles into columns (`columns.py`).
         """
         if flags[HALTED] != 0:
             return
@@ -84,8 +87,11 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
             mesh.sorted_particles[begin + b] = own
         for k in range(begin, begin + mesh.count[c]):
             p = mesh.sorted_particles[k]
-            mesh.sorted_position[k] = particles.position[p]
-            mesh.sorted_mass[k] = particles.mass[p]
+            if wp.static(serial):
+                store(particles, p, mesh.columns, k, mesh.place.shape[0] + LANES)
+            else:
+                mesh.sorted_position[k] = particles.position[p]
+                mesh.sorted_mass[k] = particles.mass[p]
 
     return SimpleNamespace(clear=clear, tally=tally, allot=allot, sort=sort, order=order)
 

@@ -205,6 +205,10 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         sorted_position: wp.array(dtype=t.vec)  # Positions of the particles in this order [m], shape (n,).
         sorted_mass: wp.array(dtype=scalar)  # Relative masses of the particles in this order, shape (n,).
 
+        # Mass, position, velocity and gradient of the particles in this order, one number after the other (`columns.py`
+        # has the details). CPU only; there `sorted_position` and `sorted_mass` are empty.
+        columns: wp.array(dtype=scalar)
+
         # Kind of each cell face: AIR, LIQUID, FIXED, INSIDE or GHOST. There is one face for each axis and cell, shape
         # (axes * slots,).
         kind: wp.array(dtype=wp.int32)

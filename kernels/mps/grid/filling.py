@@ -8,6 +8,7 @@ import warp as wp
 from ...common.control import HALTED
 from ..structs import mps_types
 from .cells import OPEN, GridKind, grid_parameters_struct, grid_structs, item
+from .columns import LANES, column_functions
 from .places import grid_functions
 
 WET = wp.constant(0.02)
@@ -103,7 +104,7 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
 
 
 @functools.cache
-def fill_kernel(scalar, of: GridKind):
+def fill_kernel(scalar, serial: bool, of: GridKind):
     """Build the kernel that computes the fill fraction of each cell, with one task per cell.
 
     The fill fraction follows from the density of particles around the cell's centre. It is exact for a flat free
@@ -119,6 +120,45 @@ def fill_kernel(scalar, of: GridKind):
     around = 3**dims
     say = level_functions(scalar, of)
     level, lies, film, behind = say.level, say.lies, say.film, say.behind
+    add_mass = column_functions(scalar, dims).add_mass
+
+    @wp.func
+    def neighbour(g: Grid, number: wp.int32, n: wp.int32) -> wp.int32:
+        """Return the number of neighbour `n` of a cell, which counts as a neighbour of its own."""
+        found = number + n % 3 - 1 + (n / 3 % 3 - 1) * (g.n[0] + 2)
+        if wp.static(dims == 3):
+            found += (n / 9 - 1) * (g.n[0] + 2) * (g.n[1] + 2)
+        return found
+
+    @wp.func
+    def add_cell(g: Grid, mesh: Fields, c: whole, place: vec, other: wp.int32, own: wp.bool, sum: scalar) -> scalar:
+        """Add the weighted masses of the particles of the cell `other` to `sum`.
+
+        The weights fall linearly to zero at a distance of one cell from `place`, the centre of the cell `c`. The masses
+        are relative to the mean mass. If both cells are the same, `own` is true.
+        """
+        if wp.static(serial):
+            if not own:
+                stride = mesh.place.shape[0] + LANES
+                return add_mass(mesh.columns, stride, mesh.begin[other], mesh.count[other], place, g.width, sum)
+        for k in range(mesh.count[other]):
+            at = mesh.begin[other] + k
+            d = vec()
+            mass = scalar(0.0)
+            if wp.static(serial):
+                for b in range(dims):
+                    d[b] = mesh.columns[(1 + b) * (mesh.place.shape[0] + LANES) + at] - place[b]
+                mass = mesh.columns[at]
+            else:
+                d = mesh.sorted_position[at] - place
+                mass = mesh.sorted_mass[at]
+            near = scalar(1.0)
+            for b in range(dims):
+                near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
+            if own:
+                near += behind(g, mesh, c, d)
+            sum += near * mass
+        return sum
 
     @wp.kernel(enable_backward=False, module="unique")
     def fill(
@@ -133,31 +173,25 @@ def fill_kernel(scalar, of: GridKind):
         part = scalar(0.0)
         particle_density = scalar(1.0)
         if mesh.solid[number] == OPEN:
-            place = vec()
-            for b in range(dims):
-                place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
-            sum = scalar(0.0)
+            particle_density = scalar(0.0)
+            # No particle is in the frame around the grid, so every cell of the grid has neighbours on all sides.
+            crowd = wp.int32(0)
             for n in range(around):
-                o = whole()
-                rest = n
+                crowd += mesh.count[neighbour(g, number, n)]
+            if crowd > 0:
+                place = vec()
                 for b in range(dims):
-                    o[b] = c[b] + rest % 3 - 1
-                    rest = rest / 3
-                if f.in_grid(g, o):
-                    other = f.at(g, o)
-                    for k in range(mesh.count[other]):
-                        at = mesh.begin[other] + k
-                        d = mesh.sorted_position[at] - place
-                        near = scalar(1.0)
-                        for b in range(dims):
-                            near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
-                        if n == wp.static(around // 2):
-                            near += behind(g, mesh, c, d)
-                        sum += near * mesh.sorted_mass[at]
-            particle_density = sum * g.volume / geometry.weighted_volume[number]
-            part = wp.clamp(
-                wp.where(film(mesh, g, c), lies(particle_density), level(particle_density)), scalar(0.0), scalar(1.0)
-            )
+                    place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
+                sum = scalar(0.0)
+                for n in range(around):
+                    other = neighbour(g, number, n)
+                    if mesh.count[other] > 0:
+                        sum = add_cell(g, mesh, c, place, other, other == number, sum)
+                particle_density = sum * g.volume / geometry.weighted_volume[number]
+                height = level(particle_density)
+                if film(mesh, g, c):
+                    height = lies(particle_density)
+                part = wp.clamp(height, scalar(0.0), scalar(1.0))
         mesh.particle_density[number] = particle_density
         mesh.fill[number] = part
         mesh.liquid[number] = wp.where(part > scalar(WET), 1, 0)

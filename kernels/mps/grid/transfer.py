@@ -11,6 +11,7 @@ import warp as wp
 from ...common.control import HALTED
 from ..structs import mps_types
 from .cells import AIR, FIXED, GHOST, INSIDE, LIQUID, OPEN, SMOOTH, GridKind, grid_parameters_struct, grid_structs, item
+from .columns import LANES, column_functions
 from .places import grid_functions
 
 LIGHT = wp.constant(0.1)
@@ -67,24 +68,57 @@ def face_functions(scalar, of: GridKind):
 
 
 @functools.cache
-def gather_kernel(scalar, of: GridKind):
+def gather_kernel(scalar, serial: bool, of: GridKind):
     """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
-    whole = t.whole
+    whole, vec = t.whole, t.vec
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
     f = grid_functions(scalar, of)
     kind_of, needed = face_functions(scalar, of)
     around = 2 * 3**last
+    columns = column_functions(scalar, dims, of.periodic)
+    add_velocity, pair = columns.add_velocity, columns.pair
+
+    @wp.func
+    def from_cell(
+        g: Grid, particles: Particles, mesh: Fields, place: vec, other: wp.int32, axis: wp.int32, sums: pair
+    ) -> pair:
+        """Add the weights and the weighted velocities of the particles of the cell `other` to two sums.
+
+        The weights fall linearly to zero at a distance of one cell from `place`, the centre of a face. The velocities
+        are those along an axis.
+        """
+        length = scalar(g.n[last]) * g.width[last]
+        if wp.static(serial):
+            return add_velocity(
+                mesh.columns, mesh.place.shape[0] + LANES, mesh.begin[other], mesh.count[other], place, g.width, length,
+                axis, sums,
+            )  # fmt: skip
+        else:
+            total, sum = sums[0], sums[1]
+            for k in range(mesh.count[other]):
+                at = mesh.begin[other] + k
+                d = place - mesh.sorted_position[at]
+                if wp.static(of.periodic):
+                    d[last] = d[last] - length * wp.round(d[last] / length)
+                weight = mesh.sorted_mass[at]
+                for b in range(dims):
+                    weight *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
+                if weight > scalar(0.0):
+                    p = mesh.sorted_particles[at]
+                    carried = particles.velocity[p] + particles.gradient[p] * d
+                    total += weight
+                    sum += weight * carried[axis]
+            return pair(total, sum)
 
     @wp.func
     def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
         """Return the weighted mean velocity of the particles around a face, or `before` if there are none."""
         place = f.face_middle(g, c, axis)
-        total = scalar(0.0)
-        sum = scalar(0.0)
+        sums = pair()
         for n in range(around):
             o = whole()
             rest = n / 2
@@ -101,23 +135,9 @@ def gather_kernel(scalar, of: GridKind):
                     else:
                         there = False
             if there:
-                other = f.at(g, o)
-                for k in range(mesh.count[other]):
-                    at = mesh.begin[other] + k
-                    d = place - mesh.sorted_position[at]
-                    if wp.static(of.periodic):
-                        length = scalar(g.n[last]) * g.width[last]
-                        d[last] = d[last] - length * wp.round(d[last] / length)
-                    weight = mesh.sorted_mass[at]
-                    for b in range(dims):
-                        weight *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
-                    if weight > scalar(0.0):
-                        p = mesh.sorted_particles[at]
-                        carried = particles.velocity[p] + particles.gradient[p] * d
-                        total += weight
-                        sum += weight * carried[axis]
-        if total > scalar(0.0):
-            return sum / total
+                sums = from_cell(g, particles, mesh, place, f.at(g, o), axis, sums)
+        if sums[0] > scalar(0.0):
+            return sums[1] / sums[0]
         return before
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -55,7 +55,8 @@ class GridStep:
     def stages(self) -> list[Any]:
         """Return all stages of the step."""
         flow, layout, kind, scalar = self.flow, self.layout, self.kind, self.scalar
-        bins, serial = bin_kernels(scalar, kind), not flow.parallel
+        serial = not flow.parallel
+        bins = bin_kernels(scalar, serial, kind)
         viscosity, pressure = viscosity_kernels(scalar, kind), pressure_kernels(scalar, serial, kind)
         velocity, increment = flow.mesh.velocity, flow.mesh.increment
         viscous, projection = flow.viscous, flow.projection
@@ -67,8 +68,8 @@ class GridStep:
             *self._alone(bins.allot, self.slots),
             *self._shared(bins.sort, flow.count),
             *self._cells(bins.order),
-            *([] if flow.full else self._cells(fill_kernel(scalar, kind))),
-            *self._cells(gather_kernel(scalar, kind)),
+            *([] if flow.full else self._cells(fill_kernel(scalar, serial, kind))),
+            *self._cells(gather_kernel(scalar, serial, kind)),
             *self._cells(viscosity.rates),
             *self._cells(viscosity.viscosity),
             *self._cells((wall_kernel if kind.cut else side_kernel)(scalar, kind)),

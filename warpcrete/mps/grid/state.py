@@ -7,10 +7,11 @@ import numpy as np
 import warp as wp
 
 from ...core.device.arrays import host_copy
-from ...core.device.device import MEMORY_FRACTION, memory_free, scalar_of
+from ...core.device.device import MEMORY_FRACTION, memory_free, parallel, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, grid_parameters_struct, grid_structs
+from ...kernels.mps.grid.columns import LANES, column_count
 from ..common.allocation import allocate
 from .geometry import NO_SLIP_VISCOSITY, NONE, ROUGH, Geometry
 from .layout import GridLayout
@@ -26,9 +27,15 @@ FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "
 and PARTICLE_LISTS those with one entry per particle. Most other arrays of the struct have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_position", "sorted_mass")
+GPU_LISTS = ("sorted_position", "sorted_mass")
+"""Names of the arrays in PARTICLE_LISTS that are empty on a CPU, which uses the array `columns` of the struct `Fields`
+instead."""
 SLOT_BYTES = {2: 4 * 277, 3: 4 * 557}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
 by number of axes."""
+COLUMN_BYTES = {2: 4 * 54, 3: 4 * 96}
+"""Additional memory per cell on a CPU, for the array `columns` of the struct `Fields` [bytes], in single precision, by
+number of axes. The array has an entry for each column of each particle; full cells hold nine or eight particles."""
 
 FIRST_STEP_RATIO = 0.01
 """Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""
@@ -127,6 +134,10 @@ class GridState:
 
     def _rows(self, name: str) -> int:
         """Return the number of entries of the array `name` of the struct `Fields`."""
+        if name == "columns":
+            return 0 if parallel(self.device) else column_count(self.layout.axes) * (self.count + LANES)
+        if name in GPU_LISTS and not parallel(self.device):
+            return 0
         if name in PARTICLE_LISTS:
             return self.count
         if name == "reserved_places":
@@ -192,7 +203,8 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str, more: int 
     example for aggregates [bytes], in single precision.
     """
     slots = math.prod(n + 2 for n in cells)
-    needed = slots * (SLOT_BYTES[len(cells)] + more) * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
+    columns = 0 if parallel(device) else COLUMN_BYTES[len(cells)]
+    needed = slots * (SLOT_BYTES[len(cells)] + columns + more) * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
     free = memory_free(device)
     if needed > MEMORY_FRACTION * free:
         raise CapacityError(
