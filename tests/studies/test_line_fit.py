@@ -100,7 +100,7 @@ def test_a_layer_without_yield_stress_stays_without():
 def test_a_fitted_factor_has_its_band_in_the_result():
     fit = by_scatter(LINE, GUESS, taps(noise=5e3, parts=(0, 1, 3, 4)))
     found = line_by_theory(fit.line(LINE), fit.concrete(GUESS), 0.01, variants=fit.variants(GUESS), fit=fit)
-    assert set(found.band().shares) == {"slip layer", "bends", "hoses"}
+    assert set(found.band().shares) == {"slip layer", "yield stress of the slip layer", "bends", "hoses"}
     assert found.losses[1].range == (fit.constants[2].low, fit.constants[2].high)
     assert found.record()["fit"]["constants"]["factor of bends"]["value"] == fit.constants[2].value
 

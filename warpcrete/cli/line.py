@@ -84,7 +84,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     if settings["fit"] is not None:
         taps = read_taps(settings["fit"], pipes, given.flow)
         fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
-                       _known_yields(given))  # fmt: skip
+                       None if given.mix is None else given.mix.layer_yields)  # fmt: skip
         said = [*fit_lines(fit, pipes), ""]
         if ignored := foreign_columns(settings["fit"]):
             said[:0] = [
@@ -224,14 +224,6 @@ def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete,
         return layer["variants"].get("slip layer")
     low, high = (with_layer_factor(given.concrete, x) for x in (1 / layer["layer_factor"], layer["layer_factor"]))
     return low, high
-
-
-def _known_yields(given: LineInputs) -> tuple[float, float] | None:
-    """Return the range of the slip layer's yield stress that the mix gives [Pa], or None without a mix or estimate."""
-    if given.mix is None or given.mix.given.layer != Layer():
-        return None
-    ends = given.mix.variants.get("slip layer")
-    return None if ends is None else (ends[0].slip_yield, ends[1].slip_yield)
 
 
 def _simulated(

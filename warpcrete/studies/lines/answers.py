@@ -31,7 +31,7 @@ ADVICE = {
     "hoses": "measure the pressure on both sides of one, and state its 'factor'",
     "valves": "ask the manufacturer for their loss, and state it as 'equivalent'",
     "bores": "measure the pressure on both sides of one, and state its 'factor'",
-    "unknown yield stress of the slip layer": "read the gauges of the trial line at a second flow",
+    "yield stress of the slip layer": "read the gauges of the trial line at flows farther apart",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy; published "
     "rates are 0.1 to 1.7 Pa/s (notebooks/theory/restarts.md)",
 }

@@ -15,10 +15,10 @@ from ...core.errors import SceneError, refuse
 from ...geometry.pipe_line import PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
-from .fit_band import with_expected, with_gauges, with_known
-from .fit_flows import with_open_yield
+from .fit_band import of_layer, with_expected, with_gauges, with_known
+from .fit_flows import OTHER_FLOWS, with_fitted_yield, with_open_yield
 from .fittings import MODEL_ERRORS
-from .line_fit import FittedConstant, LineFit
+from .line_fit import NO_YIELD, FittedConstant, LineFit
 from .losses import GRAVITY
 from .tap_model import TapModel, metre_model
 from .taps import Tap, is_free
@@ -41,10 +41,8 @@ friction factor of bends. A fit in which a constant does not exceed its limit is
 NO_SLIP = 1e6
 """Slip viscosity [Pa s/m] at which concrete practically sticks to the wall. Slip layers have 100 to 10000 Pa s/m. A
 larger fitted value hardly changes the friction any more, so it means that no slip layer explains the pressures."""
-NO_YIELD = "fitted without it, because the points would give a negative one"
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
-"""Reasons why a constant was left out of a fit: NO_YIELD for the yield stress of the slip layer, which is then zero,
-and NO_FACTOR for the friction factor of bends."""
+"""Reason why the friction factor of bends was left out of a fit."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Limits below which a fitted constant cannot be distinguished from zero, so that it gets its default value. The key 1
 stands for the yield stress of the slip layer [Pa], and the key 2 for the friction factor of bends."""
@@ -84,7 +82,8 @@ def fit_line(
     same error. The scatter of the pressures about the fit adds to it if there are enough pressures, or if `gauge` is 0.
 
     `yields` is the range of the layer's yield stress that the mix states [Pa]. If the pressures do not determine the
-    yield stress, the band at other flows follows from this range (:func:`.with_open_yield`).
+    yield stress, the band at other flows follows from this range (:func:`.with_open_yield`). Otherwise, it follows from
+    the error of the fitted yield stress (:func:`.with_fitted_yield`).
 
     Points with the same place, flow and pressure count once, because a repeated row makes the band narrower without a
     further measurement.
@@ -109,8 +108,9 @@ def fit_line(
     if prior is not None:
         fit = with_known(fit, line, concrete, prior)
     fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
-    own = fit.constants[1]
-    return fit if own.fitted or own.reason == NO_YIELD else with_open_yield(fit, line, concrete, yields)
+    if fit.determines_yield:
+        return with_fitted_yield(fit, line, concrete)
+    return with_open_yield(fit, line, concrete, yields)
 
 
 def _is_better_than_published(factor: FittedConstant) -> bool:
@@ -173,10 +173,8 @@ def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: boo
             found = _least_squares(model, measured, start, free)
     _check_result(found, free, concrete)
     fitted = model.pressures(found)
-    slopes = model.sensitivities(found, free)
     squares = _squares(fitted - measured, taps, len(free), gauge)
-    inverse = np.linalg.pinv(slopes)
-    covariance = inverse @ squares @ inverse.T
+    covariance = _covariance(model.sensitivities(found, free), squares)
     widths = dict(zip(free, np.sqrt(np.diag(covariance)), strict=True))
     constants = []
     for place in range(3 if any(is_free(part) for part in line.parts) else 2):
@@ -185,13 +183,33 @@ def _fitted(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], factor: boo
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths, **reason))  # fmt: skip
     # The errors of the slip layer's two constants are correlated. Therefore, calculate the error of the friction in
-    # straight pipe from their covariance matrix.
+    # straight pipe from their covariance matrix. A yield stress that was left out is nevertheless uncertain.
+    others = sorted({*free, 1}) if 1 in reasons else free
+    whole = _covariance(model.sensitivities(found, others), squares)
+    wide = _friction_error(metre_model(line, concrete, taps), found, free, covariance)
+    low, high = (_friction_error(metre_model(line, concrete, taps, x), found, others, whole) for x in OTHER_FLOWS)
+    fit = LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide, wide, (low, high), gauge)
+    return of_layer(fit, line, concrete)
+
+
+def _covariance(slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Return the covariance matrix of fitted constants, with 95 % error limits as standard deviations.
+
+    `slopes` holds the derivatives of the pressures with respect to the constants, shape (taps, constants), and
+    `squares` is the covariance matrix of the pressures.
+    """
+    inverse = np.linalg.pinv(slopes)
+    return inverse @ squares @ inverse.T
+
+
+def _friction_error(pipe: TapModel, found: np.ndarray, free: Sequence[int], covariance: np.ndarray) -> float:
+    """Return the relative error of the friction in straight pipe that follows from those of the slip layer's constants.
+
+    `pipe` models one metre of pipe, and `covariance` is that of the fitted constants `free`.
+    """
     layer = [k for k, place in enumerate(free) if place < 2]
-    pipe = metre_model(line, concrete, taps)
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
-    wide = math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights))
-    wide /= float(pipe.pressures(found)[0])
-    return LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide, gauge)
+    return math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights)) / float(pipe.pressures(found)[0])
 
 
 def _squares(off: np.ndarray, taps: Sequence[Tap], fitted: int, gauge: float) -> np.ndarray:

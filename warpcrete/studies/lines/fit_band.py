@@ -24,6 +24,8 @@ was multiplied by the same factor as the viscosity, when the fit was combined wi
 LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60
 """Settings of searches by bisection: range of the factor on a fitted slip layer, range of the uncertainty of the layer,
 and number of bisection steps."""
+LAYER_STEP = 1.001
+"""Factor by which a slip layer is made stiffer and weaker to find how its resistance changes the friction."""
 
 
 def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
@@ -50,7 +52,7 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
     ratio = friction(own) / before
     wide_before = 0.5 * math.log(high / low)
     wide_before = max(wide_before, abs(math.log(friction(own) / before)))
-    wide = math.log1p(fit.uncertainty)
+    wide = math.log1p(fit.friction_uncertainty)
     share = wide**2 / (wide**2 + wide_before**2) if wide_before > 0 else 0.0
     wanted = friction(own) * (before / friction(own)) ** share
     factor = _bisected(LAYER_FACTORS, lambda x: friction(own * [x, x, 1.0]) < wanted)
@@ -60,9 +62,32 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
                      high=factor * (each.value + narrower * (each.high - each.value)),
                      reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
              for each in fit.constants[:2]]  # fmt: skip
-    fit = replace(fit, constants=(*layer, *fit.constants[2:]), uncertainty=math.expm1(wide * narrower),
-                  prior_share=share, surprise=None if low <= ratio * before <= high else ratio)  # fmt: skip
+    first, second = (math.expm1(narrower * math.log1p(each)) for each in fit.other_uncertainties)
+    fit = replace(fit, constants=(*layer, *fit.constants[2:]), friction_uncertainty=math.expm1(wide * narrower),
+                  other_uncertainties=(first, second), prior_share=share,
+                  surprise=None if low <= ratio * before <= high else ratio)  # fmt: skip
+    fit = of_layer(fit, line, concrete)
     return replace(fit, pressures=tuple(_at_taps(fit, line, concrete)(1.0).tolist()))
+
+
+def of_layer(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
+    """Return a fit whose `uncertainty`, that of the slip layer, follows from the uncertainty of the friction.
+
+    The friction of straight pipe grows with the layer's resistance to the power e, the elasticity. If the layer is
+    stiff, the concrete is sheared as well, and e is below 1. The same uncertainty of the friction then means a larger
+    uncertainty of the layer: 1 + u of the friction becomes (1 + u)^(1 / e) of the layer.
+    """
+    power = elasticity(metre_model(line, concrete, fit.taps), fit.constants[0].value, fit.constants[1].value)
+    return replace(fit, uncertainty=math.expm1(math.log1p(fit.friction_uncertainty) / power))
+
+
+def elasticity(pipe: TapModel, viscosity: float, stress: float) -> float:
+    """Return the relative change of a pipe's friction over that of its slip layer's resistance, at the first tap.
+
+    `viscosity` [Pa s/m] and `stress` [Pa] are the layer's constants, which change by the same factor. `pipe` is level.
+    """
+    ends = [float(pipe.pressures(np.array([x * viscosity, x * stress, 1.0]))[0]) for x in (1 / LAYER_STEP, LAYER_STEP)]
+    return math.log(ends[1] / ends[0]) / (2 * math.log(LAYER_STEP))
 
 
 def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:

@@ -24,7 +24,6 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
-    stated = fit.uncertainty if fit.later_uncertainty is None else fit.later_uncertainty
     found = [
         f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 % for gauges that are "
         f"off by up to {fit.gauge / 1e5:.2g} bar{beside(line.customary, 'psi', fit.gauge)}, see --gauge)",
@@ -48,11 +47,11 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         "30 %, that of other deliveries):",
         "",
         f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
-        f"uncertainty: {max(100 * stated, 0.1):.3g} %, from: pipe}}",
+        f"uncertainty: {max(100 * fit.stored_uncertainty, 0.1):.3g} %, from: pipe}}",
         "",
         *(
             [
-                f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
+                f"This uncertainty holds from half to twice the mean measured flow. At this flow alone, it is "
                 f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
                 "",
             ]
@@ -89,11 +88,17 @@ def _meaning(fit: LineFit) -> str:
 
 
 def _open_yield(fit: LineFit, customary: bool) -> str:
-    """Return a sentence on the unknown yield stress of the slip layer, and on the flows at which it widens the band."""
-    assert fit.open_yield is not None, "the yield stress is known"
+    """Return a sentence on the range of the slip layer's yield stress, and on the flows at which it widens the band."""
+    assert fit.open_yield is not None, "the yield stress does not widen the band"
     unit, size = ("yd3/h", CUSTOMARY_SIZES["yd3/h"]) if customary else ("m3/h", 1 / 3600)
-    (_, low), (_, high) = fit.open_yield
     flows = sorted({f"{tap.flow / size:.4g}" for tap in fit.taps}, key=float)
+    if fit.determines_yield:
+        mean = np.mean([tap.flow for tap in fit.taps]) / size
+        return (
+            f"at flows other than {mean:.3g} {unit}, the mean of the gauges, the band is wider, because of the error "
+            "of the slip layer's yield stress; gauges read at flows farther apart would make it narrower"
+        )
+    (_, low), (_, high) = fit.open_yield
     many = "All gauges were read at" if len(flows) == 1 else "The gauges were read at"
     more = "read gauges at a second flow" if len(flows) == 1 else "read more gauges at these flows"
     return (

@@ -15,8 +15,10 @@ from ...theory.pipe import Concrete
 from .losses import with_layer_factor
 from .taps import Tap, is_free
 
-OPEN_YIELD = "unknown yield stress of the slip layer"
+OPEN_YIELD = "yield stress of the slip layer"
 """Cause of uncertainty of a line's pressure at another flow than that of the gauges, as it is named in reports."""
+NO_YIELD = "fitted without it, because the points would give a negative one"
+"""Reason why the yield stress of the slip layer was left out of a fit. It is then zero."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,12 @@ class LineFit:
     pressures: tuple[float, ...]
     """Pressures at the taps (places of gauges) according to the fit [Pa], in the order of the taps."""
     uncertainty: float
-    """Uncertainty u of the friction of straight pipe. Its band extends from 1 / (1 + u) to 1 + u times the friction."""
+    """Uncertainty u of the slip layer's resistance. Its band extends from 1 / (1 + u) to 1 + u times both constants."""
+    friction_uncertainty: float
+    """Uncertainty u of the friction of straight pipe at the mean flow, from the errors of the gauges and from what was
+    known before. The band extends from 1 / (1 + u) to 1 + u times the friction."""
+    other_uncertainties: tuple[float, float]
+    """Uncertainties as `friction_uncertainty`, but at half and at twice the mean flow."""
     gauge: float
     """Error limit of the gauges [Pa]."""
     prior_share: float = 0.0
@@ -93,19 +100,26 @@ class LineFit:
 
     open_yield: tuple[tuple[float, float], tuple[float, float]] | None = None
     """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers with the smallest and the largest yield stress
-    that the measured pressures do not distinguish from the fitted layer; None if they determine the yield stress."""
+    that the measured pressures do not distinguish from the fitted layer; None if the error of the yield stress does not
+    widen the band at other flows."""
     later_uncertainty: float | None = None
-    """Uncertainty u of the friction of straight pipe at 0.5 to 2 times the measured flow, for a layer that is used
-    later; None if the pressures determine the yield stress of the layer."""
+    """Uncertainty u of the slip layer's resistance at 0.5 to 2 times the mean measured flow, for a layer that is used
+    later; None if `open_yield` is None."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
     outside: tuple[str, ...] = ()
     """Names of the fitted constants that lie outside the band that the mix, or the assumed layer, gave them."""
 
     @property
-    def open_layers(self) -> tuple[tuple[float, float], ...]:
-        """Slip layers of `open_yield`, or none."""
-        return self.open_yield or ()
+    def determines_yield(self) -> bool:
+        """True if the measured pressures determine the yield stress of the slip layer, or show that it is about 0."""
+        own = self.constants[1]
+        return own.fitted or own.reason == NO_YIELD
+
+    @property
+    def stored_uncertainty(self) -> float:
+        """Uncertainty of the layer for use in the file of a concrete. It holds from half to twice the mean flow."""
+        return self.uncertainty if self.later_uncertainty is None else self.later_uncertainty
 
     @property
     def scatter(self) -> float:
@@ -127,8 +141,8 @@ class LineFit:
         """Return, for each cause of uncertainty, two concretes at the lower and the upper end of its band.
 
         The cause 'slip layer' has the band of the fit. The cause 'density' keeps its band from before the measurement,
-        whose concretes are in `before`. The cause `OPEN_YIELD` is present if the measured pressures do not determine
-        the yield stress of the layer. It has no effect at the measured flow. Viscosity and yield stress of the bulk are
+        whose concretes are in `before`. The cause `OPEN_YIELD` is present if the layer has `open_yield`. It has no
+        effect at the mean measured flow. Viscosity and yield stress of the bulk are
         no causes of their own: an error of theirs is compensated by the slip layer, because both together give the
         measured pressures.
         """

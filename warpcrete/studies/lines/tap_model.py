@@ -79,8 +79,11 @@ class TapModel:
         return np.array(columns).T
 
 
-def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> TapModel:
-    """Return a model of one metre of level pipe with the line's first diameter, at the mean flow of the taps."""
+def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap], ratio: float = 1.0) -> TapModel:
+    """Return a model of one metre of level pipe with the line's first diameter.
+
+    Its flow is `ratio` times the mean flow of the taps.
+    """
     first = line.parts[0].diameter
     metre = replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
-    return TapModel(metre, concrete, [Tap(0.0, 1.0, float(np.mean([tap.flow for tap in taps])), 0)])
+    return TapModel(metre, concrete, [Tap(0.0, 1.0, ratio * float(np.mean([tap.flow for tap in taps])), 0)])
