@@ -24,8 +24,9 @@ from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
 from ..mix.mix import Mix
-from ..studies.lines.answers import beside, pressure_text
+from ..studies.lines.answers import CUSTOMARY_SIZES, beside, pressure_text
 from ..studies.lines.fit import fit_line
+from ..studies.lines.fit_files import write_fit
 from ..studies.lines.fit_report import fit_lines
 from ..studies.lines.fittings import is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
@@ -85,7 +86,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         taps = read_taps(settings["fit"], pipes, given.flow)
         fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
                        None if given.mix is None else given.mix.layer_yields)  # fmt: skip
-        said = [*fit_lines(fit, pipes), ""]
+        said = [*fit_lines(fit, pipes, (1.0, 1.0) if given.mix is None else given.mix.factors), ""]
         if ignored := foreign_columns(settings["fit"]):
             said[:0] = [
                 f"ignored columns of {settings['fit'].name}, which a fit does not use: {', '.join(ignored)}",
@@ -116,6 +117,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         if given.guessed and settings["fit"] is None:
             said += ["", "a slump or spread alone says little about the slip layer: the parts of the mix give a better "
                      "estimate, which may lie far from this one (warpcrete mix --help)"]  # fmt: skip
+        if fit is not None and out is not None:
+            said += ["", *write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)]
         _finish(said, pipes, given, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
@@ -297,7 +300,8 @@ def _rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> list[str]:
     """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)
-    where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"
+    bore = f"{part.narrow / CUSTOMARY_SIZES['in']:.4g} in" if line.customary else f"{1e3 * part.narrow:.4g} mm"
+    where = f"narrowest part {part.number}, {part.label}, {bore}"
     text = rule_lines(verdicts, where)
     if mix is None:
         text.append(

@@ -143,10 +143,13 @@ class Mix:
 
     @property
     def band_origin(self) -> str:
-        """Origin of the uncertainty band of the slip viscosity: 'paste' if it follows from the paste, else 'other'.
+        """Origin of the uncertainty band of the slip viscosity: 'fit', 'paste' or 'other'.
 
-        A band that follows from the composition of the paste contains the measured values of nine of ten concretes.
+        A band of a fit to a trial line contains the pressures in 95 % of cases. A band that follows from the
+        composition of the paste contains the measured values of nine of ten concretes.
         """
+        if self.given.layer.is_of_this_delivery:
+            return "fit"
         return "paste" if self["slip viscosity"].way.endswith(OF_PASTE) else "other"
 
     @property

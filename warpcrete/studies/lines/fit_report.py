@@ -14,11 +14,13 @@ NOTICED = 0.01
 the fit."""
 
 
-def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
+def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0, 1.0)) -> list[str]:
     """Return a report on the fit as lines of Markdown.
 
     The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
-    the files of the concrete and of the line, and a table of all measured pressures.
+    the files of the concrete and of the line, and a table of all measured pressures. `factors` multiply all
+    yield stresses and viscosities in the file of the concrete (:attr:`.Mix.factors`), so the entries are divided by
+    them.
     """
     eta, tau, *bends = fit.constants
     off = fit.deviations()
@@ -44,9 +46,9 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else []),
         "",
         "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
-        "30 %, that of other deliveries):",
+        "30 %, that of other deliveries), or let --out FOLDER write the whole file:",
         "",
-        f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
+        f"    layer: {{viscosity: {eta.value / factors[1]:.4g} Pa s/m, yield_stress: {tau.value / factors[0]:.4g} Pa, "
         f"uncertainty: {max(100 * fit.stored_uncertainty, 0.1):.3g} %, from: pipe}}",
         "",
         *(
@@ -61,7 +63,8 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
     if bends and bends[0].fitted:
-        found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
+        found += ["and into the line's file:", "", f"    bend_factor: {{factor: {bends[0].value:.4g}, "
+                  f"low: {bends[0].low:.4g}, high: {bends[0].high:.4g}}}", ""]  # fmt: skip
         if not low <= bends[0].value <= high:
             share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
             found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "

@@ -156,13 +156,19 @@ class LineFit:
             found["density"] = (self.concrete(before["density"][0]), self.concrete(before["density"][1]))
         return found
 
+    @property
+    def bend_factor(self) -> FittedConstant | None:
+        """Fitted friction of bends over that of straight pipe; None if the measured pressures do not determine it."""
+        bends = self.constants[2] if len(self.constants) > 2 else None
+        return bends if bends is not None and bends.fitted else None
+
     def line(self, line: PipeLine) -> PipeLine:
         """Return the line whose bends have the fitted factor.
 
         Bends whose factor the line's file states keep that factor.
         """
-        bends = self.constants[2] if len(self.constants) > 2 else None
-        if bends is None or not bends.fitted:
+        bends = self.bend_factor
+        if bends is None:
             return line
 
         def own(part: Part) -> Part:
