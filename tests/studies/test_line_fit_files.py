@@ -115,6 +115,26 @@ def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
     assert not (trial / "two" / "bends.yaml").exists()
 
 
+def test_a_fit_without_a_flow_writes_its_files_too(trial):
+    """The flows of the gauges suffice for the fit, and the line's own flow may not be known yet."""
+    site = yaml.safe_load((trial / "site.yaml").read_text(encoding="utf-8"))
+    del site["flow"]
+    (trial / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
+    own = concrete(trial, mix=BULK)
+    said = run("line", trial / "site.yaml", "--concrete", own, "--fit", trial / "taps.csv", "--out", trial / "fit",
+               "--gauge", "0.1 bar")  # fmt: skip
+    assert f"--concrete {trial / 'fit' / 'concrete.yaml'}" in said and "pressure at the pump" not in said
+    assert sorted(path.name for path in (trial / "fit").iterdir()) == ["bends.yaml", "concrete.yaml", "line.md"]
+    assert read_mix(trial / "fit" / "concrete.yaml").band_origin == "fit"
+
+
+def test_a_line_with_an_earlier_fit_does_not_advise_the_same_fit(trial):
+    layer = {"viscosity": 900, "yield_stress": 10, "uncertainty": "60 %", "from": "pipe"}
+    said = run("line", trial / "site.yaml", "--concrete", concrete(trial, mix={**BULK, "layer": layer}))
+    assert "comes from the slip layer; read the gauges of the trial line at flows farther apart" in said
+    assert "--fit" not in said and "in about 95 % of cases" in said
+
+
 def test_the_factor_of_bends_is_an_entry_of_a_line():
     plain = {"diameter": "125 mm", "parts": [*PARTS[:3], {"bend": {"to": "up", "factor": 1.5}}, {"straight": 5}]}
     for entry, span in ((2, None), ({"factor": 2, "low": 1.5, "high": 3}, (1.5, 3.0))):

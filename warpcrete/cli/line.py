@@ -95,7 +95,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         layer = {"variants": fit.variants(concrete, layer.get("variants"))}
         pipes, concrete = fit.line(pipes), fit.concrete(concrete)
     if given.flow is None:
-        if needing := _options_that_need_a_flow(out, settings):
+        if needing := _options_that_need_a_flow(None if fit is not None else out, settings):
             beyond = "the fit" if fit is not None else "pressures at usual flows"
             raise click.UsageError(
                 f"flow: is missing; without a flow, the command prints only {beyond}; add it, as in --flow '30 m3/h', "
@@ -103,6 +103,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
             )
         if fit is None:
             said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
+        elif out is not None:
+            with line_folder(out, {"line": pipes.name, "concrete": given.name, "flow": None, "method": "theory"}):
+                said += write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)
+                write_lines(said, out)
         click.echo("\n" + "\n".join(said))
         return
     asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}

@@ -32,6 +32,7 @@ from .answers import (
 )
 from .figure import draw
 from .fittings import METHODS_ON_BENDS, is_in_library
+from .line_fit import OPEN_YIELD
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures, Stop
@@ -216,10 +217,13 @@ class LineResult(LinePressures):
         """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
 
         `band_of` returns the band [Pa] of the pressure in question. Only measurements that make this band narrower are
-        recommended, and none of a cause that was fitted to a trial line.
+        recommended, and none of a cause that was fitted to a trial line. For a layer of an earlier fit, another fit
+        helps only with more flows.
         """
         if self.fit is not None and cause in ("slip layer", "bends"):
             return ""
+        if self.band_origin == "fit" and cause == "slip layer":
+            return ADVICE[OPEN_YIELD]
         if cause not in MEASUREMENTS:
             return ADVICE.get(cause, "")
         now, found = band_of(self), []
