@@ -13,7 +13,7 @@ from warpcrete.core.inputs.concretes import SECTIONS, TEXTS
 from warpcrete.core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
 from warpcrete.core.inputs.parameters import Above, Alias, CompositeRule, Field, OneOf, Within, declared_fields
 from warpcrete.dem.pumping.parameters import PipeParameters
-from warpcrete.geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
+from warpcrete.geometry.line_entries import AMOUNTS, BEGINS, BEND_FACTOR, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from warpcrete.geometry.line_entries import KEYS as LINE_KEYS
 from warpcrete.geometry.line_entries import TEXTS as LINE_TEXTS
 from warpcrete.geometry.pumps import PUMP
@@ -74,6 +74,9 @@ def line_schema() -> Schema:
     pump = {name: quantity(unit, text) for name, (unit, text) in PUMP.items()}
     found["pump"] = {"description": "data sheet of the pump, or its largest pressure",
                      "anyOf": [pump["pressure"], _object(pump, "", ["pressure"])]}  # fmt: skip
+    factors = {name: quantity("1", text) for name, text in BEND_FACTOR.items()}
+    found["bend_factor"] = {"description": BEND_FACTOR["factor"],
+                            "anyOf": [factors["factor"], _object(factors, "", ["factor"])]}  # fmt: skip
     found["begin"] = {"enum": list(BEGINS), "description": "direction in which the line begins"}
     parts = [_object({kind: _part(kind)}, f"a {kind}", [kind]) for kind in PARTS]
     found["parts"] = {"type": "array", "minItems": 1, "maxItems": MOST_PARTS, "items": {"anyOf": parts},

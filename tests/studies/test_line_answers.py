@@ -88,7 +88,7 @@ US_LINE = {"diameter": "5 in", "pump": {"pressure": "1233 psi", "flow": "70 yd3/
 
 
 def test_a_line_in_us_units_is_answered_in_both_units():
-    """Metric amounts stay as they are, and US ones follow: 330 ft are 100.584 m, and 60 yd3/h are 45.87 m3/h."""
+    """Amounts in the text are followed by US ones, and 60 yd3/h are 45.87 m3/h. The table has US units only."""
     stop = Stop(1200.0, 0.5, None)
     ours = run_line(line_of(US_LINE), PLUG, 60 * 0.9144**3 / 3600, simulate=False, layer_factor=2.0, stop=stop)
     text = "\n".join(lines_of(ours))
@@ -98,7 +98,7 @@ def test_a_line_in_us_units_is_answered_in_both_units():
         "at 45.87 m3/h (60 yd3/h)",
         f"{band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar ({band.low / psi:.4g} to {band.high / psi:.4g} psi)",
         "delivers 85.01 bar (1233 psi)", "the motor has 149 kW (200 hp)", "its flow of up to 53.52 m3/h (70 yd3/h)",
-        "| 1 | straight | 127 (5) | 100.6 (330) | 0 (0) |", "friction [kPa (psi)]",
+        "| 1 | straight | 5 | 330 | 0 |", "| 2 | bend of 90 degrees, radius 1.64 ft | 5 | 2.577 |", "friction [psi]",
         f"bar, or {ours.restart().value / psi:.4g} (",
     ):  # fmt: skip
         assert each in text, each
@@ -130,6 +130,27 @@ def test_rules_of_practice_let_falling_concrete_separate():
     assert sum(ours.pressures.values()) < 0
     text = "\n".join(lines_of(found, practice=True))
     assert f"| this result | {found.pressure / 1e5:.3g} |" in text and "43.57 m, 31 m down, concrete at" in text
+
+
+def test_parts_of_a_line_in_us_units_are_named_as_the_file_states_them():
+    parts = [{"straight": "30 ft"}, {"bend": {"to": "up", "radius": "18 in"}}, {"reducer": "4 1/2 in"},
+             {"reducer": {"to": "100 mm", "length": "2 ft"}}, {"bend": {"to": "level", "angle": 45}},
+             {"straight": "10 ft"}, {"reducer": "3.5 in"}, {"hose": "12 ft"}]  # fmt: skip
+    line = line_of({"diameter": "5 in", "parts": parts})
+    assert [part.label for part in line.parts] == [
+        "straight", "bend of 90 degrees, radius 18 in", "5 in to 4 1/2 in", "4 1/2 in to 3.937 in",
+        "bend of 45 degrees, radius 1.64 ft", "straight, rises 7.07 ft", "3.937 in to 3.5 in", "hose, rises 8.49 ft",
+    ]  # fmt: skip
+    metric = line_of({"diameter": "125 mm", "parts": [{"reducer": "100 mm"}, {"bend": "up"}]})
+    assert [part.label for part in metric.parts] == ["125 to 100 mm", "bend of 90 degrees, radius 0.5 m"]
+
+
+def test_a_straight_line_in_us_units_and_rules_of_practice_have_us_units():
+    call = ["line", "--slump", "7 in", "--diameter", "5 in", "--length", "480 ft", "--rise", "65 ft"]
+    call += ["--flow", "40 yd3/h"]
+    said = CliRunner().invoke(cli, [*call, "--practice"], catch_exceptions=False).output
+    assert "| 1 | straight, rises 65 ft | 5 | 480 | 65 |" in said and "| | pressure [psi] | straight pipe |" in said
+    assert "narrowest part 1, straight, rises 65 ft, 5 in" in said
 
 
 def test_rules_of_practice_count_parts_as_they_say():

@@ -22,8 +22,9 @@ from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
 from ..mix.mix import Mix
-from ..studies.lines.answers import beside, pressure_text
+from ..studies.lines.answers import CUSTOMARY_SIZES, beside, pressure_text
 from ..studies.lines.fit import fit_line
+from ..studies.lines.fit_files import write_fit
 from ..studies.lines.fit_report import fit_lines
 from ..studies.lines.fittings import is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
@@ -82,7 +83,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     if settings["fit"] is not None:
         taps = read_taps(settings["fit"], pipes, given.flow)
         fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
-                       _known_yields(given))  # fmt: skip
+                       None if given.mix is None else given.mix.layer_yields)  # fmt: skip
         said = [*fit_lines(fit, pipes, given.factors, given.mix is not None), ""]
         if ignored := foreign_columns(settings["fit"]):
             said[:0] = [
@@ -92,7 +93,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         layer = {"variants": fit.variants(concrete, layer.get("variants"))}
         pipes, concrete = fit.line(pipes), fit.concrete(concrete)
     if given.flow is None:
-        if needing := _options_that_need_a_flow(out, settings):
+        if needing := _options_that_need_a_flow(None if fit is not None else out, settings):
             beyond = "the fit" if fit is not None else "pressures at usual flows"
             raise click.UsageError(
                 f"flow: is missing; without a flow, the command prints only {beyond}; add it, as in --flow '30 m3/h', "
@@ -100,6 +101,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
             )
         if fit is None:
             said = [*_at_usual_flows(pipes, concrete, layer), "", *_rules(pipes, given.mix, None)]
+        elif out is not None:
+            with line_folder(out, {"line": pipes.name, "concrete": given.name, "flow": None, "method": "theory"}):
+                said += write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)
+                write_lines(said, out)
         click.echo("\n" + "\n".join(said))
         return
     asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
@@ -114,6 +119,8 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         if given.guessed and settings["fit"] is None:
             said += ["", "a slump or spread alone says little about the slip layer: the parts of the mix give a better "
                      "estimate, which may lie far from this one (warpcrete mix --help)"]  # fmt: skip
+        if fit is not None and out is not None:
+            said += ["", *write_fit(out, fit, given.concrete, given.mix, given.source, pipes.name)]
         _finish(said, pipes, given, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
@@ -224,14 +231,6 @@ def _known_layer(given: LineInputs, layer: Mapping[str, Any]) -> tuple[Concrete,
     return low, high
 
 
-def _known_yields(given: LineInputs) -> tuple[float, float] | None:
-    """Return the range of the slip layer's yield stress that the mix gives [Pa], or None without a mix or estimate."""
-    if given.mix is None or given.mix.given.layer != Layer():
-        return None
-    ends = given.mix.variants.get("slip layer")
-    return None if ends is None else (ends[0].slip_yield, ends[1].slip_yield)
-
-
 def _simulated(
     given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any],
     unless_known: bool,
@@ -304,7 +303,8 @@ def _rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> list[str]:
     """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)
-    where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"
+    bore = f"{part.narrow / CUSTOMARY_SIZES['in']:.4g} in" if line.customary else f"{1e3 * part.narrow:.4g} mm"
+    where = f"narrowest part {part.number}, {part.label}, {bore}"
     text = rule_lines(verdicts, where)
     if mix is None:
         text.append(

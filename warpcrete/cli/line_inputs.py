@@ -9,9 +9,11 @@ import click
 
 from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount, is_customary
+from ..core.inputs.concretes import NamedConcrete
 from ..core.inputs.concretes import concrete as named
 from ..core.inputs.limits import check_limit, check_velocity
 from ..geometry.axis import Axis, Line
+from ..geometry.customary_labels import as_customary
 from ..geometry.pipe_line import Part, PipeLine
 from ..geometry.pumps import pump_of
 from ..mix.mix import Mix, flow_amounts, mix_named, mix_of
@@ -54,6 +56,11 @@ class LineInputs:
         return stated.get("yield_factor", 1.0), stated.get("viscosity_factor", 1.0)
 
     @property
+    def source(self) -> NamedConcrete | None:
+        """File or shipped description of the concrete; None if the user stated only the slump or spread."""
+        return None if self.guessed else named(self.name)
+
+    @property
     def concrete(self) -> Concrete:
         """The concrete's flow properties: a yield stress fluid with a slip layer."""
         if self.guessed and self.mix is not None:
@@ -69,7 +76,7 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     given = _straight(settings) if line is None else _from_file(line, settings)
     given = _with_pump(given, {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")})
     if any(is_customary(settings[name]) for name in MEASURES):
-        given = replace(given, customary=True)
+        given = as_customary(given)
     stone = _amount("stone", settings, "m", "size_max")
     guess = _guessed(settings, stone)
     name = guess.name if guess is not None else settings["concrete"] or given.concrete

@@ -13,7 +13,14 @@ AMOUNTS = {
     "largest_stone": ("m", "Size of the largest aggregate of the concrete"),
 }
 """Entries of a pipeline file that hold positive numbers, with their units and meaning."""
-KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "pump", "begin", "parts")
+KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "pump", "begin",
+        "bend_factor", "parts")  # fmt: skip
+BEND_FACTOR = {
+    "factor": "Friction of every bend that states no factor, divided by that of straight pipe of its length",
+    "low": "Smallest possible factor of a bend",
+    "high": "Largest possible factor of a bend",
+}
+"""Entries of `bend_factor` in a pipeline file, with their meaning. A single number instead of them is the factor."""
 PARTS = {
     "straight": {
         "length": ("m", "Length of its axis"),

@@ -15,8 +15,10 @@ from ..core.inputs.concretes import is_file
 from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
 from .axis import Axis
+from .bend_factors import with_bend_factor
 from .course import Course
 from .crossings import first_crossing
+from .customary_labels import with_customary_labels
 from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS
 from .pipe_line import PipeLine
 from .pumps import Pump, pump_of
@@ -65,8 +67,8 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 
     Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, the diameter of the first part.
     Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `pump`,
-    `source` and `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an entry is wrong or
-    the parts do not fit.
+    `bend_factor`, `source` and `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an
+    entry is wrong or the parts do not fit.
     """
     if not isinstance(given, Mapping):
         refuse("line", given, "must consist of 'key: value' lines")
@@ -98,16 +100,23 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
             narrow = min(min(part.diameter, part.outlet) for part in course.parts)
             check_velocity("flow", flow, 4 * flow / (math.pi * narrow**2))
     axis = Axis((0.0, 0.0, 0.0), BEGINS[begin], tuple(course.pieces))
+    parts = tuple(course.parts)
+    if "bend_factor" in given:
+        with errors_located_at(given, "bend_factor"):
+            parts = with_bend_factor(parts, given["bend_factor"])
+    customary = any(is_customary(given.get(key)) for key in (*AMOUNTS, "pump", "parts"))
+    if customary:
+        parts = with_customary_labels(parts, entries, given["diameter"])
     line = PipeLine(
         name=_text(given, "name", name),
-        parts=tuple(course.parts),
+        parts=parts,
         axis=axis,
         flow=flow,
         concrete=str(given["concrete"]) if "concrete" in given else None,
         source=_text(given, "source", ""),
         recorded=recorded,
         pump=_pump(given),
-        customary=any(is_customary(given.get(key)) for key in (*AMOUNTS, "pump", "parts")),
+        customary=customary,
     )
     check_crossing(line)
     return with_stone(line, stone)

@@ -47,6 +47,8 @@ class Part:
     factor_range: tuple[float, float] | None = None
     """Lowest and highest `factor` that agree with the pressures measured on a real pipeline; None if `factor` was not
     fitted to measured pressures."""
+    customary_label: str = ""
+    """Label with the sizes in customary US units; empty for a pipeline that is described in metric units."""
 
     @property
     def relative(self) -> float:
@@ -69,24 +71,26 @@ class Part:
     @property
     def label(self) -> str:
         """Short description of the part in words."""
+        return self.customary_label or self.label_with(1.0, "m", 1e-3, "mm")
+
+    def label_with(self, metre: float, length: str, bore: float, width: str) -> str:
+        """Return a short description of the part with given units.
+
+        `metre` is the size [m] and `length` the name of the unit of lengths; `bore` and `width` are those of diameters.
+        """
         if self.kind == "bend":
-            return f"bend of {self.angle:g} degrees, radius {self.radius:g} m"
+            return f"bend of {self.angle:g} degrees, radius {self.radius / metre:g} {length}"
         if self.kind == "reducer":
-            return f"{1e3 * self.diameter:g} to {1e3 * self.outlet:g} mm"
+            return f"{self.diameter / bore:g} to {self.outlet / bore:g} {width}"
         if self.mesh:
-            return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
+            return f"bore of {Path(self.mesh.file).name}, {self.narrow / bore:.4g} {width} at its narrowest"
+        climb = f", {'falls' if self.rise < 0 else 'rises'} {abs(self.rise) / metre:.3g} {length}"
         if self.kind == "hose":
-            return f"hose, {self._climb}" if round(self.rise, 9) else "hose"
+            return f"hose{climb}" if round(self.rise, 9) else "hose"
         if self.kind == "valve":
             return "valve"
-        slope = self.rise / self.length
-        way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", {self._climb}")
+        way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(self.rise / self.length, 9), climb)
         return f"straight{way}"
-
-    @property
-    def _climb(self) -> str:
-        """Height of the end of the part above or below its start, in words."""
-        return f"{'falls' if self.rise < 0 else 'rises'} {abs(self.rise):.3g} m"
 
     @property
     def loss_key(self) -> tuple[Any, ...]:

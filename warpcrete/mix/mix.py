@@ -14,6 +14,7 @@ from ..theory.pipe import Concrete, scaled
 from .entries import MixEntries
 from .figures import Figure, around, reconciled, short
 from .layer import ASSUMPTION, OF_PASTE, layers
+from .measurements import Layer
 from .reading import DENSITY_TOLERANCE, read
 from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
@@ -120,11 +121,33 @@ class Mix:
         return found
 
     @property
-    def band_origin(self) -> str:
-        """Origin of the uncertainty band of the slip viscosity: 'paste' if it follows from the paste, else 'other'.
+    def layer_yields(self) -> tuple[float, float] | None:
+        """Range of the slip layer's yield stress [Pa]; None if only a fit to an earlier trial line states it.
 
-        A band that follows from the composition of the paste contains the measured values of nine of ten concretes.
+        The range is that of a tribometer or a pipe, if one measured the layer at several speeds. Otherwise it contains
+        all estimates, because the band of the layer from the paste holds for self-compacting concrete, and the layer
+        of a stiffer concrete has a larger yield stress. Without an estimate from a slump, the range extends to the
+        yield stress of the concrete. It never exceeds the upper end of that yield stress.
         """
+        own, concrete, measured = self["slip yield"], self["yield stress"].high, self.given.layer
+        if measured.pipe or own.low == own.high:
+            return None
+        low, high = own.low, own.high
+        if measured == Layer():
+            others = [tau for _, tau in self.other_layers]
+            low, high = min(each.low for each in (own, *others)), max(each.high for each in (own, *others))
+            high = min(high if self.given.slump is not None else max(high, concrete), concrete)
+        return self.factors[0] * low, self.factors[0] * high
+
+    @property
+    def band_origin(self) -> str:
+        """Origin of the uncertainty band of the slip viscosity: 'fit', 'paste' or 'other'.
+
+        A band of a fit to a trial line contains the pressures in 95 % of cases. A band that follows from the
+        composition of the paste contains the measured values of nine of ten concretes.
+        """
+        if self.given.layer.is_of_this_delivery:
+            return "fit"
         return "paste" if self["slip viscosity"].way.endswith(OF_PASTE) else "other"
 
     @property

@@ -13,7 +13,7 @@ from ...core.errors import SceneError, refuse
 from ...geometry.pipe_line import PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
-from .fit_band import with_expected, with_gauges, with_known
+from .fit_band import of_layer, with_expected, with_gauges, with_known
 from .fit_flows import known_yields, with_yields
 from .fittings import MODEL_ERRORS
 from .line_fit import NO_YIELD, FittedConstant, LineFit
@@ -189,7 +189,8 @@ def _fitted(
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
     wide = math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights))
     wide /= float(pipe.pressures(found)[0])
-    return LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide, gauge)
+    fit = LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide, wide, gauge)
+    return of_layer(fit, line, concrete)
 
 
 def _squares(off: np.ndarray, taps: Sequence[Tap], fitted: int, gauge: float) -> np.ndarray:

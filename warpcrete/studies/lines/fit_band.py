@@ -22,6 +22,8 @@ was multiplied by the same factor as the viscosity, when the fit was combined wi
 LAYER_FACTORS, UNCERTAINTIES, BISECTIONS = (1e-6, 1e6), (1e-9, 1e6), 60
 """Settings of searches by bisection: range of the factor on a fitted slip layer, range of the uncertainty of the layer,
 and number of bisection steps."""
+LAYER_STEP = 1.001
+"""Factor by which a slip layer is made stiffer and weaker to find how its resistance changes the friction."""
 
 
 def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Concrete, Concrete]) -> LineFit:
@@ -48,7 +50,7 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
     ratio = friction(own) / before
     wide_before = 0.5 * math.log(high / low)
     wide_before = max(wide_before, abs(math.log(friction(own) / before)))
-    wide = math.log1p(fit.uncertainty)
+    wide = math.log1p(fit.friction_uncertainty)
     share = wide**2 / (wide**2 + wide_before**2) if wide_before > 0 else 0.0
     wanted = friction(own) * (before / friction(own)) ** share
     factor = _bisected(LAYER_FACTORS, lambda x: friction(own * [x, x, 1.0]) < wanted)
@@ -58,9 +60,45 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
                      high=factor * (each.value + narrower * (each.high - each.value)),
                      reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
              for each in fit.constants[:2]]  # fmt: skip
-    fit = replace(fit, constants=(*layer, *fit.constants[2:]), uncertainty=math.expm1(wide * narrower),
+    fit = replace(fit, constants=(*layer, *fit.constants[2:]), friction_uncertainty=math.expm1(wide * narrower),
                   prior_share=share, surprise=None if low <= ratio * before <= high else ratio)  # fmt: skip
+    fit = of_layer(fit, line, concrete)
     return replace(fit, pressures=tuple(_at_taps(fit, line, concrete)(1.0).tolist()))
+
+
+def of_layer(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
+    """Return a fit whose `uncertainty`, that of the slip layer, follows from the uncertainty of the friction.
+
+    The friction of straight pipe grows with the layer's resistance to the power e, the elasticity. If the layer is
+    stiff, the concrete is sheared as well, and e is below 1. The same uncertainty of the friction then means a larger
+    uncertainty of the layer: 1 + u of the friction becomes (1 + u)^(1 / e) of the layer.
+    """
+    pipe = metre_model(line, concrete, fit.taps)
+    eta, tau = (each.value for each in fit.constants[:2])
+    power = elasticity(lambda *layer: float(pipe.pressures(np.array([*layer, 1.0]))[0]), eta, tau)
+    return replace(fit, uncertainty=math.expm1(layer_deviation(math.log1p(fit.friction_uncertainty), power)))
+
+
+def elasticity(friction: Callable[[float, float], float], viscosity: float, stress: float) -> float:
+    """Return the relative change of a friction over that of the slip layer's resistance.
+
+    The arguments of `friction` are the viscosity [Pa s/m] and the yield stress [Pa] of a slip layer. Both change by the
+    same factor, from the values `viscosity` and `stress`.
+    """
+    low, high = (friction(x * viscosity, x * stress) for x in (1 / LAYER_STEP, LAYER_STEP))
+    return math.log(high / low) / (2 * math.log(LAYER_STEP))
+
+
+def layer_deviation(friction: float, power: float) -> float:
+    """Return the logarithm of a factor on the slip layer that changes a friction by the logarithm `friction`.
+
+    `power` is the elasticity of the friction. If the friction hardly depends on the layer, it gives the layer no useful
+    limit, and the factor is the largest of `UNCERTAINTIES`.
+    """
+    if friction <= 0:
+        return 0.0
+    largest = math.log1p(UNCERTAINTIES[1])
+    return friction / power if friction < largest * power else largest
 
 
 def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:

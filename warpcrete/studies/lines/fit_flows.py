@@ -13,6 +13,7 @@ import numpy as np
 
 from ...geometry.pipe_line import PipeLine
 from ...theory.pipe import Concrete
+from .fit_band import elasticity, layer_deviation
 from .line_fit import LineFit
 from .losses import GRAVITY
 from .tap_model import TapModel
@@ -49,6 +50,8 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
     The layers have the smallest and the largest possible yield stress, and the same mean friction behind the gauges as
     the fitted layer. The range of the yield stress is its error band if the pressures determine it, and otherwise the
     range from before the measurement, of :func:`known_yields`. The viscosity of the layers is at least `THINNEST`.
+
+    The uncertainty of the layer for later use contains the friction of these layers at the flows `OTHER_FLOWS`.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
@@ -64,11 +67,13 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
         return _root((0.1 * thinnest, THICKEST), lambda x: friction(x, stress) < wanted), stress
 
     fit = replace(fit, yield_layers=(layer(low), layer(high)))
-    wide = math.log1p(fit.uncertainty)
+    alone = math.log1p(fit.uncertainty)
+    wide = alone
     for ratio in OTHER_FLOWS:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
         off = max(abs(math.log(there(*end) / there(eta, tau))) for end in fit.yield_layers)
-        wide = max(wide, math.hypot(math.log1p(fit.uncertainty), off))
+        # The later uncertainty is one of the layer, so express the deviation of the friction as one of the layer.
+        wide = max(wide, math.hypot(alone, layer_deviation(off, elasticity(there, eta, tau))))
     return replace(fit, later_uncertainty=math.expm1(wide))
 
 

@@ -52,7 +52,8 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
     ]
     low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
     if bends and bends[0].fitted:
-        found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
+        found += ["and into the line's file:", "", f"    bend_factor: {{factor: {bends[0].value:.4g}, "
+                  f"low: {bends[0].low:.4g}, high: {bends[0].high:.4g}}}", ""]  # fmt: skip
         if not low <= bends[0].value <= high:
             share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
             found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
@@ -81,7 +82,7 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
     if mix:
         return [
             f"Write into the section `mix` of the concrete's file{before} (for this delivery; without `uncertainty`, "
-            "the band is 30 %, that of other deliveries):",
+            "the band is 30 %, that of other deliveries), or let --out FOLDER write the whole file:",
             "",
             f"    layer: {{viscosity: {eta:.4g} Pa s/m, yield_stress: {tau:.4g} Pa, "
             f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
@@ -91,7 +92,8 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
         f" for this delivery, or --layer-factor {1 + PIPE_UNCERTAINTY:g} for others" if own < PIPE_UNCERTAINTY else ""
     )
     return [
-        f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor {1 + own:.4g}{others}:",
+        f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor {1 + own:.4g}{others}; "
+        "or let --out FOLDER write the whole file:",
         "",
         f"    slip_viscosity: {eta:.4g} Pa s/m",
         f"    slip_yield: {tau:.4g} Pa",

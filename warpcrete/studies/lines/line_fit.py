@@ -80,7 +80,10 @@ class LineFit:
     pressures: tuple[float, ...]
     """Pressures at the taps (places of gauges) according to the fit [Pa], in the order of the taps."""
     uncertainty: float
-    """Uncertainty u of the friction of straight pipe. Its band extends from 1 / (1 + u) to 1 + u times the friction."""
+    """Uncertainty u of the slip layer's resistance. Its band extends from 1 / (1 + u) to 1 + u times both constants."""
+    friction_uncertainty: float
+    """Uncertainty u of the friction of straight pipe at the mean flow, from the errors of the gauges and from what was
+    known before. The band extends from 1 / (1 + u) to 1 + u times the friction."""
     gauge: float
     """Error limit of the gauges [Pa]."""
     prior_share: float = 0.0
@@ -96,7 +99,7 @@ class LineFit:
     """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers with the smallest and the largest yield stress
     that the measured pressures do not distinguish from the fitted layer."""
     later_uncertainty: float = 0.0
-    """Uncertainty u of the friction of straight pipe at 0.5 to 2 times the measured flows, for a layer that is used
+    """Uncertainty u of the slip layer's resistance at 0.5 to 2 times the measured flows, for a layer that is used
     later."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""

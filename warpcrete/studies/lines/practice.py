@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.inputs.amounts import PSI
 from ...geometry.pipe_line import Part
 from .fittings import AIJ, JGJ, JSCE
 
@@ -117,18 +118,20 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
     ]  # fmt: skip
 
 
-def practice_lines(ours: PracticeRow, rows: list[PracticeRow]) -> list[str]:
-    """Return a table of pressures [bar] as lines of Markdown, followed by what each rule assumes.
+def practice_lines(ours: PracticeRow, rows: list[PracticeRow], customary: bool = False) -> list[str]:
+    """Return a table of pressures as lines of Markdown, followed by what each rule assumes.
 
-    The table has one row for each rule and one for the program's result. It has one column for each kind of part.
+    The pressures are in psi if `customary` is true, and in bar otherwise. The table has one row for each rule and one
+    for the program's result. It has one column for each kind of part.
     """
+    unit, size = ("psi", PSI) if customary else ("bar", 1e5)
     kinds = [kind for kind in GROUPS if any(kind in row.pressures for row in (ours, *rows))]
-    found = [f"| | pressure [bar] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]
+    found = [f"| | pressure [{unit}] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]
     for row in (ours, *rows):
         cells = [
             row.rule,
-            f"{row.pressure / 1e5:.3g}",
-            *(f"{row.pressures.get(kind, 0.0) / 1e5:.3g}" for kind in kinds),
+            f"{row.pressure / size:.3g}",
+            *(f"{row.pressures.get(kind, 0.0) / size:.3g}" for kind in kinds),
         ]
         found.append(f"| {' | '.join(cells)} |")
     return [*found, "", *(f"- {row.rule}: {row.implies}" for row in rows)]

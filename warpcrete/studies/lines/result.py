@@ -33,13 +33,16 @@ from .answers import (
 )
 from .figure import draw
 from .fittings import METHODS_ON_BENDS, is_in_library
+from .line_fit import FITTED_YIELD
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures, Stop
 
-COVERAGE = {"paste": " in about nine of ten cases", "other": ", a range without a known probability"}
+COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of cases",
+            "other": ", a range without a known probability"}  # fmt: skip
 """Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
-the slip layer, and so the band, follows from the composition of the paste; otherwise it is 'other'. For slip layers
+the slip layer, and so the band, follows from the composition of the paste, and 'fit' if the layer was fitted to a trial
+line with this concrete, now or earlier; otherwise it is 'other'. For slip layers
 that follow from the paste, `warpcrete validate` finds 94 % of the measured concretes in straight pipe inside the band,
 and two of only three measured whole lines."""
 HALVINGS = 12
@@ -196,7 +199,7 @@ class LineResult(LinePressures):
     def coverage(self) -> str:
         """Words that tell how often the uncertainty band contains the pressure; empty if the user chose its width."""
         if self.fit is not None:
-            return WIDENED if self.fit.contradiction is not None else " in about 95 % of cases"
+            return WIDENED if self.fit.contradiction is not None else COVERAGE["fit"]
         return COVERAGE.get(self.band_origin, "")
 
     def band_sentences(self) -> list[str]:
@@ -215,10 +218,13 @@ class LineResult(LinePressures):
         """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
 
         `band_of` returns the band [Pa] of the pressure in question. Only measurements that make this band narrower are
-        recommended, and none of a cause that was fitted to a trial line.
+        recommended, and none of a cause that was fitted to a trial line. For a layer of an earlier fit, another fit
+        helps only with more flows.
         """
         if self.fit is not None and cause in ("slip layer", "bends"):
             return ""
+        if self.band_origin == "fit" and cause == "slip layer":
+            return ADVICE[FITTED_YIELD]
         if cause not in MEASUREMENTS:
             return ADVICE.get(cause, "")
         now, found = band_of(self), []
@@ -341,29 +347,27 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     found += [f"- {remark}" for remark in result.remarks()]
     found += ["", *_table(result)]
     if practice:
-        found += ["", *practice_lines(*result.practice()), "", METHODS_ON_BENDS]
+        found += ["", *practice_lines(*result.practice(), us), "", METHODS_ON_BENDS]
     return found
 
 
 def _table(result: LineResult) -> list[str]:
-    """Return a table of a line's parts; customary US units follow in parentheses if the line is described in them."""
+    """Return a table of a line's parts, in customary US units if the line is described in them."""
     us = result.line.customary
+    wide, long, pressure = ("in", "ft", "psi") if us else ("mm", "m", "kPa")
+    sizes = CUSTOMARY_SIZES if us else {"mm": 1e-3, "m": 1.0, "kPa": 1e3}
 
-    def unit(metric: str, other: str) -> str:
-        return f"[{metric} ({other})]" if us else f"[{metric}]"
+    def cell(value: float, unit: str) -> str:
+        return f"{value / sizes[unit]:.4g}"
 
-    def cell(value: float, metric: float, other: str) -> str:
-        return f"{value / metric:.4g}" + (f" ({value / CUSTOMARY_SIZES[other]:.4g})" if us else "")
-
-    columns = ("part", "", f"diameter {unit('mm', 'in')}", f"length {unit('m', 'ft')}", f"rise {unit('m', 'ft')}",
-               f"friction {unit('kPa', 'psi')}", "times straight pipe", f"weight {unit('kPa', 'psi')}")  # fmt: skip
+    columns = ("part", "", f"diameter [{wide}]", f"length [{long}]", f"rise [{long}]", f"friction [{pressure}]",
+               "times straight pipe", f"weight [{pressure}]")  # fmt: skip
     found = [f"| {' | '.join(columns)} |".replace("|  |", "| |"), "|" + "---|" * len(columns)]
     for x in result.losses:
         part, span = x.part, x.range
         ratio = f"{x.friction / x.straight:.3g}" + ("" if span is None else f" ({span[0]:.3g} to {span[1]:.3g})")
-        cells = [f"{part.number}", part.label, cell(part.diameter, 1e-3, "in"), cell(part.length, 1.0, "ft"),
-                 cell(part.rise, 1.0, "ft"), cell(x.friction, 1e3, "psi"), ratio,
-                 cell(x.weight, 1e3, "psi")]  # fmt: skip
+        cells = [f"{part.number}", part.label, cell(part.diameter, wide), cell(part.length, long),
+                 cell(part.rise, long), cell(x.friction, pressure), ratio, cell(x.weight, pressure)]  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
 

@@ -1,0 +1,47 @@
+"""Labels of the parts of a pipeline in customary US units, with the sizes as the user wrote them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from ..core.inputs.amounts import FOOT, INCH, is_customary
+from .line_entries import PARTS
+from .pipe_line import Part, PipeLine
+
+
+def with_customary_labels(parts: Sequence[Part], entries: Sequence[Any], diameter: Any) -> tuple[Part, ...]:
+    """Return the parts of a pipeline with labels in inches and feet.
+
+    `entries` are the entries of the parts in the pipeline's file, and `diameter` is that of the first part, as the file
+    states it. A size that the file states in a customary unit appears in the label as it is written there.
+    """
+    bore, found = _written(diameter, parts[0].diameter, INCH, "in"), []
+    for part, entry in zip(parts, entries, strict=True):
+        ((kind, said),) = entry.items()
+        sizes = said if isinstance(said, Mapping) else {next(iter(PARTS[kind])): said}
+        label = ""
+        if kind == "bend":
+            radius = _written(sizes.get("radius"), part.radius, FOOT, "ft")
+            label = f"bend of {part.angle:g} degrees, radius {radius}"
+        elif kind == "reducer":
+            inlet, bore = bore, _written(sizes["to"], part.outlet, INCH, "in")
+            label = f"{inlet} to {bore}"
+        elif kind == "bore":
+            bore = _written(sizes.get("outlet"), part.outlet, INCH, "in")
+        found.append(_labelled(part, label))
+    return tuple(found)
+
+
+def as_customary(line: PipeLine) -> PipeLine:
+    """Return a pipeline that is described in customary US units, although its file has metric units, or none exists."""
+    return replace(line, customary=True, parts=tuple(_labelled(part, part.customary_label) for part in line.parts))
+
+
+def _labelled(part: Part, label: str) -> Part:
+    """Return a part with the given label, or without one, with a label in inches and feet."""
+    return replace(part, customary_label=label or part.label_with(FOOT, "ft", INCH, "in"))
+
+
+def _written(stated: Any, size: float, unit: float, name: str) -> str:
+    """Return a size as the user wrote it if it has a customary unit, or else the `size` [m] in the given unit."""
+    return str(stated).strip() if is_customary(stated) else f"{size / unit:.4g} {name}"

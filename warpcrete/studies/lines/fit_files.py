@@ -1,0 +1,112 @@
+"""Files with the result of a fit to a trial line, for use with another line: a concrete, and the factor of bends."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...core.inputs.concretes import MixSection, NamedConcrete
+from ...core.inputs.yaml_files import yaml_text
+from ...core.run.files import atomic_file
+from ...mix.entries import MixEntries
+from ...mix.mix import Mix
+from ...mps.common.mixes import LAW_DEFAULTS
+from ...theory.pipe import Concrete
+from .line_fit import LineFit
+
+CONCRETE_FILE, BENDS_FILE = "concrete.yaml", "bends.yaml"
+"""Names of the files with the fitted slip layer and with the fitted factor of bends, in the folder of a line."""
+LAYER_KEYS = ("slip_viscosity", "slip_yield", "slip_flow_index", "slip_quadratic_viscosity")
+"""Constants of the slip layer in the section `flow` of a concrete's file. They would replace the fitted layer."""
+
+
+def fitted_concrete(
+    fit: LineFit, concrete: Concrete, mix: Mix | None, source: NamedConcrete | None, line: str
+) -> dict[str, Any]:
+    """Return the contents of a concrete's file with the fitted slip layer and its uncertainty.
+
+    `concrete` is the concrete before the fit, and `mix` its mix, if it has one. `source` is the concrete's own file or
+    shipped description, of which all other entries are kept; None means that the user stated only slump or spread.
+    `line` is the name of the trial line.
+    """
+    origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
+    found: dict[str, Any] = {"name": concrete.name, "source": origin}
+    own = fit.concrete(concrete)
+    yields, viscous = (1.0, 1.0) if mix is None else mix.factors
+    layer: dict[str, Any] = {
+        "viscosity": f"{own.slip_viscosity / viscous:.6g} Pa s/m",
+        "yield_stress": f"{own.slip_yield / yields:.6g} Pa",
+        "uncertainty": f"{max(100 * fit.later_uncertainty, 0.1):.4g} %",
+        "from": "pipe",
+    }
+    for key in ("flow_index", "quadratic_viscosity"):
+        if getattr(own, f"slip_{key}") != LAW_DEFAULTS[key]:
+            layer[key] = getattr(own, f"slip_{key}") / (viscous if key == "quadratic_viscosity" else 1.0)
+    section = None if source is None else source.mix
+    if mix is None:
+        entries = _plain_entries(concrete)
+    elif section is None:
+        entries = _slumped_entries(mix.given)
+    else:
+        entries = _plain(section.values) | _points(section, mix.given)
+    found["mix"] = entries | {"layer": layer}
+    # The constants of flow of a concrete without a mix are in the section `mix` now.
+    flow = {} if section is None else _plain(section.flow)
+    others = {
+        "elements": {} if source is None else _plain(source.elements if section is None else section.elements),
+        "flow": {key: value for key, value in flow.items() if key not in LAYER_KEYS},
+    }
+    return found | {name: values for name, values in others.items() if values}
+
+
+def write_fit(
+    folder: Path, fit: LineFit, concrete: Concrete, mix: Mix | None, source: NamedConcrete | None, line: str
+) -> list[str]:
+    """Write the files of a fit into `folder`, and return lines of text that tell the user how to use them.
+
+    The other arguments are those of :func:`fitted_concrete`.
+    """
+    _write(folder / CONCRETE_FILE, fitted_concrete(fit, concrete, mix, source, line))
+    said = [f"the fitted layer for another line: --concrete {folder / CONCRETE_FILE}"]
+    if fit.bend_factor is not None:
+        factor = fit.constants[2]
+        entry = {"factor": f"{factor.value:.4g}", "low": f"{factor.low:.4g}", "high": f"{factor.high:.4g}"}
+        _write(folder / BENDS_FILE, {"bend_factor": {key: float(value) for key, value in entry.items()}})
+        said.append(f"the fitted factor of bends: copy the entry 'bend_factor' of {folder / BENDS_FILE} into the file "
+                    "of the other line")  # fmt: skip
+    return said
+
+
+def _write(path: Path, contents: Mapping[str, Any]) -> None:
+    with atomic_file(path) as partial:
+        partial.write_text(yaml_text(contents), encoding="utf-8")
+
+
+def _plain_entries(concrete: Concrete) -> dict[str, Any]:
+    """Return the entries of a mix that states the constants of a concrete as measured."""
+    bulk = {"viscosity": concrete.viscosity, "yield_stress": concrete.yield_stress}
+    bulk |= {key: getattr(concrete, key) for key in ("flow_index", "quadratic_viscosity")
+             if getattr(concrete, key) != LAW_DEFAULTS[key]}  # fmt: skip
+    return {"density": concrete.density, "concrete": bulk}
+
+
+def _slumped_entries(given: MixEntries) -> dict[str, Any]:
+    """Return the entries of a mix for which the user stated only slump or spread, and perhaps the largest stone."""
+    found: dict[str, Any] = {"density": given.density}
+    found |= {key: getattr(given, key) for key in ("slump", "spread") if getattr(given, key) is not None}
+    return found if given.sizes is None else found | {"sizes": list(given.sizes)}
+
+
+def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
+    """Return points of a viscometer as numbers, because their file is relative to the folder of the concrete's file."""
+    if "viscometer" not in section.values or given.viscometer_points is None:
+        return {}
+    return {"viscometer": [list(pair) for pair in zip(*given.viscometer_points, strict=True)]}
+
+
+def _plain(value: Any) -> Any:
+    """Return entries of a file as plain dictionaries, lists and values, which the writer of YAML accepts."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(each) for each in value]
+    return value
