@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
-from matplotlib.figure import Figure
 
 from warpcrete import scenes
+from warpcrete.core.drawing.style import legend_above, new_figure
 from warpcrete.core.run.run import Run
 from warpcrete.kernels.common.control import HALTED
 from warpcrete.kernels.mps.structs import array_structs, flow_struct, mps_functions
@@ -205,8 +205,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     settings = {"duration": 1.0, "sample_interval": 0.02}
     ours = FluidSimulation(scenes.channel(ends="piston", **settings), device="cpu").run()
-    figure = Figure(figsize=(7.5, 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = new_figure("", 2.9, 2.5)
+    left, right = figure.subplots(2, 1, height_ratios=[2.9, 2.5])
     table = ["| scheme | pressure [kPa] | off [%] | slip off [%] | volume [%] | balance of forces [%] |"]
     table.append("| --- | --- | --- | --- | --- | --- |")
     for name, run in (("ours", ours), ("as printed", run_printed(**settings))):
@@ -221,7 +221,7 @@ def main() -> None:
     left.axhline(ours.result["pressure_theory"]["value"] / 1e3, color="0.4", linestyle=":", label="theory")
     left.set(xlabel="time [s]", ylabel="pressure [kPa]", ylim=(0, None))
     right.set(xlabel="time [s]", ylabel="volume error [%]")
-    left.legend(frameon=False, fontsize=8)
+    legend_above(left)
     figure.savefig(folder / "paper_scheme.png", dpi=150)
     (folder / "paper_scheme.md").write_text("\n".join(table) + "\n", encoding="utf-8")
     print("\n".join(table))

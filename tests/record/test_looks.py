@@ -16,7 +16,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device.recorder_thread import RecorderThread
 from warpcrete.core.drawing.display import DrawnWall
 from warpcrete.core.drawing.paint import palette_colours
-from warpcrete.core.drawing.style import legend_beside
+from warpcrete.core.drawing.style import legend_above
 from warpcrete.core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES, Frames
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.measure.probes import largest_forces, pair_forces
@@ -436,6 +436,6 @@ def test_a_legend_lists_curves_by_their_ends_with_and_without_error_bars():
         axes.errorbar([0, 1], [3.0, end], [0.1, 0.1], label=label)
     axes.plot([0, 1], [0.0, 3.0], label="second")
     axes.axvspan(0, 1, label="area")
-    legend_beside(axes)
+    legend_above(axes)
     found = [text.get_text() for text in axes.get_legend().get_texts()]
     assert found == ["highest", "second", "third", "lowest", "area"]
