@@ -61,7 +61,7 @@ class Made:
                 makers = {FluidScene: lambda: KnownColumn(scene, series, scene.theory()),
                           FreeScene: lambda: KnownFree(scene, series, 1e-3),
                           PartScene: lambda: KnownPart(scene, series),
-                          StretchScene: lambda: KnownStretch(scene, series)}  # fmt: skip
+                          StretchScene: lambda: KnownStretch(scene, series, scene.aggregate_fraction)}  # fmt: skip
                 known = makers[type(scene)]()
         if known is not None:
             closed = (

@@ -155,3 +155,12 @@ def test_help_of_scenes_has_no_markup_and_no_errors_of_python():
         "Do it.\n\nSee :func:`~warpcrete.core.units.shown`. Raises\n:class:`SceneError` for none.\n\nMore."
     )
     assert told == "Do it.\n\nSee shown.\n\nMore."
+
+
+def test_theory_takes_the_slip_viscosity_of_a_thick_layer_from_the_paper_as_runs_do():
+    """Xu, Li & Jiang 2021, Table 3: 885 Pa s/m for concrete no. 1 and a layer of 4 mm, 893 for one of no thickness."""
+    for thickness, viscosity in (("0", 893), ("4e-3", 885)):
+        found = CliRunner().invoke(cli, ["theory", "--concrete", "no1", "--slip-thickness", thickness])
+        assert f"slip layer {viscosity} Pa s/m" in found.output
+    unknown = CliRunner().invoke(cli, ["theory", "--concrete", "no1", "--slip-thickness", "3e-3"])
+    assert unknown.exit_code and "slip_thickness = 0.003" in str(unknown.exception)

@@ -289,10 +289,26 @@ def test_places_beyond_all_lines_are_refused_without_a_warning(tmp_path):
 
 
 def test_meshes_of_too_many_triangles_are_refused(monkeypatch):
+    monkeypatch.setattr(meshes, "MAX_FACES", 12)
+    assert len(meshes.load(trimesh.creation.box(), "wall").faces) == 12
     monkeypatch.setattr(meshes, "MAX_FACES", 11)
     assert "has 12 triangles, but at most 11 are allowed" in refused(
         lambda: meshes.load(trimesh.creation.box(), "wall"), "wall"
     )
+
+
+def test_lists_in_a_line_may_be_as_long_as_their_limits(monkeypatch):
+    monkeypatch.setattr("warpcrete.geometry.lines.MOST_PARTS", 3)
+    monkeypatch.setattr("warpcrete.geometry.course.MOST_POINTS", 2)
+    points = [[1, 0, 0], [2, 0.1, 0], [3, 0.3, 0]]
+    straight, hose = {"straight": "1 m"}, {"hose": {"points": points[:2]}}
+    assert len(line_of({"diameter": 0.1, "parts": [straight, hose, straight]}).parts) == 3
+    for parts, words in (
+        ([straight, hose, straight, straight], "parts = '4 parts': must be at most 3 parts"),
+        ([{"hose": {"points": points}}], "hose: points = '3 points': must be at most 2 points"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            line_of({"diameter": 0.1, "parts": parts})
 
 
 def test_the_nearest_word_is_suggested():

@@ -207,3 +207,14 @@ def test_self_compacting_by_its_spread():
     assert (read_mix("example-scc").given.spread or 0) >= SELF_COMPACTING
     wet = verdicts(slump=None, spread="850 mm")["consistency"]
     assert wet.verdict == "risky" and wet.change
+
+
+def test_bleeding_is_unknown_if_only_the_sand_is():
+    """300 kg of powder are 1.67 times 180 kg of water; with 15 % of 790 kg of sand they are 2.33 times."""
+    aggregates = {"aggregate": None, "fine_sand": None}
+    whole = verdicts(parts={"cement": 300, "water": 180, "aggregate": 1870}, **aggregates)["bleeding"]
+    assert whole.verdict == "unknown" and "fine sand are 1.67 times the water" in whole.found
+    apart = verdicts(parts={"cement": 300, "water": 180, "sand": 790, "gravel": 1080}, **aggregates)["bleeding"]
+    assert apart.verdict == "fine" and "2.33 times" in apart.found
+    wet = verdicts(parts={"cement": 290, "water": 185, "aggregate": 1870}, **aggregates)["bleeding"]
+    assert wet.verdict == "risky"

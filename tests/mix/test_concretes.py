@@ -117,6 +117,15 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, text, says):
     assert says in str(refused.value) and "\n" not in str(refused.value)
 
 
+def test_a_chain_of_bases_has_at_most_ten_files(tmp_path):
+    for number in range(11):
+        base = f"base: {number - 1}.yaml\n" if number else "name: first\n"
+        (tmp_path / f"{number}.yaml").write_text(f"{base}elements: {{friction: 0.{number + 1}}}\n", encoding="utf-8")
+    assert concrete(str(tmp_path / "9.yaml")).elements == {"friction": 0.10}
+    with pytest.raises(SceneError, match="chain of more than 10 files"):
+        concrete(str(tmp_path / "10.yaml"))
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -29,6 +29,14 @@ def test_area_inside_a_room_and_outside_holes_that_overlap():
     assert section_area(SQUARE, (SQUARE,)) == 0.0 and 0 < section_area(star) < math.pi / 2
 
 
+def test_holes_that_cross_between_the_heights_of_their_corners():
+    """Two triangles cross at (0.8, 0.6), at 0.6 of the length of one edge and at 0.8 of the other's."""
+    one, other = ((0.0, 0.0), (2.0, 0.0), (0.0, 1.0)), ((0.0, -1.0), (1.0, 1.0), (0.0, 1.0))
+    shared = (0.6 + 0.6**2 / 2) / 2 + 0.4**2  # below the crossing within the second, above it within the first
+    for holes in ((one, other), (other, one)):
+        assert section_area(SQUARE, holes) == pytest.approx(2.0 - (1.0 + 0.75 - shared), rel=1e-12)
+
+
 def test_a_radian_of_a_cone_and_of_a_ring():
     cone = ((0.0, 0.0), (0.1, 0.0), (0.05, 0.3), (0.0, 0.3))
     assert section_area(cone, axial=True) == pytest.approx(cone_volume(0.05, 0.1, 0.3) / (2 * math.pi), rel=1e-12)

@@ -430,6 +430,31 @@ def test_bars_of_an_l_box_leave_the_gaps_of_the_standard(bars, middles):
     assert found == pytest.approx(middles, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    "name, given, litres",
+    [
+        ("slump", {"spacing": 0.0125}, 1e3 * math.pi / 12 * 0.3 * (0.01 + 0.02 + 0.04)),
+        ("jring", {"spacing": 0.012}, 1e3 * math.pi / 12 * 0.3 * (0.01 + 0.02 + 0.04)),
+        ("lcpc", {"spacing": 0.025}, 6.0),
+        ("lbox", {"spacing": 0.025}, 12.0),
+        ("funnel", {"spacing": 0.015}, 75 * (0.45 * (0.515 + 0.065) / 2 + 0.15 * 0.065)),
+    ],
+)
+def test_the_reported_volume_is_that_of_the_whole_vessel(name, given, litres):
+    """Halves and quarters that are simulated count fully; round and slanted walls cut particles (0.94 % at most)."""
+    simulation = FreeSimulation(getattr(scenes, name)(**given), device="cpu")
+    simulation.flow = simulation.place_flow()
+    found = simulation.sizes()["volume"]
+    assert found["unit"] == "m3" and 1e3 * found["value"] == pytest.approx(litres, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["slump", "jring", "lcpc", "lbox", "funnel"])
+def test_a_vessel_refuses_a_slip_layer_with_a_thickness(name):
+    """The thickness would not change the vessel: cells represent all of it."""
+    with pytest.raises(SceneError, match=r"^slip_thickness = 0\.004: must be 0, because the cells represent the whole"):
+        getattr(scenes, name)(concrete="no1", slip_thickness=4e-3)
+
+
 def test_half_of_a_funnel_is_computed():
     """The front side is a mirror, so the depth is half of the funnel's breadth."""
     scene = scenes.funnel(breadth=0.075)

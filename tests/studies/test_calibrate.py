@@ -204,6 +204,7 @@ targets:
     ("change", "says"),
     [
         (("[500, 2000]", "[2000, 500]"), "must begin with the lower number"),
+        (("[500, 2000]", "[500, 500]"), "= [500.0, 500.0]: is a single value, but must be a range; to keep"),
         (("[500, 2000]", "{low: 0, high: 5, scale: log}"), "must be above 0 for a logarithmic scale"),
         (("[500, 2000]", "much"), "must be two finite numbers"),
         (("[500, 2000]", "{low: 1, to: 3}"), "must have 'low' and 'high'"),

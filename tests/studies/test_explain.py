@@ -20,7 +20,7 @@ from warpcrete.dem.forecast import tiled
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene.containers import MeshContainer, PipeContainer
 from warpcrete.geometry.axis import Arc, Axis, Line
-from warpcrete.studies.tradeoffs.explain import _time_step_savings, explain
+from warpcrete.studies.tradeoffs.explain import _measured_savings, _time_step_savings, explain
 
 SMALL = dict(diameter=0.1, size_min=12e-3, size_max=20e-3, length=0.5, ramp=0.02, travel=0.05, plug_ball=15e-3)
 
@@ -191,6 +191,25 @@ def test_savings_by_a_trade(tmp_path):
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
     assert "some machine" in str(told) and "time step 1.2: 0.7 of the wall time; error of plateau" in str(told)
+
+
+def test_savings_are_those_of_settings_that_the_scene_shares_with_the_trade(tmp_path):
+    def point(setting: str, origin: str, time: float) -> dict:
+        errors = {"slump": {"shift": 0.01, "interval": None}}
+        return dict(setting=setting, origin=origin, time={"value": time}, errors=errors, suspect=())
+
+    points = [point("as given", "as given", 2.0), point("spacing 0.012 m", "spacing", 0.8),
+              point("step error 0.01", "step error", 1.2)]  # fmt: skip
+    record = {"scene": "slump", "machine": "some machine", "parameters": {}, "points": points}
+    (tmp_path / "trade.json").write_text(json.dumps(record), encoding="utf-8")
+
+    def savings(**changes) -> list[str]:
+        return [saving.what for saving in _measured_savings(scenes.slump(**changes), tmp_path, False)[0]]
+
+    assert savings() == ["spacing 0.012 m", "step error 0.01"]
+    # Cells of 12 mm would make this scene slower, not faster by the ratio of the trade, whose cells have 7.5 mm.
+    assert savings(spacing=0.0125) == ["step error 0.01"]
+    assert savings(step_error=0.01) == ["spacing 0.012 m"]
 
 
 def test_a_wrong_trade_is_refused_before_the_measurements(tmp_path, monkeypatch):

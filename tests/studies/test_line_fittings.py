@@ -139,3 +139,20 @@ def test_fittings_outside_the_library_are_told():
                    {"reducer": {"to": "125 mm", "length": 0.1}})  # fmt: skip
     assert [r.split(",")[0] for r in found.remarks()] == ["part 2", "part 4"] and "--simulate" in found.remarks()[0]
     assert [library_factor(x.part) for x in found.losses] == [1, 1.125, 1, 1.452, 1, 1]
+
+
+@pytest.mark.parametrize("stated", ["factor", "equivalent"])
+def test_the_friction_of_a_hose_is_not_stated_beside_its_layer(stated):
+    """A hose with the friction of 10 m of pipe has this friction, and no layer changes it."""
+    assert pumped({"hose": {"length": 5, "equivalent": 10}}).pressure == pytest.approx(10 * METRE)
+    with pytest.raises(SceneError, match=f"hose: {stated} = 10: cannot be given together with 'layer'; leave out"):
+        line({"hose": {"length": 5, stated: 10, "layer": 0.8}})
+
+
+def test_parts_that_fall_are_named_so():
+    """A line that starts downwards and turns by 45 degrees falls by 10 sin 45 m in the next 10 m."""
+    found = line({"straight": 2}, {"bend": {"to": "level", "angle": 45}}, {"straight": 10}, {"hose": 5}, begin="down")
+    assert [part.label for part in found.parts][0::2] == ["straight down", "straight, falls 7.07 m"]
+    assert found.parts[3].label == "hose, falls 3.54 m" and found.parts[2].rise == pytest.approx(-10 / math.sqrt(2))
+    rising = line({"straight": 2}, {"bend": {"to": "level", "angle": 45}}, {"straight": 10}, begin="up")
+    assert rising.parts[2].label == "straight, rises 7.07 m"

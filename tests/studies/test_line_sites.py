@@ -1,6 +1,7 @@
 """Answers of `warpcrete line` for a site: restarts, complete files, pictures, and sparse inputs."""
 
 import json
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -86,7 +87,8 @@ def test_an_assumed_growth_is_judged_at_the_highest_published_rate_too(tmp_path)
     assert (f"at 1.7 Pa/s, the highest published rate, up to {high / 1e5:.4g} bar; in that case move the concrete at "
             f"least every {longest // 60:.0f} min") in margin.sentence()  # fmt: skip
     assert margin.longest_sentence().endswith(f"{margin.longest // 60:.0f} min (at 1.7 Pa/s: {longest // 60:.0f} min)")
-    assert found.record()["restart"]["fast_growth"]["longest_stop"]["value"] == longest
+    fast = found.record()["restart"]["fast_growth"]
+    assert fast["longest_stop"]["value"] == longest and fast["bearable_growth"]["value"] == margin.fast.bearable
     assert "these bands assume a growth of 0.1 to 1 Pa/s" in "\n".join(lines_of(found))
     assert "these bands assume" not in "\n".join(lines_of(stated))
     enough = result(tmp_path, 300, 1200.0, assumed=((0.1, 1.0), 1.7)).restart_margin.sentence()
@@ -200,3 +202,14 @@ def test_the_record_holds_the_longest_stop(site, tmp_path):
 def test_a_hose_with_a_diameter_is_told_to_use_a_reducer():
     with pytest.raises(SceneError, match=r"diameter.*put 'reducer: \{to: 4 in\}' before it"):
         line_of({"diameter": "5 in", "parts": [{"straight": 3}, {"hose": {"length": 4, "diameter": "4 in"}}]})
+
+
+def test_another_estimate_of_the_layer_is_of_the_same_age_as_the_concrete(site, tmp_path):
+    """The layer of JGJ/T 10 for a slump of 200 mm, 234 Pa s/m and 90 Pa, is multiplied by the factors as well."""
+    file = {"mix": TICKET, "flow": {"viscosity_factor": 2, "yield_factor": 1.5}}
+    (tmp_path / "ticket.yaml").write_text(yaml.safe_dump(file), encoding="utf-8")
+    plain = read_mix(tmp_path / "ticket.yaml").concrete
+    other = replace(plain, slip_viscosity=2 * 1.17 * 200, slip_yield=1.5 * 0.9 * 100)
+    expected = line_by_theory(line_of({"diameter": "125 mm", "parts": PARTS}), other, 35 / 3600).pressure
+    said = next(each for each in site().splitlines() if each.startswith("another estimate"))
+    assert f"468 Pa s/m from slump of 200 mm, would give {expected / 1e5:.3g} bar" in said

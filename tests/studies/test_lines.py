@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from warpcrete.geometry.pipe_line import Part
 from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines import run as line_run
 from warpcrete.studies.lines.fittings import library_factor
-from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines
+from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines, straight_friction
 from warpcrete.studies.lines.run import _loss_from_run, _scene_of_part, run_line
 from warpcrete.theory.bands import combined
 from warpcrete.theory.pipe import Concrete
@@ -105,6 +106,15 @@ def test_a_plug_loses_what_its_closed_form_says():
     places, course = found.course(lambda x: x.friction + x.weight)
     assert places[-1] == pytest.approx(line.length) and course[0] == pytest.approx(found.pressure) and course[-1] == 0
     assert course[1] == pytest.approx(found.pressure - losses[0])
+
+
+def test_the_layer_of_a_hose_resists_by_its_factor_at_every_speed():
+    """A plug that slips at v on a layer of tau + eta v + xi v^2, each of them times the factor."""
+    concrete = replace(SLIPPING, slip_quadratic_viscosity=400.0)
+    part, flow = Part(1, "hose", 0.1, 6.0, 0.0, 0.1, layer=2.5), 0.005
+    speed = flow / (math.pi * 0.05**2)
+    friction = 4 * 6.0 / 0.1 * 2.5 * (50 + 1000 * speed + 400 * speed**2)
+    assert straight_friction(part, concrete, flow) == pytest.approx(friction, rel=1e-6)
 
 
 @pytest.mark.parametrize(("angle", "simulated"), [(1.0, 5.0), (3.0, 5.0), (5.0, 5.0), (30.0, 30.0)])

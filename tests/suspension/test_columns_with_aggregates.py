@@ -79,7 +79,10 @@ def test_a_run_reports_friction_beside_theory_and_goes_on_with_the_same_bits(dev
     assert all(np.array_equal(a, second.flow.state_arrays()[name]) for name, a in first.flow.state_arrays().items())
     told = dict(report_of(method_of(run.scene).quantities, run))
     assert {"pressure", "friction", "flow", "wall's stress"} <= set(told) and "mortar without" in told["friction"]
-    weight = 0.08 * 9.81 * run.scene.density
+    # Whole aggregates are placed, so their volume fraction is not that of the scene.
+    placed, mortar = run.result["aggregates"]["fraction"], run.scene.concrete.density
+    assert abs(placed - run.scene.aggregate_fraction) > 1e-3
+    weight = 0.08 * 9.81 * (mortar + placed * (run.scene.aggregate_density - mortar))
     assert number(run.result["pressure"]) == pytest.approx(0.08 * number(run.result["gradient"]) + weight)
     assert number(run.result["gradient_theory"]) == pytest.approx(run.scene.gradient)
     assert set(scenes.modules()["tube"].check(run)) == {"steady", "balance of forces", "no overlap"}
@@ -98,6 +101,8 @@ def test_aggregates_of_particles_remain_the_choice_of_their_own_option():
 @pytest.mark.parametrize(
     "given, words",
     [
+        ({"steadiness": 0.01}, "steadiness = 0.01: has no effect with aggregates that are simulated one by one"),
+        ({"tolerated_error": 0.1}, "tolerated_error = 0.1: has no effect with aggregates that are simulated"),
         ({"time_step": 1e-3}, "time_step = 0.001: has no effect with aggregates"),
         ({"rest": 60.0}, "rest = 60.0: has no effect with aggregates"),
         ({"ends": "piston"}, "ends = 'piston': cannot be combined with aggregates"),

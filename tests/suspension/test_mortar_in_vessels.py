@@ -5,6 +5,7 @@ import pytest
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.core.inputs.limits import PlausibilityWarning
 from warpcrete.suspension.scene import SuspensionScene
 
 MORTAR = {
@@ -100,3 +101,30 @@ def test_aggregates_are_drawn_beside_the_surface_of_the_concrete(device):
     assert len(np.unique(simulation.display().surface_colours(surface)[stones], axis=0)) == 1
     half = simulation.display().surface(cut=True)
     assert len(half.vertices) < len(surface.vertices)
+
+
+@pytest.mark.parametrize("name", ["lbox", "funnel", "slump", "jring", "part", "tube", "channel"])
+@pytest.mark.parametrize(
+    "given",
+    [{"aggregate_smallest": 0.05}, {"aggregate_largest": 0.05}, {"aggregate_density": 3000.0}, {"roughness": 0.02},
+     {"friction": 0.3}],
+)  # fmt: skip
+def test_properties_of_aggregates_give_a_warning_without_aggregates(name, given):
+    (field,) = given
+    with pytest.warns(PlausibilityWarning, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
+        getattr(warpcrete.scenes, name)(**given)
+
+
+@pytest.mark.parametrize(
+    "name, given",
+    [
+        ("part", {"blocked_travel": 0.1}),
+        ("part", {"pressure_limit": 1e5}),
+        ("tube", {"courant": 0.4}),
+        ("channel", {"courant": 0.4}),
+    ],
+)
+def test_settings_of_flows_with_aggregates_give_a_warning_without_aggregates(name, given):
+    (field,) = given
+    with pytest.warns(PlausibilityWarning, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
+        getattr(warpcrete.scenes, name)(**given)

@@ -160,6 +160,18 @@ def test_command():
     assert "viscosity = 0" in str(run("--viscosity", "0").exception)
 
 
+def test_a_printed_fit_repeats_its_pressure_with_factors_of_age(tmp_path):
+    """The options for the slip layer are divided by the factors that multiply them in the next call."""
+    (tmp_path / "points.csv").write_text("flow [m3/h],pressure [bar]\n10,0.6\n20,1.0\n30,1.4\n", encoding="utf-8")
+    pipe = ["theory", "--concrete", "no2", "--viscosity-factor", "2", "--yield-factor", "1.5", "--diameter", "0.125",
+            "--length", "10", "--rise", "0"]  # fmt: skip
+    done = CliRunner().invoke(cli, [*pipe, "--fit", str(tmp_path / "points.csv")])
+    options = done.output.split(" points: ")[1].split(" (before the factors")[0].split()
+    again = CliRunner().invoke(cli, [*pipe, *options, "--flow", "20 m3/h"])
+    pressure = float(next(each for each in again.output.splitlines() if each.startswith("pipe  ")).split()[2])
+    assert pressure == pytest.approx(1e5, rel=2e-3)
+
+
 def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     """Points that concrete no. 1 with another layer gives, in the units of a site, columns the other way round."""
     from dataclasses import replace

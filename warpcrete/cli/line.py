@@ -83,7 +83,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         taps = read_taps(settings["fit"], pipes, given.flow)
         fit = fit_line(pipes, concrete, taps, _known_layer(given, layer), _gauge(settings["gauge"], taps),
                        _known_yields(given))  # fmt: skip
-        said = [*fit_lines(fit, pipes), ""]
+        said = [*fit_lines(fit, pipes, given.factors, given.mix is not None), ""]
         if ignored := foreign_columns(settings["fit"]):
             said[:0] = [
                 f"ignored columns of {settings['fit'].name}, which a fit does not use: {', '.join(ignored)}",
@@ -288,11 +288,12 @@ def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
     """Return lines of text that state, for each further estimate of the slip layer, the pressure by theory."""
     found = []
     for eta, tau in () if given.mix is None else given.mix.other_layers:
-        assert given.flow is not None
-        concrete = replace(given.concrete, slip_viscosity=eta.value, slip_yield=tau.value)
+        assert given.mix is not None and given.flow is not None
+        stresses, viscosities = given.mix.factors
+        concrete = replace(given.concrete, slip_viscosity=viscosities * eta.value, slip_yield=stresses * tau.value)
         pressure = line_by_theory(line, concrete, given.flow).pressure
-        found += ["", f"another estimate of the slip layer, {eta.value:.3g} Pa s/m from {eta.way}, would give "
-                  f"{pressure / 1e5:.3g} bar; a measured layer decides"]  # fmt: skip
+        found += ["", f"another estimate of the slip layer, {concrete.slip_viscosity:.3g} Pa s/m from {eta.way}, would "
+                  f"give {pressure / 1e5:.3g} bar; a measured layer decides"]  # fmt: skip
     return found
 
 

@@ -14,7 +14,7 @@ from ..core.inputs.limits import check_limit, check_velocity
 from ..geometry.axis import Axis, Line
 from ..geometry.pipe_line import Part, PipeLine
 from ..geometry.pumps import pump_of
-from ..mix.mix import Mix, mix_named, mix_of
+from ..mix.mix import Mix, flow_amounts, mix_named, mix_of
 from ..mix.stones import SMALLEST
 from ..mps.common.mixes import concrete_of
 from ..studies.lines.losses import read_line, with_stone
@@ -44,6 +44,14 @@ class LineInputs:
 
     guessed: bool = False
     """True if the user stated only the slump or spread of the concrete."""
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """Factors on yield stresses and on viscosities that the concrete's file states for its age or temperature."""
+        if self.mix is not None or self.name == "own":
+            return (1.0, 1.0) if self.mix is None else self.mix.factors
+        stated = flow_amounts(named(self.name))
+        return stated.get("yield_factor", 1.0), stated.get("viscosity_factor", 1.0)
 
     @property
     def concrete(self) -> Concrete:

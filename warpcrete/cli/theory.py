@@ -1,7 +1,7 @@
 """Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from ..core.errors import refuse
 from ..core.inputs.limits import check_velocity
 from ..core.inputs.parameters import Field, declared_fields
 from ..core.inputs.scene_functions import resolved
-from ..mix.mix import mix_named
+from ..mix.mix import FACTORS, mix_named
 from ..mix.points import read_points
 from ..mps.column import FLOW, ColumnParameters
 from ..mps.common.mixes import CONSTANTS, ConcreteParameters, concrete_of, file_constants
@@ -59,13 +59,14 @@ def run(
     # The fit below replaces the constants of the slip layer, so missing constants get the value 1 until then.
     if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
-    concrete = concrete_of(values["concrete"], **constants)
+    concrete = concrete_of(values["concrete"], thickness, **constants)
     for flow in flows:
         check_velocity("flow", flow, 4 * flow / (math.pi * values["diameter"] ** 2))
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
     if fit is not None:
         measured, pressed = read_points(fit)
-        concrete = _fitted(concrete, line, measured, pressed)
+        factors = {name: values[name] or 1.0 for name in FACTORS}
+        concrete = _fitted(concrete, line, measured, pressed, factors)
         flows = flows or tuple(measured)
     tables = [table(concrete, line, flows or (() if pressures else (FLOW,)), pressures)]
     if rest is not None:
@@ -89,10 +90,13 @@ def _share(given: float | None, name: str) -> float:
     return mix.given.share
 
 
-def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
+def _fitted(
+    concrete: Concrete, line: Line, flows: list[float], pressures: list[float], factors: Mapping[str, float]
+) -> Concrete:
     """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit.
 
-    The points are flows [m3/s] and the pressures measured at these flows [Pa].
+    The points are flows [m3/s] and the pressures measured at these flows [Pa]. `factors` for age and temperature would
+    multiply the printed options in the next call, so these are divided by them.
     """
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
@@ -100,8 +104,10 @@ def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[
     errors = f"standard errors {fit.slope_error:.2g} Pa s/m and {fit.offset_error:.2g} Pa"
     if len(flows) < 3:
         errors = "two points give no standard errors"
+    eta, tau = fit.slope / factors["viscosity_factor"], fit.offset / factors["yield_factor"]
+    before = "" if set(factors.values()) == {1.0} else " (before the factors of age and temperature)"
     click.echo(
-        f"fitted to {len(flows)} points: --slip-viscosity {fit.slope:.5g} --slip-yield {fit.offset:.5g}; "
+        f"fitted to {len(flows)} points: --slip-viscosity {eta:.5g} --slip-yield {tau:.5g}{before}; "
         f"the closed form then deviates by {100 * min(off):+.2g} to {100 * max(off):+.2g} %; {errors}\n"
     )
     return found

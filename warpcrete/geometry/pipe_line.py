@@ -76,12 +76,17 @@ class Part:
         if self.mesh:
             return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
         if self.kind == "hose":
-            return f"hose, rises {self.rise:.3g} m" if round(self.rise, 9) else "hose"
+            return f"hose, {self._climb}" if round(self.rise, 9) else "hose"
         if self.kind == "valve":
             return "valve"
         slope = self.rise / self.length
-        way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", rises {self.rise:.3g} m")
+        way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", {self._climb}")
         return f"straight{way}"
+
+    @property
+    def _climb(self) -> str:
+        """Height of the end of the part above or below its start, in words."""
+        return f"{'falls' if self.rise < 0 else 'rises'} {abs(self.rise):.3g} m"
 
     @property
     def loss_key(self) -> tuple[Any, ...]:

@@ -240,6 +240,9 @@ def bleeding(mix: MixEntries) -> RuleVerdict:
         return RuleVerdict(name, "fine", words, "", source)
     if mix.thickener:
         return RuleVerdict(name, "fine", f"{words}; the viscosity-modifying agent holds the water", "", source)
+    if ratio <= WATER_BINDER and mix.sand_mass == 0:
+        return RuleVerdict(name, "unknown", f"{words}; the mass of the sand is not known, and counts as 0",
+                           "add parts to the mix, with sand and gravel apart", source)  # fmt: skip
     return RuleVerdict(name, "risky", words, "lower the water, add powder or a viscosity-modifying agent, and test the "
                        "bleeding under pressure (GB/T 50080: 10 s and 140 s at 3.5 MPa)", source)  # fmt: skip
 

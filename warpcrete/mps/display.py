@@ -79,7 +79,6 @@ class FlowDisplay(Display):
         return {"velocity": self._snapshot().velocity, "pressure": self._snapshot().pressure}
 
     def colours(self) -> np.ndarray:
-        """Return the colours of all particles as RGB bytes, shape (n, 3)."""
         snap = self._snapshot()
         scale = self.scale()
         if scale is not None:

@@ -228,7 +228,6 @@ class MovingParticles(Stepping):
 
     @property
     def _kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow; the keys are the names of the kernel parameters that receive them."""
         return {
             "flags": self.flags,
             "flow": self.flow,
@@ -257,7 +256,6 @@ class MovingParticles(Stepping):
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

@@ -50,6 +50,8 @@ class FluidSimulation(FlowRun):
 
     scene_type = FluidScene
     scene: FluidScene
+    columns = UNITS
+    drawn_by = FlowDisplay
 
     def set_up(self) -> None:
         """Start with an empty time series, create the monitor of the flow, and choose the module that measures it."""
@@ -65,7 +67,6 @@ class FluidSimulation(FlowRun):
 
     @property
     def duration(self) -> float:
-        """Maximum simulated time of the whole run [s]."""
         if self.scene.duration is not None:
             return self.scene.duration
         breaking = (
@@ -97,11 +98,8 @@ class FluidSimulation(FlowRun):
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
-        return UNITS[column]
-
-    def display(self, colouring: str | None = None) -> FlowDisplay:
-        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
-        return FlowDisplay(self, colouring)
+        # The momentum of a channel is that per metre of depth.
+        return "kg/s" if column == "momentum" and self.scene.dimensions == 2 else super().unit(column)
 
     def place_flow(self) -> MovingParticles | GridFlow:
         """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""
@@ -149,7 +147,6 @@ class FluidSimulation(FlowRun):
         return self.steady and self.scene.duration is None
 
     def sizes(self) -> dict[str, Any]:
-        """Return sizes of the model, such as the particle spacing, for the run's result."""
         layout, grains = self.flow.state.layout, self.flow.state.grains
         found: dict[str, Any] = {
             "spacing": quantity(layout.spacing, "m"),

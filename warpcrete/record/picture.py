@@ -23,7 +23,7 @@ class PictureRecorder(Recorder):
     def finish(self, simulation: SimulationBase, run: Run) -> None:
         """Draw the pictures of the finished run as PNG files, except those for which the run has no data."""
         method = method_of(simulation.scene)
-        figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}
+        figures = {method.picture: method.drawn(simulation, run, self.colouring), **method.more_pictures(run)}
         for name, figure in figures.items():
             if figure is not None:
                 with atomic_file(self.folder / name) as partial:

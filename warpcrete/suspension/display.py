@@ -20,7 +20,6 @@ class SphereDisplay(GridDisplay):
     """Display of a mortar on a grid whose aggregates are drawn as spheres."""
 
     def surface_colours(self, surface: Surface) -> np.ndarray:
-        """Return the colours of a surface at its vertices as RGB bytes, shape (v, 3)."""
         colours = super().surface_colours(surface)
         colours[surface.fields["aggregate"] > 0] = STONE
         return colours

@@ -202,7 +202,6 @@ class SuspensionFlow(GridFlow):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
         found = {"aggregates": self.aggregates, "coupled solve": self.coupled.directions}
         return super().holdings | found | ({} if self.entrance is None else {"entrance": self.entrance})
 
@@ -212,10 +211,6 @@ class SuspensionFlow(GridFlow):
         self.pressure_stages = part.pressure_solve(self.coupled.tolerances.pressure)
 
     def share(self, abreast: int) -> None:
-        """Set the number of flows that share the GPU.
-
-        The solves of each flow may occupy only the flow's share of the GPU's thread blocks.
-        """
         super().share(abreast)
         self._build_stages()
 
@@ -265,7 +260,6 @@ class SuspensionFlow(GridFlow):
         }
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays that the next step depends on."""
         return super().state_arrays() | {f"aggregate_{name}": a for name, a in self.aggregates.state_dict().items()}
 
     def load_state_dict(self, found: dict[str, Any]) -> None:

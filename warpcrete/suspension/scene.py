@@ -21,6 +21,8 @@ diameters wide."""
 
 
 WITH_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0")
+USED_BY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", refused=False)
+"""Rule for a property of aggregates that a study may also state for its case without aggregates."""
 RANGED = Needs("aggregate_sizes", lambda sizes: sizes == UNIFORM, "is uniform")
 
 USUAL_CELLS = 4.0
@@ -147,11 +149,13 @@ class AggregateParameters(Declared):
         float | None,
         "Smallest diameter of the simulated aggregates [m]: at least three cells; default: that of aggregates whose "
         "narrowest side is four cells wide",
-        Above(), RANGED,
+        Above(), RANGED, USED_BY_AGGREGATES,
     ] = None  # fmt: skip
     aggregate_largest: Annotated[
-        float | None, "Largest diameter of the simulated aggregates [m]; default: the smallest", Above(), RANGED
-    ] = None
+        float | None,
+        "Largest diameter of the simulated aggregates [m]; default: the smallest",
+        Above(), RANGED, USED_BY_AGGREGATES,
+    ] = None  # fmt: skip
     aggregate_shapes: Annotated[
         str,
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
@@ -165,14 +169,20 @@ class AggregateParameters(Declared):
         "do not resolve count as mortar",
         WITH_AGGREGATES,
     ] = UNIFORM
-    aggregate_density: Annotated[float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000)] = 2650.0
+    aggregate_density: Annotated[
+        float, "Density of the simulated aggregates [kg/m3]", Within(500, 10000), USED_BY_AGGREGATES
+    ] = 2650.0
     roughness: Annotated[
         float,
         "Roughness of aggregates: gap below which two aggregates of radii R1 and R2 touch, over 1 / (1 / R1 + 1 / R2)",
         Within(1e-4, 0.1),
+        USED_BY_AGGREGATES,
     ] = 0.01
     friction: Annotated[
-        float, "Coulomb friction coefficient of aggregates with each other and with walls", Within(0, 2)
+        float,
+        "Coulomb friction coefficient of aggregates with each other and with walls",
+        Within(0, 2),
+        USED_BY_AGGREGATES,
     ] = 0.0
 
     @property

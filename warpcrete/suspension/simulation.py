@@ -7,6 +7,7 @@ import numpy as np
 from ..core.run.method import results_of
 from ..core.run.tables import Table
 from ..mps.free.layout import free_cells, free_layout
+from ..mps.free.probes import UNITS as FREE_UNITS
 from ..mps.free.probes import beyond
 from ..mps.free.quantities import RunData
 from ..mps.free.simulation import FreeSimulation
@@ -33,14 +34,8 @@ class SuspensionSimulation(AggregateRun, FreeSimulation):
 
     scene_type = SuspensionScene
     scene: SuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return UNITS.get(column) or super().unit(column)
-
-    def display(self, colouring: str | None = None) -> SuspensionDisplay:
-        """Return the display, which tells recorders what to draw: concrete, aggregates, walls and curves."""
-        return SuspensionDisplay(self, colouring)
+    columns = FREE_UNITS | UNITS
+    drawn_by = SuspensionDisplay
 
     def place_flow(self) -> SuspensionFlow:
         """Return the flow in its initial state, with particles, aggregates and grid."""

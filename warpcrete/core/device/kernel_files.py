@@ -1,7 +1,5 @@
 """Files of the compiled kernels that a block of code uses."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path

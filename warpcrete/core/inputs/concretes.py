@@ -91,7 +91,7 @@ def _shipped(name: str) -> NamedConcrete:
 
 def _read(path: Path, depth: int) -> NamedConcrete:
     given = read_mapping(path, "concrete")
-    if depth > MAXIMUM_CHAIN:
+    if depth >= MAXIMUM_CHAIN:
         refuse(
             "concrete base",
             str(path),

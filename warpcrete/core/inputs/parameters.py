@@ -21,7 +21,7 @@ from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type
 from ..errors import one_of, refuse
 from ..narrowing import is_numpy_number
 from .amounts import UNITS, amount
-from .limits import check_limit, check_whole
+from .limits import check_limit, check_whole, warn
 
 WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
 
@@ -85,6 +85,9 @@ class Needs:
     words: str
     """Condition in words, such as "is given"; a message shows them after the name of the parameter `field`."""
     others: tuple[str, ...] = ()
+    refused: bool = True
+    """True if a parameter without effect is an error. If False, it gives a warning only, because a study may compare
+    other cases with the one in which it has no effect."""
 
     def holds(self, value: Callable[[str], Any]) -> bool:
         """Return whether at least one of the parameters `field` and `others` passes the test.
@@ -304,7 +307,10 @@ class Declared:
         return {}
 
     def check_needed(self) -> None:
-        """Raise :class:`SceneError` if a parameter differs from its default although it has no effect."""
+        """Raise :class:`SceneError` if a parameter differs from its default although it has no effect.
+
+        Give a warning instead where the rule of the parameter says so.
+        """
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
@@ -312,5 +318,7 @@ class Declared:
                     other = getattr(self, rule.field)
                     same = isinstance(other, Declared) and name in declared_fields(type(other))
                     instead = f"give '{rule.field}_{name}' instead" if same else f"change {rule.field!r}"
-                    problem = f"has no effect unless {either} {rule.words}"
-                    refuse(name, getattr(self, name), problem, f"leave out {name!r}, or {instead}")
+                    why, cure = f"has no effect unless {either} {rule.words}", f"leave out {name!r}, or {instead}"
+                    if rule.refused:
+                        refuse(name, getattr(self, name), why, cure)
+                    warn(f"{name} = {getattr(self, name)}: {why}; {cure}")

@@ -104,10 +104,7 @@ class Method:
     list_quantities: Callable[[], tuple[Quantity, ...]]
     display: type[Display]
     picture: str
-    """File name of the picture that is drawn with `draw` and saved in the run folder."""
-    draw: Callable[[Any, Run, str], Figure | None]
-    """Function that takes the simulation, its run and the quantity that colours the bodies. It returns a Matplotlib
-    figure, or None if there is nothing to draw."""
+    """File name of the picture that :meth:`drawn` draws and that is saved in the run folder."""
     show: Callable[[Run], Figure | None]
     """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
@@ -118,6 +115,9 @@ class Method:
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
     an error for each simulation."""
+    draw: Callable[[Any, Run, str | None], Figure | None] | None = None
+    """Function that draws the picture of a run folder. It takes the simulation, its run and the quantity that colours
+    the bodies, and returns a Matplotlib figure, or None if there is nothing to draw. By default, `show` draws it."""
     more_pictures: Callable[[Run], Mapping[str, Figure | None]] = lambda run: {}
     """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
     if there is nothing to draw."""
@@ -131,6 +131,15 @@ class Method:
         declare_conditions(
             self.scene_type, lambda: {each.name: each.only_if for each in self.quantities if each.only_if}
         )
+
+    def drawn(self, simulation: Simulation, run: Run, colouring: str | None) -> Figure | None:
+        """Return the picture for a run folder; None if the run has only its initial row, which leaves nothing to draw.
+
+        `colouring` is the quantity that colours the bodies.
+        """
+        if self.draw is not None:
+            return self.draw(simulation, run, colouring)
+        return self.show(run) if len(run.series["time"]) > 1 else None
 
     @property
     def scene_type(self) -> type:

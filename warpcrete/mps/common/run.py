@@ -3,11 +3,13 @@
 import math
 import time as wall_clock
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...core.device.footprint import footprint
+from ...core.drawing.display import Display
 from ...core.errors import InstabilityError
 from ...core.run.provenance import arrays_hash, provenance
 from ...core.run.run import Run
@@ -28,6 +30,10 @@ class FlowRun(Simulation):
     """Name of the entry of a run's result that states whether the flow became steady or came to rest."""
     method: ClassVar[str] = "mps"
     """Name of the simulation method in the run's result."""
+    columns: ClassVar[Mapping[str, str]]
+    """Units of the columns of the time series, by the name of the column."""
+    drawn_by: ClassVar[type[Display]]
+    """Class of the display, which tells recorders what to draw: particles, walls, colours and curves."""
     cure: ClassVar[str] = "a smaller 'time_step'"
     """Advice for the user if a value of the time series is not finite."""
 
@@ -36,6 +42,13 @@ class FlowRun(Simulation):
         self._rows: list[dict[str, float]] = []
         self.steady = False
         """True once the flow has become steady or, with a free surface, come to rest."""
+
+    def unit(self, column: str) -> str:
+        return self.columns[column]
+
+    def display(self, colouring: str | None = None) -> Display:
+        """Return the display of the flow, with the quantity `colouring` as colours."""
+        return self.drawn_by(self, colouring)
 
     @abstractmethod
     def place_flow(self) -> Any:

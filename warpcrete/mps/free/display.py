@@ -12,8 +12,6 @@ from ..grid.display import GridDisplay
 from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
-MAX_PARTICLES = 12000
-"""Maximum number of particles in files for ParaView, mirror images included."""
 PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1
 """Depth along y of the drawn body of concrete in a plane flow, which itself has no depth [m]."""
@@ -30,6 +28,7 @@ class FreeDisplay(GridDisplay):
     """
 
     colourings: ClassVar = ("shear", "speed", "pressure")
+    relative_radius: ClassVar = 0.5
     direction: ClassVar[tuple[float, float, float]] = (0.25, -0.85, 0.45)
 
     @property
@@ -54,18 +53,6 @@ class FreeDisplay(GridDisplay):
     def copies(self) -> int:
         """Number of images of each particle: 1 in two dimensions; 1, 2 or 4 in three, due to planes of symmetry."""
         return len(self._mirrored)
-
-    @property
-    def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are displayed, shape (n,)."""
-        count = self.simulation.state.count
-        return np.arange(0, count, max(1, -(-count * self.copies // MAX_PARTICLES)))
-
-    def radii(self) -> np.ndarray:
-        """Return the radii of drawn particles [m]; they are larger if only some of the particles are drawn."""
-        count, drawn = self.simulation.state.count, self.drawn_particles
-        fewer = (count / max(len(drawn), 1)) ** (1 / self._layout.axes)
-        return np.full(len(drawn) * self.copies, 0.5 * self._layout.particle_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3).
@@ -185,7 +172,6 @@ class FreeDisplay(GridDisplay):
         return np.array([0.0, 0.0, lift]), np.array([0.0, 0.0, 0.0, 1.0])
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
         scene = self.simulation.scene
         height = float(np.max(np.array(scene.outline)[:, 1]))
         left = -0.8 * scene.width if self._axial else 0.0

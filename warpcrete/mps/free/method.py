@@ -4,7 +4,7 @@ from ...core.run.method import Method
 from ..common.stepping import run_abreast
 from .display import FreeDisplay
 from .forecast import forecast
-from .pictures import draw, plot_free
+from .pictures import plot_free
 from .quantities import expected, quantities, report
 from .simulation import FreeSimulation
 
@@ -14,7 +14,6 @@ METHOD = Method(
     list_quantities=quantities,
     display=FreeDisplay,
     picture="flow.png",
-    draw=draw,
     show=plot_free,
     report=report,
     forecast=forecast,

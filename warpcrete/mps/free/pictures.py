@@ -64,8 +64,3 @@ def _curves(scene: FreeScene) -> Mapping[str, str]:
     if scene.test and scene.test.curves:
         return scene.test.curves
     return {"spread": "spread" if scene.about_axis else "position of the front", "top": "highest point"}
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
-    return plot_free(run) if "surface" in run.result else None

@@ -25,12 +25,18 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
 
     `volume` is the initial volume of the concrete [m3]: per metre of depth in a plane, and per radian about an axis.
     """
-    # In three dimensions, only one half of the concrete is simulated for each plane of symmetry, so double the volume
-    # for each plane.
-    around = 2 * math.pi if scene.axial else 2 ** _mirrors(scene)
     concrete = dict(concrete=scene.whole_concrete, density=scene.whole_concrete.density)
-    weight = dict(gravity=scene.gravity, whole=around * volume)
+    weight = dict(gravity=scene.gravity, whole=whole_volume(scene, volume))
     return Outcome(scene.test, scene.dimensions, series, **concrete, **weight) if scene.test else None
+
+
+def whole_volume(scene: FreeScene, simulated: float) -> float:
+    """Return the volume of all concrete of a scene [m3], or per metre of depth in a plane [m2].
+
+    `simulated` is the volume of the concrete that is simulated: per radian about an axis, and only one half for each
+    plane of symmetry in space.
+    """
+    return simulated * (2 * math.pi if scene.axial else 2 ** _mirrors(scene))
 
 
 @dataclass(frozen=True)

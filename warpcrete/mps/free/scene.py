@@ -50,7 +50,7 @@ class FreeSettings(Declared):
     maximum_iterations: MaximumIterations = 5000
     precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "Random seed; without effect, because nothing in this flow is random", Within(0)] = 0
+    seed: Annotated[int, "Random seed of the places and sizes of aggregates; nothing else is random", Within(0)] = 0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -210,6 +210,16 @@ class FreeScene(Parametrised, FreeSettings):
 @dataclass(frozen=True, kw_only=True)
 class FreeConcrete(ConcreteParameters, FreeSettings):
     """Parameters that the flow simulations of all standard tests of fresh concrete share."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.slip_thickness:
+            refuse(
+                "slip_thickness",
+                self.slip_thickness,
+                "must be 0, because the cells represent the whole vessel",
+                "leave out 'slip_thickness'; 'slip_viscosity' and 'slip_yield' describe the layer",
+            )
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""

@@ -19,7 +19,7 @@ from ..grid.state import GridState, check_memory
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
 from .probes import UNITS, bases, measured, reach, surface
-from .quantities import RunData, quantities
+from .quantities import RunData, quantities, whole_volume
 from .scene import FreeScene
 
 STARTS = 0.2
@@ -34,15 +34,12 @@ class FreeSimulation(FlowRun):
 
     scene_type = FreeScene
     scene: FreeScene
+    columns = UNITS
+    drawn_by = FreeDisplay
     goal = "at_rest"
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return UNITS.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
-
-    def display(self, colouring: str | None = None) -> FreeDisplay:
-        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
-        return FreeDisplay(self, colouring)
+        return self.columns.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
 
     def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""
@@ -84,7 +81,6 @@ class FreeSimulation(FlowRun):
         return self.steady
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a short reason such as "rest", and a sentence."""
         time = self.flow.time
         if self.scene.test and self.scene.test.is_over(self._rows[-1]):
             return "empty", f"the concrete had flowed out at t = {time:.4g} s"
@@ -95,7 +91,7 @@ class FreeSimulation(FlowRun):
     def sizes(self) -> dict[str, Any]:
         """Return sizes of the model, such as the number of cells, for the run's result."""
         scene, layout = self.scene, self.flow.state.layout
-        volume = self.volume * (2 * math.pi if scene.axial else 1.0)
+        volume = whole_volume(scene, self.volume)
         return {
             "cells": math.prod(layout.cells),
             "spacing": quantity(layout.spacing, "m"),

@@ -1,6 +1,5 @@
 """Surface, colours and fields of the concrete of a flow on a grid, for displays."""
 
-from abc import abstractmethod
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +11,8 @@ from .layout import GridLayout
 
 HALF_CELL = 0.5
 """Largest magnitude, in cell widths, of the level-set function whose zero is the surface of the concrete."""
+MAX_PARTICLES = 12000
+"""Maximum number of particles in files for ParaView, mirror images included."""
 FIELDS = {"shear": "shear_rate", "speed": "speed", "pressure": "pressure"}
 """Name of the field that the colours of the concrete show, by the value of the display's attribute `colouring`."""
 
@@ -25,6 +26,8 @@ class GridDisplay(Display):
 
     noun: ClassVar = "concrete"
     has_surface: ClassVar = True
+    relative_radius: ClassVar[float] = 0.45
+    """Radius of a drawn particle, in particle spacings, if all particles are drawn."""
 
     @property
     def _layout(self) -> GridLayout:
@@ -36,14 +39,21 @@ class GridDisplay(Display):
         return "concrete" if self.colouring == "shear" else "viridis"
 
     @property
-    @abstractmethod
-    def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are displayed, shape (n,)."""
-
-    @property
-    @abstractmethod
     def copies(self) -> int:
         """Number of images of each displayed particle: the particle itself and its mirror images."""
+        return 1
+
+    @property
+    def drawn_particles(self) -> np.ndarray:
+        """Indices of the particles that are displayed, shape (n,)."""
+        count = self.simulation.state.count
+        return np.arange(0, count, max(1, -(-count * self.copies // MAX_PARTICLES)))
+
+    def radii(self) -> np.ndarray:
+        """Return the radii of drawn particles [m]; they are larger if fewer are drawn, to fill the same volume."""
+        drawn = len(self.drawn_particles)
+        fewer = (self.simulation.state.count / max(drawn, 1)) ** (1 / self._layout.axes)
+        return np.full(drawn * self.copies, self.relative_radius * self._layout.particle_spacing * fewer, np.float32)
 
     def fields(self) -> dict[str, np.ndarray]:
         """Return shear rate [1/s], speed [m/s] and pressure [Pa] of the drawn particles."""

@@ -211,7 +211,6 @@ class GridFlow(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one time step (kernel launches and barriers), one list for each thread."""
         if self._step is None:
             self._step = [GridStep(self, range(part, part + 1)).stages() for part in range(self.threads)]
         return self._step
@@ -221,7 +220,6 @@ class GridFlow(Stepping):
 
     @property
     def _kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
         return {
             "flags": self.flags,
             "particles": self.particles,
@@ -266,7 +264,6 @@ class GridFlow(Stepping):
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
         return {what: system.arrays for what, system in self._systems.items()}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

@@ -16,8 +16,6 @@ from .scene import PartScene
 
 WALL_GAP = 0.03
 """Distance between the concrete and the drawn wall, divided by the radius of the pipe at the start of the part."""
-MAX_DRAWN_PARTICLES = 12000
-"""Maximum number of particles in files for ParaView, mirror images included."""
 FACETS_AROUND, RING_COUNT = 48, 60
 """Number of facets around the axis, and number of rings along the axis, with which a round wall is drawn."""
 
@@ -42,18 +40,6 @@ class PartDisplay(GridDisplay):
     def copies(self) -> int:
         """Number of images of each displayed particle: 2 if only half of the part is simulated, otherwise 1."""
         return len(self._mirror_signs)
-
-    @property
-    def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are displayed, shape (n,)."""
-        count = self.simulation.state.count
-        return np.arange(0, count, max(1, -(-count * self.copies // MAX_DRAWN_PARTICLES)))
-
-    def radii(self) -> np.ndarray:
-        """Return the radii of drawn particles [m]; they are larger if fewer are drawn, to fill the same volume."""
-        state, chosen = self.simulation.state, self.drawn_particles
-        fewer = (state.count / len(chosen)) ** (1 / 3)
-        return np.full(len(chosen) * self.copies, 0.45 * state.particle_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3)."""
@@ -162,7 +148,6 @@ class PartDisplay(GridDisplay):
         return [DrawnWall("wall", vertices + WALL_GAP * scene.radius * outward, faces, False, GLASS)]
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
         scene = self._scene
         points, _ = scene.axis.at(np.linspace(0, scene.axis.length, 50))
         return np.stack([points.min(0) - scene.widest, points.max(0) + scene.widest])

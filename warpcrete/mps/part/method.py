@@ -4,7 +4,7 @@ from ...core.run.method import Method
 from ..common.stepping import run_abreast
 from .display import PartDisplay
 from .forecast import forecast
-from .pictures import draw, plot_part
+from .pictures import plot_part
 from .quantities import QUANTITIES, report
 from .simulation import PartSimulation
 
@@ -14,7 +14,6 @@ METHOD = Method(
     list_quantities=lambda: QUANTITIES,
     display=PartDisplay,
     picture="flow.png",
-    draw=draw,
     show=plot_part,
     report=report,
     forecast=forecast,

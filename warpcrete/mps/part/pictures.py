@@ -44,8 +44,3 @@ def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
         yield "other bore", *scene.middle
     for section in odd:
         yield section.kind, section.begin, section.end
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
-    return plot_part(run) if "profile" in run.result else None

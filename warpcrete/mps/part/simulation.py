@@ -33,15 +33,9 @@ class PartSimulation(FlowRun):
 
     scene_type = PartScene
     scene: PartScene
+    columns = UNITS
+    drawn_by = PartDisplay
     cure = "a smaller time step, or longer straight pipes at the two ends ('straight')"
-
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return UNITS[column]
-
-    def display(self, colouring: str | None = None) -> PartDisplay:
-        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
-        return PartDisplay(self, colouring)
 
     def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""
@@ -51,7 +45,6 @@ class PartSimulation(FlowRun):
         )
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return the values of one row of the time series, by column name."""
         return measured(self.flow)
 
     def ended_early(self) -> bool:

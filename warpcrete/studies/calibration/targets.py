@@ -296,6 +296,9 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
     for each in given:
         field.check_limits(field.converted(each, called), called)
     low, high = map(float, given)
+    if low == high:
+        refuse(called, [low, high], "is a single value, but must be a range", "to keep the parameter at this value, "
+               "leave it out here, and write it into the 'parameters' of the targets")  # fmt: skip
     if not low < high:
         refuse(called, [low, high], "must begin with the lower number", f"did you mean [{high:g}, {low:g}]?")
     if scale not in (None, "log", "linear"):

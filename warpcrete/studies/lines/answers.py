@@ -144,6 +144,7 @@ class FastGrowth:
             "growth": quantity(self.growth, "Pa/s"),
             "pressure_high": quantity(self.high, "Pa"),
             "longest_stop": None if self.longest is None else quantity(self.longest, "s"),
+            "bearable_growth": quantity(self.bearable, "Pa/s"),
         }
 
 

@@ -13,13 +13,14 @@ NOTICED = 0.01
 the fit."""
 
 
-def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
+def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0, 1.0), mix: bool = True) -> list[str]:
     """Return a report on the fit as lines of Markdown.
 
     The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
-    the files of the concrete and of the line, and a table of all measured pressures.
+    the files of the concrete and of the line, and a table of all measured pressures. `factors` are those on yield
+    stresses and on viscosities in the file of the concrete, and `mix` is False for a concrete without a mix.
     """
-    eta, tau, *bends = fit.constants
+    bends = fit.constants[2:]
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))
     measured = [tap.pressure for tap in fit.taps]
@@ -42,11 +43,7 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
         f"(line {fit.taps[worst].row})",
         *([f"- {warning_of(fit, line.customary)}"] if fit.contradiction is not None else []),
         "",
-        "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
-        "30 %, that of other deliveries):",
-        "",
-        f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
-        f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
+        *_layer_entries(fit, factors, mix),
         "",
         f"This uncertainty holds from half to twice the measured flow. At the measured flow alone, it is "
         f"{max(100 * fit.uncertainty, 0.1):.3g} %.",
@@ -70,6 +67,31 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
                  f"{fitted / size:.4g}", f"{each / size:+.2g}")  # fmt: skip
         found.append(f"| {' | '.join(cells)} |")
     return found
+
+
+def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> list[str]:
+    """Return the fitted slip layer as entries for the file of the concrete, with words on where to write them.
+
+    The factors on yield stresses and viscosities in this file will multiply the entries, which are therefore divided by
+    them.
+    """
+    tau, eta = (each.value / factor for each, factor in zip((fit.constants[1], fit.constants[0]), factors, strict=True))
+    before = "" if factors == (1.0, 1.0) else ", divided by the factors that it states"
+    if mix:
+        return [
+            f"Write into the section `mix` of the concrete's file{before} (for this delivery; without `uncertainty`, "
+            "the band is 30 %, that of other deliveries):",
+            "",
+            f"    layer: {{viscosity: {eta:.4g} Pa s/m, yield_stress: {tau:.4g} Pa, "
+            f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
+        ]
+    return [
+        f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor "
+        f"{1 + max(fit.later_uncertainty, 0.001):.4g} for this delivery, or --layer-factor 1.3 for others:",
+        "",
+        f"    slip_viscosity: {eta:.4g} Pa s/m",
+        f"    slip_yield: {tau:.4g} Pa",
+    ]
 
 
 def _meaning(fit: LineFit) -> str:

@@ -105,7 +105,15 @@ class TapModel:
 
 
 def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> TapModel:
-    """Return a model of one metre of level pipe with the line's first diameter, at the mean flow of the taps."""
-    first = line.parts[0].diameter
-    metre = replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
-    return TapModel(metre, concrete, [Tap(0.0, 1.0, float(np.mean([tap.flow for tap in taps])), 0)])
+    """Return a model of one metre of level pipe at the mean flow of the taps.
+
+    The pipe has the diameter in which the concrete loses most of its pressure by friction. The gauges determine the
+    friction there, and not the one in a short wide pipe at the pump.
+    """
+    flow = float(np.mean([tap.flow for tap in taps]))
+    losses: dict[float, float] = {}
+    for part in line.parts:
+        losses[part.diameter] = losses.get(part.diameter, 0.0) + straight_friction(part, concrete, flow)
+    main = max(losses, key=lambda diameter: losses[diameter])
+    metre = replace(line, parts=(Part(1, "straight", main, 1.0, 0.0, main),))
+    return TapModel(metre, concrete, [Tap(0.0, 1.0, flow, 0)])

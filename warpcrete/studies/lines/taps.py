@@ -96,7 +96,8 @@ def _columns(path: Path) -> tuple[dict[str, tuple[int, str]], list[tuple[int, li
     used = {name: column for name, column in columns.items() if name in COLUMNS}
     places = [place for place, _ in used.values()]
     header, _ = read_rows(path, "fit")
-    return used, rows, [head.strip() for place, head in enumerate(header) if place not in places]
+    others = (head.strip() for place, head in enumerate(header) if place not in places)
+    return used, rows, [name for name in others if name]  # A comma at the end of the line has no name behind it.
 
 
 def at_one_flow(taps: Sequence[Tap]) -> bool:

@@ -11,7 +11,9 @@ from typing import Any
 
 from ...core.device.device import checked_threads, find_device
 from ...core.errors import RunFolderError, SceneError, refuse
+from ...core.inputs.by_name import names_from_file
 from ...core.inputs.fingerprints import fingerprint
+from ...core.inputs.knobs import Knob
 from ...core.inputs.origin import arguments_of
 from ...core.run.files import read_json, read_record, write_json
 from ...core.run.forecast import Forecast
@@ -143,20 +145,35 @@ def _measured_savings(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[lis
     """Return the savings that a trade-off record contains for a scene, and a description of the record's source."""
     record, source = _trade_of(scene, trade, on_gpu)
     try:
-        return list(_knob_savings(record.get("points", []), _knobs_of(scene))), source
+        return list(_knob_savings(record.get("points", []), _knobs_of(scene, record.get("parameters")))), source
     except (AttributeError, KeyError, TypeError) as error:
         raise RunFolderError(
             f"trade = {source}: contains a damaged trade.json ({error!r}); give a folder made by 'warpcrete trade'"
         ) from error
 
 
-def _knobs_of(scene: Any) -> set[str]:
-    """Return the names of those accuracy parameters of a scene that recommended settings may change."""
+def _knobs_of(scene: Any, measured: Mapping[str, Any] | None) -> set[str]:
+    """Return the names of those accuracy parameters of a scene that recommended settings may change.
+
+    `measured` holds the parameters of the scene of a trade-off record. Leave out a knob whose parameters have other
+    values in this scene: the record compares its settings with the values there. For example, cells of 12 mm save
+    nothing in a scene that has cells of 12.5 mm. Knobs whose settings are factors, such as coarser aggregate, remain.
+    """
     module = modules().get(scene.name)
     given = arguments_of(scene)
     if module is None or not given:
         return set()
-    return {k.name for k in module.trading.knobs(module.scene.declared(given)) if k.chosen}
+    ours = module.scene.declared(given)
+    with names_from_file():
+        theirs = ours if measured is None else module.scene.declared(measured)
+
+    def comparable(knob: Knob) -> bool:
+        relative = all(level.label.startswith("x ") for level in knob.levels)
+        return relative or all(
+            getattr(ours, name) == getattr(theirs, name) for level in knob.levels for name in level.changes
+        )
+
+    return {knob.name for knob in module.trading.knobs(ours) if knob.chosen and comparable(knob)}
 
 
 def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:

@@ -97,7 +97,6 @@ class Trade(Judging):
 
     @property
     def seeds(self) -> list[int]:
-        """Random seeds with which every setting is run; only 0 if the scene's results do not depend on the seed."""
         return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
 
     @property

@@ -8,7 +8,7 @@ from ...mps.common.forecast import Course, flow_forecast, law_features
 from ...mps.part.method import METHOD as PARTS_OF_LINES
 from ..quantities import in_words
 from .display import PartSuspensionDisplay
-from .pictures import draw, plot_part_with_aggregates
+from .pictures import plot_part_with_aggregates
 from .quantities import QUANTITIES, report_part
 from .scene import PartSuspensionScene
 from .simulation import PartSuspensionSimulation
@@ -38,7 +38,6 @@ METHOD = replace(
     simulation=PartSuspensionSimulation,
     list_quantities=lambda: QUANTITIES,
     display=PartSuspensionDisplay,
-    draw=draw,
     show=plot_part_with_aggregates,
     report=report_part,
     forecast=forecast,

@@ -22,8 +22,3 @@ def plot_part_with_aggregates(run: Run) -> Any:
     fraction.set(ylim=(0, max(0.7, 1.05 * float(values.max()))))
     fraction.set_ylabel("fraction of aggregates", color=rgb(SECOND))
     return figure
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure for a run folder; None if the run has only its initial row, which leaves nothing to draw."""
-    return plot_part_with_aggregates(run) if "profile" in run.result else None

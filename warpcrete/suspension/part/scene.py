@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 from ...core.errors import refuse
 from ...core.inputs.parameters import Above, Declared
 from ...mps.part.scene import PartScene
-from ..scene import AggregateParameters, SphereFields
+from ..scene import USED_BY_AGGREGATES, AggregateParameters, SphereFields
 
 MAX_PART = 0.9
 """Largest accepted diameter of an aggregate, divided by the width of the narrowest simulated bore."""
@@ -23,9 +23,13 @@ class BlockageSettings(Declared):
         "Travel of the inflow during which part of the aggregates must stand still for the pipe to count as blocked "
         "[m]; default: the largest diameter of the aggregates",
         Above(),
+        USED_BY_AGGREGATES,
     ] = None
     pressure_limit: Annotated[
-        float, "Frictional pressure at the start above which a pipe with aggregates counts as blocked [Pa]", Above()
+        float,
+        "Frictional pressure at the start above which a pipe with aggregates counts as blocked [Pa]",
+        Above(),
+        USED_BY_AGGREGATES,
     ] = 1e7
 
 

@@ -32,6 +32,8 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
 
     scene_type = PartSuspensionScene
     scene: PartSuspensionScene  # pyright: ignore[reportIncompatibleVariableOverride]
+    columns = UNITS | SHARED_UNITS
+    drawn_by = PartSuspensionDisplay
 
     def set_up(self) -> None:
         """Start with an empty time series."""
@@ -40,14 +42,6 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         # lengths of the aggregates in the last row.
         self._profiles: list[np.ndarray] = []
         self._places = np.zeros(0)
-
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return (UNITS | SHARED_UNITS)[column]
-
-    def display(self, colouring: str | None = None) -> PartSuspensionDisplay:
-        """Return the display, which tells recorders what to draw: mortar, aggregates, walls, colours and curves."""
-        return PartSuspensionDisplay(self, colouring)
 
     def place_flow(self) -> SuspensionFlow:
         """Return the flow in its initial state, with particles, aggregates and grid."""
@@ -63,7 +57,6 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         )  # fmt: skip
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return the values of one row of the time series, by column name."""
         census = Census(self.flow, self.entering)
         travel = self.scene.velocity * (self.flow.time - self._rows[-1]["time"]) if self._rows else 0.0
         row, profiles = measured(census, self._places, travel)
@@ -83,7 +76,6 @@ class PartSuspensionSimulation(AggregateRun, PartSimulation):
         return len(rows) > 1 and is_blocked(scene, rows)
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended: a short reason such as "blocked", and a sentence."""
         if len(self._rows) > 1 and is_blocked(self.scene, self._rows):
             return "blocked", f"the part was blocked at t = {self.flow.time:.4g} s"
         # The run lasts as long as the scene states, even if the flow is steady.

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 from ...core.errors import refuse
 from ...core.inputs.knobs import Knob, Trading, precisions, scaled
 from ...core.inputs.limits import check_velocity
-from ...core.inputs.parameters import Above
+from ...core.inputs.parameters import Above, Needs
 from ...core.run.run import Run
 from ...mps.column import FlowParameters, check_flow, flow_trading
 from ...theory.pipe import Line, steady
 from ..aggregates import MIN_CELLS
-from ..scene import AggregateParameters
+from ..scene import USED_BY_AGGREGATES, AggregateParameters
 from .checks import check_stretch
 from .scene import Courant, StretchScene, StretchSettings
 
@@ -26,8 +26,10 @@ DEPTH_SIZES = 4.0
 """Depth of a channel with aggregates, in diameters of the largest aggregate."""
 DURATION = 1.0
 """Simulated time of a flow with aggregates unless the user states it [s]."""
-UNUSED = ("time_step", "step_error", "rest", "rebuild_rate", "slip_thickness")
+UNUSED = ("time_step", "step_error", "steadiness", "rest", "rebuild_rate", "tolerated_error", "slip_thickness")
 """Parameters of columns that flows with aggregates do not have. Each must have its default."""
+ANY_AGGREGATES = Needs("aggregate_fraction", bool, "is above 0", ("aggregates",), refused=False)
+"""Rule for a parameter of aggregates, be they simulated one by one or as groups of particles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +42,8 @@ class ColumnWithAggregates(FlowParameters, AggregateParameters):
         "constants are then those of the concrete; with 'aggregates', it is rigid groups of particles, and the default "
         "is the concrete's gravel",
     ] = None  # fmt: skip
-    aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above()] = 2630.0
-    courant: Courant = 0.5
+    aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), ANY_AGGREGATES] = 2630.0
+    courant: Annotated[Courant, USED_BY_AGGREGATES] = 0.5
 
     @property
     def suspended(self) -> bool:
@@ -57,7 +59,7 @@ def suspended_column(name: str, dimensions: int, given: ColumnWithAggregates) ->
     for field in fields(given):
         if field.name in UNUSED and getattr(given, field.name) != field.default:
             refuse(field.name, getattr(given, field.name), "has no effect with aggregates that are simulated one by "
-                                                           "one, whose time step follows from the flow",
+                                                           "one",
                    f"leave out {field.name!r}")  # fmt: skip
     if given.ends == "piston":
         problem = "cannot be combined with aggregates that are simulated one by one"

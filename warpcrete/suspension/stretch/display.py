@@ -15,8 +15,6 @@ from ..display import SphereDisplay
 from .probes import fraction_profile, velocity_profile
 from .scene import StretchScene
 
-MAX_PARTICLES = 12000
-"""Maximum number of particles of mortar in files for ParaView."""
 FACETS = 48
 """Number of facets around the axis with which the wall is drawn."""
 WALL_GAP = 0.03
@@ -32,25 +30,8 @@ class StretchDisplay(SphereDisplay):
     colourings: ClassVar = ("speed", "shear", "pressure")
 
     @property
-    def copies(self) -> int:
-        """Number of images of each displayed particle, itself included."""
-        return 1
-
-    @property
     def _scene(self) -> StretchScene:
         return self.simulation.scene
-
-    @property
-    def drawn_particles(self) -> np.ndarray:
-        """Indices of the particles that are displayed, shape (n,)."""
-        count = self.simulation.state.count
-        return np.arange(0, count, max(1, -(-count // MAX_PARTICLES)))
-
-    def radii(self) -> np.ndarray:
-        """Return the radii of drawn particles [m], larger where fewer of the particles are drawn."""
-        state, chosen = self.simulation.state, self.drawn_particles
-        fewer = (state.count / len(chosen)) ** (1 / 3)
-        return np.full(len(chosen), 0.45 * state.particle_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3)."""
@@ -135,7 +116,6 @@ class StretchDisplay(SphereDisplay):
         return DrawnWall(name, corners, np.array([[0, 1, 2], [0, 2, 3]]), False, GLASS)
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
         scene, wide = self._scene, self._scene.radius
         low, high = (0.0, scene.depth) if scene.depth else (-wide, wide)
         return np.array([[-wide, low, 0.0], [wide, high, scene.length]])

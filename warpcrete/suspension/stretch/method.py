@@ -8,7 +8,7 @@ from ...mps.common.forecast import Course, flow_forecast, law_features
 from ...mps.common.stepping import run_abreast
 from ..quantities import in_words
 from .display import StretchDisplay
-from .pictures import draw, plot_stretch
+from .pictures import plot_stretch
 from .quantities import QUANTITIES, report
 from .scene import StretchScene
 from .simulation import StretchSimulation
@@ -48,7 +48,6 @@ METHOD = Method(
     list_quantities=lambda: QUANTITIES,
     display=StretchDisplay,
     picture="flow.png",
-    draw=draw,
     show=plot_stretch,
     report=report,
     forecast=forecast,

@@ -31,8 +31,3 @@ def plot_stretch(run: Run) -> Any:
     course.set(xlabel="time [s]", ylabel=label, ylim=(0, None))
     open_frame(speed, fraction, course)
     return figure
-
-
-def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """Return the figure of a run folder, or None if the run has only its initial row."""
-    return plot_stretch(run) if "profile" in run.result else None

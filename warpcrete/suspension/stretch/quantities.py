@@ -21,6 +21,8 @@ class RunData:
 
     scene: StretchScene
     series: dict[str, np.ndarray]
+    fraction: float
+    """Volume fraction of the placed aggregates. It differs from that of the scene, because aggregates are whole."""
 
     def mean(self, name: str) -> float | None:
         """Return the mean of a column over the last half of the run, or None if there is no such column."""
@@ -52,7 +54,11 @@ def _pressure(k: RunData, gradient: float | None) -> float | None:
 
     `gradient` is the pressure gradient that balances the friction [Pa/m].
     """
-    return None if gradient is None else k.scene.length * (gradient + k.scene.density * k.scene.gravity)
+    if gradient is None:
+        return None
+    mortar = k.scene.concrete.density
+    density = mortar + k.fraction * (k.scene.aggregate_density - mortar)
+    return k.scene.length * (gradient + density * k.scene.gravity)
 
 
 def _pressure_words(run: Run) -> str:

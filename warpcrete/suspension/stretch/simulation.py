@@ -24,20 +24,14 @@ class StretchSimulation(AggregateRun):
 
     scene_type = StretchScene
     scene: StretchScene
+    columns = UNITS | SHARED_UNITS
+    drawn_by = StretchDisplay
     cure = "a smaller 'courant'"
 
     @property
     def may_end_early(self) -> bool:
         """False, because a run always lasts as long as the scene states."""
         return False
-
-    def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series."""
-        return (UNITS | SHARED_UNITS)[column]
-
-    def display(self, colouring: str | None = None) -> StretchDisplay:
-        """Return the display, which tells recorders what to draw: mortar, aggregates, wall, colours and curves."""
-        return StretchDisplay(self, colouring)
 
     def place_flow(self) -> SuspensionFlow:
         """Return the flow in its initial state, with particles, aggregates and grid."""
@@ -51,7 +45,6 @@ class StretchSimulation(AggregateRun):
         )
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return the values of one row of the time series, by column name."""
         return measured(self.flow) | self.aggregate_columns()
 
     def ended_early(self) -> bool:
@@ -70,7 +63,7 @@ class StretchSimulation(AggregateRun):
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return the entries of the result that follow from the time series and the present state; no tables."""
-        result = results_of(QUANTITIES, RunData(self.scene, series))
+        result = results_of(QUANTITIES, RunData(self.scene, series, self.fraction))
         radius, velocity = velocity_profile(self.flow)
         result["profile"] = {
             "radius": {"value": radius.tolist(), "unit": "m"},
