@@ -135,7 +135,7 @@ import numpy as np, warpcrete; from warpcrete.core.drawing.style import new_figu
 scene = warpcrete.scenes.part(unit="horizontal", outlet_diameter=0.07, spacing=0.01)
 simulation = warpcrete.Simulation(scene, device="cpu"); simulation.run(); display = simulation.display("speed")
 half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np.all(y[half.faces] < 1e-6, axis=1)]
-figure = new_figure(scene.caption, 2.2); axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="z [m]")
+figure = new_figure(scene.caption, 1.7); axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="z [m]")
 figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="speed [m/s]", location="bottom", aspect=45)"""
 MIGRATION = """\
 import warpcrete; from warpcrete.core.drawing.style import legend_above, new_figure

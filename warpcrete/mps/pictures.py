@@ -10,6 +10,9 @@ from ..core.run.run import Run
 from ..core.units import number
 from ..theory.pipe import velocity
 
+LEFT = 0.65
+"""Width of the curves in a figure that shows particles on the right, relative to that of the figure."""
+
 
 def plot_flow(
     run: Run,
@@ -25,9 +28,10 @@ def plot_flow(
     """
     figure = new_figure(run.scene.caption, 3.0, 3.0)
     places = [["pressure"], ["profile"]] if particles is None else [["pressure", "particles"], ["profile", "particles"]]
-    axes = figure.subplot_mosaic(places, width_ratios=None if particles is None else [1.8, 1])
-    _pressure(axes["pressure"], run)
-    _profiles(axes["profile"], run)
+    axes = figure.subplot_mosaic(places, width_ratios=None if particles is None else [LEFT, 1 - LEFT])
+    for draw_panel, panel in ((_pressure, axes["pressure"]), (_profiles, axes["profile"])):
+        draw_panel(panel, run)
+        legend_above(panel, width=1.0 if particles is None else LEFT)
     open_frame(axes["pressure"], axes["profile"])
     if particles is not None:
         _particles(axes["particles"], *particles, scale, materials or {})
@@ -52,7 +56,6 @@ def _pressure(axes: Any, run: Run) -> None:
     if np.isfinite(lowest + highest):
         margin = max(0.2 * (highest - lowest), 0.05 * abs(highest), 1e-9)
         axes.set_ylim(lowest - margin, highest + margin)
-    legend_above(axes)
 
 
 def _pressure_label(scene: Any) -> str:
@@ -74,7 +77,6 @@ def _profiles(axes: Any, run: Run) -> None:
     theory = velocity(scene.concrete, scene.line, scene.theory(), radius)
     axes.plot(100 * radius, 100 * theory, color=rgb(THEORY), linestyle="--", label="theory")
     axes.set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
-    legend_above(axes)
 
 
 def _particles(
@@ -113,7 +115,7 @@ def _particles(
     if materials:
         style = dict(marker="o", linestyle="")
         marks = [Line2D([], [], color=shade / 255, label=name, **style) for name, shade in materials.items()]
-        legend_above(axes, curves=marks)
+        legend_above(axes, curves=marks, width=1 - LEFT)
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

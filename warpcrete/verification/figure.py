@@ -20,6 +20,7 @@ def draw(results: list[tuple[Case, list[Row]]]):
         for part, (plot, content, _) in zip(parts, plots, strict=True):
             axes = part.add_subplot()
             plot(axes, content)
+            axes.title.set_size("medium")
             open_frame(axes)
     return figure
 

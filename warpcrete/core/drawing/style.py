@@ -71,11 +71,11 @@ def new_figure(caption: str = "", *heights: float) -> Any:
     return figure
 
 
-def legend_above(axes: Any, curves: Sequence[Any] | None = None, **settings: Any) -> None:
+def legend_above(axes: Any, curves: Sequence[Any] | None = None, width: float = 1.0, **settings: Any) -> None:
     """Put the legend above a plot, between the plot and its title.
 
     Its entries are the `curves` in their order. Without them, the entries are all curves that have a label, sorted by
-    the value at the right end of each curve.
+    the value at the right end of each curve. `width` is the width of the plot relative to that of the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
     order: Sequence[int] = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))
@@ -83,7 +83,7 @@ def legend_above(axes: Any, curves: Sequence[Any] | None = None, **settings: Any
         handles, labels, order = curves, [each.get_label() for each in curves], range(len(curves))
     sizes = [MARK + len(labels[k]) for k in order]
     # Matplotlib fills a legend column by column and makes each column as wide as its longest text.
-    fitting = (n for n in (4, 3, 2) if sum(max(part, default=0) for part in np.array_split(sizes, n)) <= LEGEND)
+    fitting = (n for n in (4, 3, 2) if sum(max(part, default=0) for part in np.array_split(sizes, n)) <= width * LEGEND)
     columns = min(next(fitting, 1), len(labels))
     axes.legend(
         [handles[k] for k in order], [labels[k] for k in order], loc="lower left", bbox_to_anchor=(-0.02, 1.0),

@@ -1,5 +1,6 @@
 """Matplotlib figures of free-surface flows."""
 
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -42,6 +43,7 @@ def plot_free(run: Run) -> Any:
                        label="heap, closed form" if side == 1 else None)  # fmt: skip
     shape.set(
         aspect="equal",
+        adjustable="datalim",
         xlabel="distance from the axis [mm]" if scene.about_axis else "position [mm]",
         ylabel="height [mm]",
     )
@@ -53,7 +55,9 @@ def plot_free(run: Run) -> Any:
     for (name, label), colour in zip(_curves(scene).items(), SERIES):
         unit = run.units[name]
         course.plot(run.series["time"], shown(unit)[0] * run.series[name], color=rgb(colour), label=label)
-    course.set(xlabel="time [s]", ylabel=f"{' and '.join(_curves(scene).values())} [{shown(unit)[1]}]")
+    course.set(
+        xlabel="time [s]", ylabel=f"{textwrap.fill(' and '.join(_curves(scene).values()), 24)} [{shown(unit)[1]}]"
+    )
     legend_above(course)
     open_frame(shape, course)
     return figure

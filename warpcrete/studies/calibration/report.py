@@ -162,6 +162,7 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
     titles = [_title(known[each.name]) for each in task.free]
     samples = np.array([[f.value(u) for f, u in zip(task.free, row)] for row in found.posterior.samples])
     trials = np.array([[f.value(u) for f, u in zip(task.free, trial.units)] for trial in found.searched])
+    turned = 0 if free < 3 else 90  # Numbers below narrow panels stand upright, because they would overlap.
     figure = new_figure("posterior of the parameters: dark where values are likely", WIDTH)
     axes = figure.subplots(free, free, squeeze=False)
     for row in range(free):
@@ -184,6 +185,7 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
                          ylabel=titles[row] if column == 0 else "")  # fmt: skip
             here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
                      xlabel=titles[column] if row == free - 1 else "")  # fmt: skip
+            here.tick_params(axis="x", labelrotation=turned)
             for axis, of in ((here.xaxis, across), (here.yaxis, up)):
                 if of.log and (axis is here.xaxis or row != column):
                     _few_ticks(axis)

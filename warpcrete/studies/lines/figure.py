@@ -28,7 +28,7 @@ RESTART_PLACE = 0.015
 
 def draw(result: LinePressures) -> Any:
     """Return a Matplotlib figure of the pressure along a pump line, with its uncertainty band and the closed form."""
-    figure = new_figure(_title(result), 4.0)
+    figure = new_figure(_title(result), 4.4)
     axes = figure.add_subplot()
     us = result.line.customary
     metre, size = (CUSTOMARY_SIZES["ft"], CUSTOMARY_SIZES["psi"]) if us else (1.0, 1e5)
@@ -95,7 +95,7 @@ def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> N
         axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", label="pump")  # fmt: skip
     if result.stop is not None:
         band = result.restart(result.flow)
-        label = f"restart at full flow after {time_text(result.stop.rest)}"
+        label = f"restart after {time_text(result.stop.rest)}"
         value, low, high = (x / size for x in (band.value, band.low, band.high))
         axes.errorbar([place], [value], [[value - low], [high - value]], fmt="s", capsize=4, clip_on=False,
                       color=rgb(RUN if result.simulated else SECOND), label=label)  # fmt: skip
