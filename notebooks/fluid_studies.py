@@ -105,21 +105,21 @@ class Studies:
             f"and 10 to 5 mm: {', '.join(f'{x:.1f}' for x in orders)}.",
         )  # fmt: skip
         figure = new_figure("channel, 100 mm wide, concrete no1, 0.191 m/s", 2.9, 2.9)
-        left, right = figure.subplots(2, 1)
+        top, bottom = figure.subplots(2, 1)
         mm = 1e3 * np.array(spacings)
-        left.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", color=rgb(RUN), label="this program")
-        left.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color=rgb(THEORY), linestyle=":", label="theory")
-        left.axhline(9.40, color=rgb(MEASURED), linestyle="--", label="printed theory (Xu et al.)")
-        left.set(xlabel="spacing [mm]", ylabel="pressure [kPa]", ylim=(9.2, 9.6))
-        legend_above(left)
-        right.loglog(
+        top.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", color=rgb(RUN), label="this program")
+        top.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color=rgb(THEORY), linestyle=":", label="theory")
+        top.axhline(9.40, color=rgb(MEASURED), linestyle="--", label="printed theory (Xu et al.)")
+        top.set(xlabel="spacing [mm]", ylabel="pressure [kPa]", ylim=(9.2, 9.6))
+        legend_above(top)
+        bottom.loglog(
             mm, [100 * abs(r["slip_velocity_error"]) for r in runs], "o-", color=rgb(RUN), label="slip velocity"
         )
-        right.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", color=rgb(SECOND), label="profile, rms")
-        right.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color=rgb(THEORY), label="second order")
-        right.set(xlabel="spacing [mm]", ylabel="error [%]", xticks=(2, 5, 10, 20), xticklabels=("2", "5", "10", "20"))
-        right.minorticks_off()
-        legend_above(right)
+        bottom.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", color=rgb(SECOND), label="profile, rms")
+        bottom.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color=rgb(THEORY), label="second order")
+        bottom.set(xlabel="spacing [mm]", ylabel="error [%]", xticks=(2, 5, 10, 20), xticklabels=("2", "5", "10", "20"))
+        bottom.minorticks_off()
+        legend_above(bottom)
         self.save("resolution", figure)
 
     def thickness(self) -> None:
@@ -267,7 +267,7 @@ class Studies:
     def migration(self) -> None:
         """Fig. 21: fraction of aggregate inside and outside, in front and behind, over time; means of several mixes."""
         figure = new_figure("", 3.4, 3.4)
-        left, right = figure.subplots(2, 1)
+        top, bottom = figure.subplots(2, 1)
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
         runs = self.run_all([common | dict(concrete=mix, seed=seed) for mix in MIXES for seed in range(self.seeds)])
@@ -280,7 +280,7 @@ class Studies:
                 for name in ("inner", "outer", "front", "rear")
             }
             changes |= {f"{mix}_{name}": found for name, found in parts.items()}
-            for axes, names in ((left, ("inner", "outer")), (right, ("front", "rear"))):
+            for axes, names in ((top, ("inner", "outer")), (bottom, ("front", "rear"))):
                 for name, line in zip(names, ("-", "--")):
                     mean, error = parts[name].mean(0), _standard_error(parts[name])
                     colour = rgb(SERIES[number])
@@ -296,7 +296,7 @@ class Studies:
                      f"{100 * np.mean([r['pressure_error'] for _, r in own]):+.2f}"]
                 )  # fmt: skip
         np.savez_compressed(self.folder / "migration.npz", time=time, **changes)
-        for axes in (left, right):
+        for axes in (top, bottom):
             axes.axhline(0, color="0.7")
             axes.set(xlabel="time [s]", ylabel="fraction of aggregate,\nchange [percentage points]")
             legend_above(axes)

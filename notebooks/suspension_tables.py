@@ -187,7 +187,7 @@ class Tables:
         """Show the slip layer: fraction over distance, thickness, and the law of stress over slip velocity."""
         stores = load(self.runs, "a")
         rows, figure = [], new_figure("", 2.6, 3.2)
-        left, right = figure.subplots(2, 1, height_ratios=[2.6, 3.2])
+        top, bottom = figure.subplots(2, 1, height_ratios=[2.6, 3.2])
         for surfaces, part in (("sticks", 0.5), ("slips", 0.1)):
             for fraction, colour in zip(FRACTIONS, SERIES, strict=False):
                 chosen = [s for s in stores.values() if s["varied"]["surfaces"] == surfaces
@@ -211,18 +211,18 @@ class Tables:
                 if surfaces == "slips":
                     continue
                 mean = rings(chosen[-1])[1][late(chosen[-1], 0.5)].mean(0)
-                left.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour), label=f"{fraction:g}")
-                right.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
+                top.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour), label=f"{fraction:g}")
+                bottom.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
                 line = np.geomspace(slip.min(), slip.max())
-                right.loglog(1e3 * line, slope * line + start, color=rgb(colour))
+                bottom.loglog(1e3 * line, slope * line + start, color=rgb(colour))
         own, line = CONCRETES["no1"], np.geomspace(1e-3, 0.8)
-        right.loglog(1e3 * line, own.slip_viscosity * line + own.slip_yield, "--", color=rgb(MEASURED),
+        bottom.loglog(1e3 * line, own.slip_viscosity * line + own.slip_yield, "--", color=rgb(MEASURED),
                      label="Xu et al.")  # fmt: skip
-        left.set(
+        top.set(
             xlabel="distance from the wall [mm]", ylabel="volume fraction of aggregates", xlim=(0, 25), ylim=(0, None)
         )
-        right.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]")
-        legend_above(right)
+        bottom.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]")
+        legend_above(bottom)
         self.save("layer", figure)
         head = ["mortar", "fraction", "in the core", "half of it at [mm], start", "late",
                 "eta_L [Pa s/m]", "tau_L0 [Pa]",
