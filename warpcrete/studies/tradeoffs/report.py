@@ -183,8 +183,8 @@ def _number(value: float) -> str:
 
 FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
-RIGHT = 0.88  # place along the figure from which labels stand left of their points
-NEAR = 0.07  # labels closer than this fraction of the figure would overlap
+RIGHT = 0.88  # position along the plot from which labels stand left of their points
+NEAR = 0.07  # labels closer than this fraction of the plot (vertically; twice as much horizontally) would overlap
 
 
 def draw(trade: Trade) -> Any:
@@ -257,10 +257,11 @@ def _name_levels(axes: Any, trade: Trade) -> None:
             continue
         at = (point.cost, 100 * max(point.worst.size, FLOOR))
         x, y = into_figure.transform(at)
+        # Near the right edge, a label stands left of its point.
+        side, apart = ("right", -4) if x > RIGHT else ("left", 4)
+        x -= 2 * NEAR if side == "right" else 0.0
         if all(abs(x - u) > 2 * NEAR or abs(y - v) > NEAR for u, v in placed):
             text = trade.label(point).removeprefix(f"{point.origin} ")
-            # Near the right edge, a label stands left of its point, because the legend is beside the plot.
-            side, apart = ("right", -4) if x > RIGHT else ("left", 4)
             label = axes.annotate(text, at, (apart, 4), textcoords="offset points", color="0.35", ha=side)
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # The front may pass below it.
             placed.append((x, y))
