@@ -141,6 +141,19 @@ def test_fingerprints_tell_large_numbers_types_and_functions_apart():
     assert fingerprint(mixed_scene) != fingerprint(fingerprint)
 
 
+def test_fingerprints_tell_arrays_and_lists_of_the_same_numbers_apart():
+    numbers = np.arange(6.0)
+    values = [
+        numbers, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view(np.int64), numbers.astype(np.float32),
+        numbers.tolist(), [numbers.tolist()], [[0.0], [1.0]], [[0.0, 1.0]], "1", 1, None, "None", {"a": 1, "b": 2},
+        {"b": 2, "a": 1}, {"a": 2, "b": 1},
+    ]  # fmt: skip
+    found = [fingerprint(value) for value in values]
+    assert len(set(found)) == len(values)
+    # The layout of an array in memory does not count.
+    assert fingerprint(np.asfortranarray(numbers.reshape(2, 3))) == found[1]
+
+
 def test_fingerprints_tell_scenes_apart():
     one = mixed_scene()
     assert fingerprint(one) == fingerprint(mixed_scene())

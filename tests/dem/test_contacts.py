@@ -375,3 +375,18 @@ def test_unequal_spheres_that_turn_like_gears_do_not_slide(start, spin, slides):
         assert across[0] > 1e-7 and slip < -0.05
     else:
         assert np.all(across < 1e-9) and abs(slip) < 3e-6
+
+
+@pytest.mark.parametrize("clumped", [False, True])
+def test_steps_below_the_resolution_of_positions_add_up(start, clumped):
+    """In single precision, positions of 1 m have digits of 1e-7 m; a thousand steps of 1e-8 m make 1e-5 m."""
+    kind = clump("pair", [[0, 0, -0.2], [0, 0, 0.2]], [0.6, 0.6]) if clumped else None
+    bodies = Bodies(positions=[[1.0, 1.0, 1.0]], sizes=0.02, density=2500.0, velocities=[[1e-3, 0.0, -1e-3]],
+                    template=kind)  # fmt: skip
+    stepper = start(Scene(name="slow", duration=1.0, gravity=(0, 0, 0), bodies=(bodies,),
+                          time_step=TimeStep(fixed=1e-5)), "float32")  # fmt: skip
+    begin = stepper.state.table().position[0].astype(float)
+    stepper.take(1000)
+    moved = stepper.state.table().position[0] - begin
+    # The measured error is 1.4e-8 m, less than half a digit.
+    assert moved == pytest.approx([1e-5, 0.0, -1e-5], abs=2e-8)

@@ -178,6 +178,8 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
          "cement = '4,794 lb': must be a number with one of kg, t, g, lb for the whole load"),
         (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
+        ({"parts": {"cement": 400, "water": 180, "sand": 700, "expanded clay 4/8": 420}, "aggregate": "420 kg/m3"},
+         "mix aggregate = '420 kg/m3': is a mass, but the density of 'expanded clay 4/8' is not stated; add '"),
         ({"density": 2300, "slump": 0.1, "volume": "9 yd3"}, "mix volume = '9 yd3': has no effect without 'parts'"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
         ({"spread": 0.6}, "mix density: is missing, and the mix lists no 'parts'"),

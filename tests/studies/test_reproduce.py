@@ -129,6 +129,16 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
         reproduce("zhan", out=tmp_path / "quick", quick=True, known=[first.folder])
 
 
+def test_results_are_kept_as_numbers_in_si_units(tmp_path):
+    """True and false, such as `finished`, are no numbers."""
+    found = Reproduction(tmp_path, "xu", True, 1, "cpu")
+    found.results["one"] = {"pressure": {"value": 9e3, "unit": "Pa"}, "steps": 7, "finished": True, "scene": "tube",
+                            "speed": {"wall_time": {"value": 1.0, "unit": "s"}}}  # fmt: skip
+    write(found)
+    kept = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    assert kept == {"results": {"one": {"pressure": 9e3, "steps": 7.0}}, "failures": {}}
+
+
 def test_what_is_open_stands_beside_the_calibrated_concrete():
     layer, zhan = OPEN_ASSUMPTIONS["yielding layer"][0], modules()["pipe"].scene(**CONCRETES["calibrated"]).parameters
     half = OPEN_ASSUMPTIONS["half yielding layer"][0]

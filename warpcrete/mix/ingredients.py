@@ -30,6 +30,8 @@ such a word in their names."""
 HEAVY = ("barite", "baryte", "barytes", "magnetite", "hematite")
 """Words for heavy rocks. An ingredient with such a word in its name, such as "barite sand", has the density of this
 rock."""
+LIGHT = ("lightweight", "light", "expanded", "pumice", "perlite")
+"""Words for light aggregate, whose density differs from product to product."""
 MIXED_WITH_SAND = ("gravel", "stone", "stones", "chippings", "pebbles")
 """Words for stones that are no rock. Beside "sand", as in "sand and gravel", they mean a mixture of both."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "pp", "pva",
@@ -128,6 +130,16 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
         else:
             return 0.0, 0.0
     return sand, stone
+
+
+def unusual_stones(parts: Mapping[str, float]) -> str | None:
+    """Return the name of an ingredient that is light or heavy coarse aggregate, or None if there is none."""
+    for name in parts:
+        words, noun = _words(name), _noun(name)
+        is_aggregate = noun == "" or DENSITIES[noun] == DENSITIES["sand"] or noun in HEAVY
+        if "sand" not in words and is_aggregate and any(word in (*LIGHT, *HEAVY) for word in words):
+            return name
+    return None
 
 
 def sand_and_stone_volumes(parts: Mapping[str, float], coarse: float) -> tuple[float, float]:

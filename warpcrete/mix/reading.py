@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.errors import SceneError, between, one_of, positive, refuse
+from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
@@ -18,6 +18,7 @@ from .ingredients import (
     paste_volumes,
     powder_mass,
     sand_and_stone_volumes,
+    unusual_stones,
     water_mass,
 )
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
@@ -77,7 +78,8 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     with errors_located_at(given, "parts" if "parts" in given else "density"):
         density, summed, masses = _density(given, heavy)
     with errors_located_at(given, "aggregate"):
-        share = _share(given["aggregate"], heavy) if "aggregate" in given else None
+        unusual = None if "aggregate_density" in given else unusual_stones(masses)
+        share = _share(given["aggregate"], heavy, unusual) if "aggregate" in given else None
     with errors_located_at(given, "mortar"):
         mortar = read_constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
@@ -249,12 +251,20 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
     return (total, True, masses) if own is None else (own, False, masses)
 
 
-def _share(given: Any, heavy: float) -> float:
+def _share(given: Any, heavy: float, unusual: str | None) -> float:
     """Return the volume fraction of coarse aggregate in the concrete, from the entry `aggregate` of a mix.
 
-    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. Raises :class:`SceneError` if the stones
-    cannot fit into the volume.
+    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. `unusual` is the name of stones whose
+    density differs from it, or None. Raises :class:`SceneError` if the stones cannot fit into the volume, or if an
+    amount in kg/m3 is that of such stones.
     """
+    if is_amount(given, "kg/m3") and unusual is not None:
+        refuse(
+            "mix aggregate",
+            given,
+            f"is a mass, but the density of {quoted(unusual)} is not stated",
+            "add 'aggregate_density', as in 'aggregate_density: 1250 kg/m3', or state a share of the volume",
+        )
     if is_amount(given, "kg/m3"):
         found = amount("mix aggregate", given, "kg/m3") / heavy
     else:

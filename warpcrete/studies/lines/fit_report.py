@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...geometry.pipe_line import PipeLine
+from ...mix.layer import PIPE_UNCERTAINTY
 from .answers import CUSTOMARY_SIZES, beside
 from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
@@ -85,9 +86,12 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
             f"    layer: {{viscosity: {eta:.4g} Pa s/m, yield_stress: {tau:.4g} Pa, "
             f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
         ]
+    own = max(fit.later_uncertainty, 0.001)
+    others = (
+        f" for this delivery, or --layer-factor {1 + PIPE_UNCERTAINTY:g} for others" if own < PIPE_UNCERTAINTY else ""
+    )
     return [
-        f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor "
-        f"{1 + max(fit.later_uncertainty, 0.001):.4g} for this delivery, or --layer-factor 1.3 for others:",
+        f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor {1 + own:.4g}{others}:",
         "",
         f"    slip_viscosity: {eta:.4g} Pa s/m",
         f"    slip_yield: {tau:.4g} Pa",
