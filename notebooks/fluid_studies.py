@@ -9,6 +9,7 @@ Writes `NAME.md` and `NAME.png` for each study into the new folder. The pages fl
 
 import argparse
 import multiprocessing
+import textwrap
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -20,7 +21,7 @@ from matplotlib.figure import Figure
 
 from warpcrete import scenes
 from warpcrete.core.device.device import default_threads, find_device
-from warpcrete.core.drawing.style import MEASURED, RUN, SECOND, SERIES, THEORY, legend_beside, rgb
+from warpcrete.core.drawing.style import MEASURED, RUN, SECOND, SERIES, THEORY, legend_above, new_figure, rgb
 from warpcrete.core.run.run import Run
 from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.simulation import FluidSimulation
@@ -74,7 +75,7 @@ class Studies:
         """The study's picture."""
         for axes in figure.axes:
             axes.spines[["top", "right"]].set_visible(False)
-        figure.savefig(self.folder / f"{name}.png", dpi=110)
+        figure.savefig(self.folder / f"{name}.png", dpi=150)
 
     def resolution(self) -> None:
         """Fig. 12: pressure over the spacing, and what the paper does not show: slip velocity, profile, cost."""
@@ -103,23 +104,22 @@ class Studies:
             f"{100 * runs[0]['slip_velocity_theory']['value']:.2f} cm/s. Observed order of the slip velocity, 20 to 10 "
             f"and 10 to 5 mm: {', '.join(f'{x:.1f}' for x in orders)}.",
         )  # fmt: skip
-        figure = Figure(figsize=(9, 3.4), layout="constrained")
-        left, right = figure.subplots(1, 2)
+        figure = new_figure("channel, 100 mm wide, concrete no1, 0.191 m/s", 2.9, 2.9)
+        top, bottom = figure.subplots(2, 1)
         mm = 1e3 * np.array(spacings)
-        left.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", color=rgb(RUN), label="this program")
-        left.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color=rgb(THEORY), linestyle=":", label="theory")
-        left.axhline(9.40, color=rgb(MEASURED), linestyle="--", linewidth=0.8, label="printed theory\n(Xu et al.)")
-        left.set(xlabel="spacing [mm]", ylabel="pressure [kPa]", ylim=(9.2, 9.6))
-        legend_beside(left)
-        right.loglog(
+        top.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", color=rgb(RUN), label="this program")
+        top.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color=rgb(THEORY), linestyle=":", label="theory")
+        top.axhline(9.40, color=rgb(MEASURED), linestyle="--", label="printed theory (Xu et al.)")
+        top.set(xlabel="spacing [mm]", ylabel="pressure [kPa]", ylim=(9.2, 9.6))
+        legend_above(top)
+        bottom.loglog(
             mm, [100 * abs(r["slip_velocity_error"]) for r in runs], "o-", color=rgb(RUN), label="slip velocity"
         )
-        right.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", color=rgb(SECOND), label="profile, rms")
-        right.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color=rgb(THEORY), label="second order")
-        right.set(xlabel="spacing [mm]", ylabel="error [%]", xticks=(2, 5, 10, 20), xticklabels=("2", "5", "10", "20"))
-        right.minorticks_off()
-        legend_beside(right)
-        figure.suptitle("channel, 100 mm wide, concrete no1, 0.191 m/s", fontsize=10)
+        bottom.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", color=rgb(SECOND), label="profile, rms")
+        bottom.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color=rgb(THEORY), label="second order")
+        bottom.set(xlabel="spacing [mm]", ylabel="error [%]", xticks=(2, 5, 10, 20), xticklabels=("2", "5", "10", "20"))
+        bottom.minorticks_off()
+        legend_above(bottom)
         self.save("resolution", figure)
 
     def thickness(self) -> None:
@@ -141,20 +141,20 @@ class Studies:
              "theory, Eq. 12 in the plane [kPa]"],
             rows,
         )  # fmt: skip
-        figure = Figure(figsize=(4.2, 3.2), layout="constrained")
+        figure = new_figure()
         axes = figure.subplots()
         x, ours, thick = np.array(pressures).T
         axes.plot(1e3 * x, ours / 1e3, "o-", label="ours")
         axes.plot(1e3 * x, thick / 1e3, ":", color="0.4", label="theory, Eq. 12 in the plane")
         axes.set(xlabel="thickness of the slip layer [mm]", ylabel="pressure [kPa]", ylim=(9.0, 10.2))
-        axes.legend(frameon=False, fontsize=8)
+        legend_above(axes)
         self.save("thickness", figure)
 
     def flow(self) -> None:
         """Figs. 16 and 17: pressure against flow, three concretes, one phase and two."""
-        figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+        figure = new_figure("", 2.9, 2.3, 2.5)
         rows = []
-        for axes, mix in zip(figure.subplots(1, 3, sharey=True), MIXES):
+        for axes, mix in zip(figure.subplots(3, 1, sharex=True, height_ratios=[2.9, 2.3, 2.5]), MIXES):
             found: dict[bool, list[float]] = {False: [], True: []}
             for flow in FLOWS:
                 cells = [mix, f"{1e6 * flow:.0f}"]
@@ -178,9 +178,9 @@ class Studies:
             cubic = 1e6 * np.array(FLOWS)
             axes.plot(cubic, found[False], "o", color=rgb(RUN), markersize=5, label="one phase")
             axes.plot(cubic, found[True], "x", color=rgb(SECOND), markersize=6, label="two phases")
-            axes.set(xlabel="flow [cm3/s]", title=f"concrete {mix}")
-        figure.axes[0].set_ylabel("pressure on the piston [kPa]")
-        legend_beside(figure.axes[-1])
+            axes.set(ylabel="pressure on\nthe piston [kPa]", title=f"concrete {mix}")
+        figure.axes[-1].set_xlabel("flow [cm3/s]")
+        legend_above(figure.axes[0])
         self.save("flow", figure)
         self.write(
             "flow",
@@ -191,8 +191,9 @@ class Studies:
 
     def fields(self) -> None:
         """Figs. 14, 15 and 18: pressure and velocity of all particles, profiles at three heights."""
-        figure = Figure(figsize=(12, 4.4), layout="constrained")
-        shown = figure.subplots(1, 5, width_ratios=[0.6, 0.6, 0.6, 0.6, 2])
+        figure = new_figure("", 5.2, 3.6)
+        fields, profiles = figure.subfigures(2, 1, height_ratios=[5.2, 3.6])
+        shown = [*fields.subplots(1, 4), profiles.subplots()]
         rows = []
         for k, two in enumerate((False, True)):
             run, simulation = self.run(scenes.channel(spacing=self.fine, aggregates=two), keep=True)
@@ -205,13 +206,12 @@ class Studies:
                 axes.scatter(100 * place[:, 0], 100 * place[:, 2], s=1.6, c=display[colouring].colours() / 255, lw=0)
                 axes.set(aspect="equal", title=f"{words},\nby {colouring}", xlim=(-5.2, 5.2), ylim=(-0.5, 31.5),
                          xlabel="[cm]", ylabel="height [cm]" if not (k or m) else "")  # fmt: skip
-                axes.title.set_fontsize(8)
+                axes.title.set_fontsize("medium")
                 if (scale := display[colouring].scale()) is not None:
                     label, lower, upper = scale
-                    bar = figure.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, pad=0.02,
+                    bar = fields.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, pad=0.02,
                                           orientation="horizontal", location="bottom", aspect=10)  # fmt: skip
-                    bar.set_label(label, fontsize=8)
-                    bar.ax.tick_params(labelsize=7)
+                    bar.set_label(textwrap.fill(label, 12))
             for part, colour in zip(r["profiles"], map(rgb, SERIES)):
                 shown[4].plot(
                     100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]),
@@ -234,7 +234,7 @@ class Studies:
         curve = 100 * theory.velocity(theory.CONCRETES["no1"], theory.Line(), state, radius)
         shown[4].plot(100 * radius, curve, ":", color=rgb(THEORY), label="theory")
         shown[4].set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
-        legend_beside(shown[4])
+        legend_above(shown[4])
         self.save("fields", figure)
         self.write(
             "fields",
@@ -266,8 +266,8 @@ class Studies:
 
     def migration(self) -> None:
         """Fig. 21: fraction of aggregate inside and outside, in front and behind, over time; means of several mixes."""
-        figure = Figure(figsize=(10, 3.4), layout="constrained")
-        left, right = figure.subplots(1, 2)
+        figure = new_figure("", 3.4, 3.4)
+        top, bottom = figure.subplots(2, 1)
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
         runs = self.run_all([common | dict(concrete=mix, seed=seed) for mix in MIXES for seed in range(self.seeds)])
@@ -280,7 +280,7 @@ class Studies:
                 for name in ("inner", "outer", "front", "rear")
             }
             changes |= {f"{mix}_{name}": found for name, found in parts.items()}
-            for axes, names in ((left, ("inner", "outer")), (right, ("front", "rear"))):
+            for axes, names in ((top, ("inner", "outer")), (bottom, ("front", "rear"))):
                 for name, line in zip(names, ("-", "--")):
                     mean, error = parts[name].mean(0), _standard_error(parts[name])
                     colour = rgb(SERIES[number])
@@ -296,10 +296,10 @@ class Studies:
                      f"{100 * np.mean([r['pressure_error'] for _, r in own]):+.2f}"]
                 )  # fmt: skip
         np.savez_compressed(self.folder / "migration.npz", time=time, **changes)
-        for axes in (left, right):
-            axes.axhline(0, color="0.7", linewidth=0.6)
+        for axes in (top, bottom):
+            axes.axhline(0, color="0.7")
             axes.set(xlabel="time [s]", ylabel="fraction of aggregate,\nchange [percentage points]")
-            legend_beside(axes)
+            legend_above(axes)
         self.save("migration", figure)
         self.write(
             "migration",

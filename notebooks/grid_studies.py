@@ -11,10 +11,10 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from fluid_studies import Studies, main
-from matplotlib.figure import Figure
 
 from warpcrete import InstabilityError, Simulation, scenes
 from warpcrete.core.device.device import default_threads
+from warpcrete.core.drawing.style import legend_above, new_figure
 from warpcrete.core.units import number
 
 
@@ -41,8 +41,8 @@ class GridStudies(Studies):
         speed = scenes.channel().velocity
         layers = [{"slip_viscosity": eta} for eta in (1e6, 2e4, 4e3, 1e3, 300.0, 100.0, 20.0)]
         plugs = [{"yield_stress": n * 20 * speed / 0.05} for n in (0.1, 1.0, 10.0, 100.0)]
-        figure, rows = Figure(figsize=(9, 3.8), layout="constrained"), []
-        for axes, name in zip(figure.subplots(1, 2, sharey=True), ("channel", "tube")):
+        figure, rows = new_figure("", 3.8, 2.8), []
+        for axes, name in zip(figure.subplots(2, 1, sharex=True, height_ratios=[3.8, 2.8]), ("channel", "tube")):
             found: dict[str, list[tuple[float, float]]] = {"piston": [], "periodic": []}
             stopped = []
             for given in [*layers, *plugs]:
@@ -66,11 +66,11 @@ class GridStudies(Studies):
                         found[ends].append((share, abs(wall)))
                 rows.append(cells)
             for ends, word in (("piston", "column of particles, until steady"), ("periodic", "grid, ten diameters")):
-                axes.semilogy(*np.transpose(found[ends]), "o-", markersize=4, linewidth=1, label=word)
+                axes.semilogy(*np.transpose(found[ends]), "o-", markersize=4, label=word)
             axes.plot(stopped, np.full(len(stopped), 30.0), "x", color="C0", label="column stops with an error")
-            axes.set(xlabel="share of slip in the flow", title=name, ylim=(1e-4, 100.0))
-        figure.axes[0].set_ylabel("error of the wall's stress [%]")
-        figure.axes[1].legend(frameon=False, fontsize=8)
+            axes.set(ylabel="error of the\nwall's stress [%]", title=name, ylim=(1e-4, 100.0))
+        figure.axes[1].set_xlabel("share of slip in the flow")
+        legend_above(figure.axes[0])
         self.save("shear", figure)
         head = ["", "slip", "Bingham no.", "piston: wall off [%]", "profile rms [%]", "periodic: wall off [%]",
                 "profile rms [%]"]  # fmt: skip

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.drawing.style import SERIES, THEORY, legend_beside, rgb
+from warpcrete.core.drawing.style import SERIES, THEORY, legend_above, new_figure, rgb
 from warpcrete.theory.pipe import CONCRETES, Line, restart, steady
 
 UNIT = dict(
@@ -33,36 +32,33 @@ PLUG = 1e3
 
 def main() -> None:
     """Run and draw."""
-    figure = Figure(figsize=(11.5, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+    figure = new_figure("horizontal pipe, diameter 100 mm, concrete no2, 8.48 m3/h", 2.8, 4.2)
+    above, below = figure.subplots(2, 1, height_ratios=[2.8, 4.2])
     pipe, concrete, flow = Line(length=0.3, rise=0.0), CONCRETES["no2"], TUBE["flow"]
     for name, given in RESTS.items():
         simulation = Simulation(scenes.pipe(**UNIT | given), device="cpu", threads=1)
         run = simulation.run()
-        left.plot(run.series["time"], run.series["pressure"] / 1e3, label=name, linewidth=1.5, color=_colour(name))
+        above.plot(run.series["time"], run.series["pressure"] / 1e3, label=name, color=_colour(name))
         found = ("first_peak_pressure", "held_pressure", "restart_pressure", "plateau_pressure", "restart_over_end")
         print(f"elements, {name}:", {each: round(run[each], 3) for each in found if each in run.result})
     stops = simulation.scene.pipe.stops
-    left.axvspan(stops.stroke_time, stops.period, color="0.93", zorder=0)
+    above.axvspan(stops.stroke_time, stops.period, color="0.93", zorder=0)
     for name, given in list(RESTS.items())[1:]:
         run = Simulation(scenes.tube(**TUBE | given, duration=1.0), device="cpu").run()
-        right.plot(
-            run.series["time"][1:], run.series["pressure"][1:] / 1e3, label=name, linewidth=1.5, color=_colour(name)
-        )
+        below.plot(run.series["time"][1:], run.series["pressure"][1:] / 1e3, label=name, color=_colour(name))
         print(f"tube, {name}:", {each: round(run[each], 3) for each in ("restart_pressure", "restart_over_steady")})
     fresh, grown = steady(concrete, pipe, flow).pressure, restart(concrete, pipe, 600.0, 0.5, flow).pressure
     print("theory:", round(fresh, 1), round(grown, 1))
-    for axes, more in ((left, PLUG), (right, 0.0)):
+    for axes, more in ((above, PLUG), (below, 0.0)):
         for value, line, words in ((grown, "--", "theory after 600 s"), (fresh, ":", "theory without a rest")):
-            axes.axhline((value + more) / 1e3, color=rgb(THEORY), linestyle=line, linewidth=1.0, label=words)
+            axes.axhline((value + more) / 1e3, color=rgb(THEORY), linestyle=line, label=words)
         axes.set(xlabel="time, the rest left out [s]", ylim=(0, None), xlim=(0, None))
         axes.spines[["top", "right"]].set_visible(False)
-    right.plot([], [], color=_colour("no rest"), label="no rest")
-    legend_beside(right)
-    left.set(ylabel="pressure [kPa]", title="elements: two strokes and a stop")
-    right.set(title="flow: the restart")
-    figure.suptitle("horizontal pipe, diameter 100 mm, concrete no2, 8.48 m3/h", fontsize=10)
-    figure.savefig(Path(__file__).parent / "images" / "strokes.png", dpi=110)
+    below.plot([], [], color=_colour("no rest"), label="no rest")
+    above.set(ylabel="pressure [kPa]", title="elements: two strokes and a stop")
+    below.set(ylabel="pressure [kPa]", title="flow: the restart")
+    legend_above(below)
+    figure.savefig(Path(__file__).parent / "images" / "strokes.png", dpi=150)
 
 
 def _colour(name: str) -> Any:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from warpcrete.core.drawing.style import MEASURED, SERIES, THEORY, legend_beside, open_frame, rgb
+from warpcrete.core.drawing.style import MEASURED, SERIES, THEORY, legend_above, new_figure, open_frame, rgb
 from warpcrete.theory.pipe import CONCRETES
 from warpcrete.theory.suspension import SUSPENSIONS, thickening
 
@@ -181,13 +181,13 @@ class Tables:
     def save(self, name: str, figure: Figure) -> None:
         """Write a figure."""
         open_frame(*figure.axes)
-        figure.savefig(self.folder / f"suspension_{name}.png", dpi=90)
+        figure.savefig(self.folder / f"suspension_{name}.png", dpi=150)
 
     def layer(self) -> None:
         """Show the slip layer: fraction over distance, thickness, and the law of stress over slip velocity."""
         stores = load(self.runs, "a")
-        rows, figure = [], Figure(figsize=(9.5, 3.4), layout="constrained")
-        left, right = figure.subplots(1, 2)
+        rows, figure = [], new_figure("", 2.6, 3.2)
+        top, bottom = figure.subplots(2, 1, height_ratios=[2.6, 3.2])
         for surfaces, part in (("sticks", 0.5), ("slips", 0.1)):
             for fraction, colour in zip(FRACTIONS, SERIES, strict=False):
                 chosen = [s for s in stores.values() if s["varied"]["surfaces"] == surfaces
@@ -211,18 +211,18 @@ class Tables:
                 if surfaces == "slips":
                     continue
                 mean = rings(chosen[-1])[1][late(chosen[-1], 0.5)].mean(0)
-                left.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour), label=f"{fraction:g}")
-                right.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
+                top.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour), label=f"{fraction:g}")
+                bottom.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
                 line = np.geomspace(slip.min(), slip.max())
-                right.loglog(1e3 * line, slope * line + start, color=rgb(colour), linewidth=1)
+                bottom.loglog(1e3 * line, slope * line + start, color=rgb(colour))
         own, line = CONCRETES["no1"], np.geomspace(1e-3, 0.8)
-        right.loglog(1e3 * line, own.slip_viscosity * line + own.slip_yield, "--", color=rgb(MEASURED),
-                     linewidth=1, label="Xu et al.")  # fmt: skip
-        left.set(
+        bottom.loglog(1e3 * line, own.slip_viscosity * line + own.slip_yield, "--", color=rgb(MEASURED),
+                     label="Xu et al.")  # fmt: skip
+        top.set(
             xlabel="distance from the wall [mm]", ylabel="volume fraction of aggregates", xlim=(0, 25), ylim=(0, None)
         )
-        right.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]")
-        legend_beside(right)
+        bottom.set(xlabel="slip velocity [mm/s]", ylabel="stress at the wall [Pa]")
+        legend_above(bottom)
         self.save("layer", figure)
         head = ["mortar", "fraction", "in the core", "half of it at [mm], start", "late",
                 "eta_L [Pa s/m]", "tau_L0 [Pa]",
@@ -269,8 +269,8 @@ class Tables:
 
     def migration(self) -> None:
         """Show the fraction in the inner half of the radius, and in the ring at the wall, over the travel."""
-        rows, figure = [], Figure(figsize=(9.5, 3.2), layout="constrained")
-        sheared, pumped = figure.subplots(1, 2)
+        rows, figure = [], new_figure("", 3.4, 3.4)
+        sheared, pumped = figure.subplots(2, 1)
         for (name, store), colour in zip(load(self.runs, "b").items(), (*SERIES, *SERIES), strict=False):
             inner, wall, time = 100 * inner_fraction(store), 100 * at_wall(store), column(store, "time")
             last = late(store, 0.1)
@@ -280,9 +280,9 @@ class Tables:
             axes = sheared if store["varied"]["kind"] == "sheared" else pumped
             axes.plot(time, inner - inner[0], color=rgb(colour), label=name.removeprefix("sheared-"))
         for axes, title in ((sheared, "mortar sticks, 2000 Pa"), (pumped, "Xu's concretes, 1500 cm3/s")):
-            axes.set(xlabel="time [s]", ylabel="change of the inner fraction [points]", title=title)
-            axes.axhline(0.0, color=rgb(THEORY), linewidth=0.8)
-            legend_beside(axes)
+            axes.set(xlabel="time [s]", ylabel="change of the\ninner fraction [points]", title=title)
+            axes.axhline(0.0, color=rgb(THEORY))
+            legend_above(axes)
         self.save("migration", figure)
         head = ["run", "ended", "travel [diameters]", "inner fraction at the start [%]", "change [points]",
                 "fraction at the wall at the start [%]", "change [points]"]  # fmt: skip
@@ -291,8 +291,8 @@ class Tables:
     def tests(self) -> None:
         """Show the standard tests at the end, or at the last time that a run with aggregates reached."""
         stores, rows = load(self.runs, "c"), []
-        figure = Figure(figsize=(9.5, 3.2), layout="constrained")
-        for axes, test in zip(figure.subplots(1, 2, sharey=True), ("slump", "jring"), strict=True):
+        figure = new_figure("", 2.6, 3.0)
+        for axes, test in zip(figure.subplots(2, 1, sharex=True), ("slump", "jring"), strict=True):
             for name, store in stores.items():
                 if name.startswith(test) and "surface" in store.get("result", {}):
                     surface = store["result"]["surface"]
@@ -301,9 +301,9 @@ class Tables:
                     height = np.where(free, 1e3 * np.array(surface["height"]["value"]), np.nan)
                     axes.plot(1e3 * np.array(surface["place"]["value"]), height,
                               color=rgb(SERIES["flow" in name]), label=store["varied"]["method"])  # fmt: skip
-            axes.set(xlabel="distance from the axis [mm]", title=test)
-        figure.axes[0].set_ylabel("height [mm]")
-        legend_beside(figure.axes[1])
+            axes.set(ylabel="height [mm]", title=test)
+        figure.axes[1].set_xlabel("distance from the axis [mm]")
+        legend_above(figure.axes[1])
         self.save("heaps", figure)
         shown = {"slump": ("slump", "spread", "t500"), "jring": ("slump", "spread", "blocking_step")}
         for name, store in stores.items():
@@ -356,7 +356,7 @@ class Tables:
             speed = -1e3 * float(lag(store)[late(store, 0.25)].mean())
             points.setdefault(key, {}).setdefault(varied["part"], []).append(speed)
             uneven.setdefault(varied["fraction"], []).append(uneven_stress(store))
-        rows, figure = [], Figure(figsize=(6.0, 3.2), layout="constrained")
+        rows, figure = [], new_figure()
         axes = figure.subplots()
         for key, found in sorted(points.items()):
             kind, fraction, beta, stress = key
@@ -369,9 +369,9 @@ class Tables:
                 axes.semilogy(parts, [np.mean(found[part]) for part in parts], "o-" if beta < 500 else "s--",
                               color=rgb(SERIES[fraction > 0.2]), markersize=4,
                               label=f"fraction {fraction:g}, beta {beta:g}")  # fmt: skip
-        axes.axvline(1.0, color=rgb(THEORY), linewidth=0.8, linestyle=":")
+        axes.axvline(1.0, color=rgb(THEORY), linestyle=":")
         axes.set(xlabel="yield stress over that of Beris' criterion", ylabel="settling speed [mm/s]")
-        legend_beside(axes)
+        legend_above(axes)
         self.save("settling", figure)
         head = ["", "fraction", "beta", "stress at the wall [Pa]", "yield stress / critical", "seeds",
                 "speed [mm/s]", "standard deviation", "in an hour [m]"]  # fmt: skip

@@ -170,7 +170,7 @@ def page_with_tables(page: str) -> str:
     for name in (*TRADES, *PLANS):
         if f"<!-- {name} -->" in page and (SHIPPED / f"{name}.json").is_file():
             page = between_marks(page, name, section(name, read_json(SHIPPED / f"{name}.json")))
-            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=130)
+            draw(ShippedTrade(name)).savefig(HERE / "images" / f"trade_{name}.png", dpi=150)
     for mark, titles in (("flows", FLOWS), ("elements", ELEMENTS)):
         if f"<!-- {mark} -->" in page:
             found = [f"### {title}\n\n{section(name, read_json(SHIPPED / f'{name}.json'), figure=False)}"

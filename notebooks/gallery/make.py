@@ -35,8 +35,9 @@ HERE = Path(__file__).resolve().parent
 WORK = Path(tempfile.gettempdir()) / "warpcrete-gallery"
 MADE = ".made"
 """File that marks the folder of a complete run."""
-WIDTH, MOST_BYTES = 1200, 120_000
-"""Width of a picture [px], which is sharp on screens with two pixels for each point, and largest size of its file."""
+WIDTH, HIGHEST, MOST_BYTES = 1200, 1440, 120_000
+"""Largest width [px], which is sharp on screens with two pixels for each point, largest height [px], and largest size
+of the file of a picture."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def units(folder: Path) -> Any:
     cases = sorted(path.parent for path in folder.glob("*/scene.usdc"))
     names = [re.sub(r"^\d+-unit=", "unit ", case.name) for case in cases]
     figure = scene_picture([(name, case / "scene.usdc") for name, case in zip(names, cases, strict=True)])
-    figure.suptitle("pumping units, diameter 100 mm, concrete zhan, 8.48 m3/h", fontsize=9.5)
+    figure.suptitle("pumping units, diameter 100 mm, concrete zhan, 8.48 m3/h", fontsize="medium")
     return figure
 
 
@@ -130,23 +131,23 @@ def _once_there(action: Callable[[], Any]) -> Any:
 
 
 REDUCER = """\
-import numpy as np, matplotlib.figure as drawing, warpcrete; figure = drawing.Figure((7.6, 1.9), layout="constrained")
+import numpy as np, warpcrete; from warpcrete.core.drawing.style import new_figure
 scene = warpcrete.scenes.part(unit="horizontal", outlet_diameter=0.07, spacing=0.01)
 simulation = warpcrete.Simulation(scene, device="cpu"); simulation.run(); display = simulation.display("speed")
 half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np.all(y[half.faces] < 1e-6, axis=1)]
-axes = figure.add_subplot(aspect="equal", title=scene.caption, xlabel="x [m]", ylabel="z [m]")
-figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="speed [m/s]", shrink=0.7)"""
+figure = new_figure(scene.caption, 1.7); axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="z [m]")
+figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="speed [m/s]", location="bottom", aspect=45)"""
 MIGRATION = """\
-import warpcrete; from matplotlib.figure import Figure; from warpcrete.core.drawing.style import legend_beside
+import warpcrete; from warpcrete.core.drawing.style import legend_above, new_figure
 scene = warpcrete.scenes.channel(aggregates=True, spacing=0.005, duration=2.0, sample_interval=0.05)
-run = warpcrete.Simulation(scene, device="cpu").run(); figure = Figure((7.6, 3), layout="constrained")
-axes = figure.add_subplot(xlabel="time [s]", ylabel="change of share [% points]", title=scene.caption)
+run = warpcrete.Simulation(scene, device="cpu").run(); figure = new_figure(scene.caption)
+axes = figure.add_subplot(xlabel="time [s]", ylabel="change of share [% points]")
 for part, share in ((name, run.series[f"aggregate_{name}"]) for name in ("front", "rear", "inner", "outer")):
-    axes.plot(run.series["time"], 100 * (share - share[0]), label=part); legend_beside(axes)"""
+    axes.plot(run.series["time"], 100 * (share - share[0]), label=part); legend_above(axes)"""
 RESTART = """\
-from matplotlib.figure import Figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
-figure, rests = Figure(figsize=(7.6, 3.6), layout="constrained"), range(0, 1801, 60)
-axes = figure.add_subplot(xlabel="rest [s]", ylabel="restart pressure [bar]", title="100 m, concrete no2, 20 m3/h")
+from warpcrete.core.drawing.style import new_figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
+figure, rests = new_figure("100 m of pipe, concrete no2, 20 m3/h"), range(0, 1801, 60)
+axes = figure.add_subplot(xlabel="rest [s]", ylabel="restart pressure [bar]")
 for rate in (0.1, 0.5, 1.7):
     peaks = [restart(CONCRETES["no2"], Line(length=100, rise=0), t, rate, 20 / 3600).pressure / 1e5 for t in rests]
     axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1])); axes.set_xlim(0, 2100)"""
@@ -313,8 +314,7 @@ def save(picture: Any, path: Path) -> None:
         out = io.BytesIO()
         picture.savefig(out, dpi=100 * 2, format="png")
         found = Image.open(out).convert("RGB")
-    if found.width > WIDTH:
-        found = found.resize((WIDTH, round(WIDTH * found.height / found.width)), Image.Resampling.LANCZOS)
+    found.thumbnail((WIDTH, HIGHEST), Image.Resampling.LANCZOS)
     for colours in (256, 128, 64, 32, 16):
         flat = found.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         flat.save(path, optimize=True)

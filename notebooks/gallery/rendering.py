@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-FIGURE = 7.6
-"""Width of the figure of a drawn scene [in]."""
+from warpcrete.core.drawing.style import WIDTH, new_figure
+
 BACKGROUND = (1.0, 1.0, 1.0)
 SIDE, MARGIN, HIGHEST = 1800, 25, 5.0
 """Width of a drawn scene before it is cropped [px], margin of the crop [px], and largest height of a figure [in]."""
@@ -33,28 +33,24 @@ def composed(pictures: list[np.ndarray], titles: list[str], caption: str, colour
     """Return a figure of pictures side by side, with a caption above and the colour bar that a sentence describes."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
 
     from warpcrete.core.drawing.paint import colour_map
 
     high = max(p.shape[0] for p in pictures) / sum(p.shape[1] for p in pictures)
-    figure = Figure(figsize=(FIGURE, min(FIGURE * high, HIGHEST) + 0.85), layout="constrained")
+    figure = new_figure(caption.removeprefix("warpcrete: "), min(WIDTH * high, HIGHEST) + 0.7)
     every = figure.subplots(1, len(pictures), squeeze=False, width_ratios=[p.shape[1] for p in pictures])[0]
     for axes, picture, title in zip(every, pictures, titles, strict=True):
         axes.imshow(picture, interpolation="antialiased")
         axes.set_axis_off()
         if title:
-            axes.text(0.5, -0.02, title, fontsize=9, ha="center", va="top", transform=axes.transAxes)
-    figure.suptitle(caption.removeprefix("warpcrete: "), fontsize=9.5)
+            axes.text(0.5, -0.02, title, ha="center", va="top", transform=axes.transAxes)
     found = re.match(r"Colours: (.*) from (\S+) \(.*\) to (\S+) and above .* on (\w+)\.", colours)
     found = found or re.match(r"Colours: (.*) from (\S+) to (\S+) and above, on (\w+)\.", colours)
     if found:
         label, lower, upper, palette = found.groups()
         bar = ScalarMappable(Normalize(float(lower), float(upper)), colour_map(palette))
-        drawn = figure.colorbar(bar, ax=list(every), orientation="horizontal", extend="max", fraction=0.035, pad=0.02,
-                                aspect=45)  # fmt: skip
-        drawn.set_label(label, fontsize=9)
-        drawn.ax.tick_params(labelsize=8)
+        figure.colorbar(bar, ax=list(every), label=label, orientation="horizontal", extend="max", fraction=0.035,
+                        pad=0.02, aspect=45)  # fmt: skip
     return figure
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.drawing.style import legend_beside
+from warpcrete.core.drawing.style import legend_above, new_figure
 from warpcrete.core.run.run import Run
 from warpcrete.dem.scene.scene import Published
 
@@ -74,16 +74,16 @@ def main() -> None:
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
         (arguments.out / "units.json").write_text(json.dumps(rows, default=float), encoding="utf-8")
-        figure(rows).savefig(arguments.out / "units.png", dpi=110)
+        figure(rows).savefig(arguments.out / "units.png", dpi=150)
 
 
 def figure(rows: list[dict]):
     """Pressure against travel of all units, with the figures that the paper's text gives."""
-    from matplotlib.figure import Figure
-
     pipe = scenes.pipe(concrete="zhan-table1").pipe
     flow = 3600 * np.pi * pipe.radius**2 * pipe.velocity
-    drawing = Figure(figsize=(8.5, 4.2), layout="constrained")
+    drawing = new_figure(
+        f"pipe units, diameter {2e3 * pipe.radius:g} mm, concrete zhan-table1, {flow:.3g} m3/h"
+    )  # fmt: skip
     axes = drawing.add_subplot()
     for row in rows:
         if row["seed"]:
@@ -96,13 +96,12 @@ def figure(rows: list[dict]):
         paper = PAPER[row["unit"]]
         if paper.peak_travel is not None:
             axes.plot(paper.peak_travel, paper.peak / 1e3, "+", color=line.get_color(), markersize=11, mew=2)
-            axes.axhline(paper.plateau / 1e3, color=line.get_color(), linestyle=":", linewidth=1)
+            axes.axhline(paper.plateau / 1e3, color=line.get_color(), linestyle=":")
     axes.plot([], [], "k+", markersize=9, label="peak in the paper's text")
-    axes.plot([], [], "k:", linewidth=1, label="plateau in the paper's text")
-    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None),
-             title=f"pipe units, diameter {2e3 * pipe.radius:g} mm, concrete zhan-table1, {flow:.3g} m3/h")  # fmt: skip
+    axes.plot([], [], "k:", label="plateau in the paper's text")
+    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None))
     axes.spines[["top", "right"]].set_visible(False)
-    legend_beside(axes)
+    legend_above(axes)
     return drawing
 
 

@@ -50,7 +50,7 @@ def test_a_picture_is_small(name):
 
     path = GALLERY / f"{name}.png"
     with Image.open(path) as picture:
-        assert picture.format == "PNG" and picture.width <= MAKE.WIDTH and picture.height <= 1.2 * MAKE.WIDTH
+        assert picture.format == "PNG" and picture.width <= MAKE.WIDTH and picture.height <= MAKE.HIGHEST
     assert path.stat().st_size <= MAKE.MOST_BYTES
 
 

@@ -19,6 +19,7 @@ from warpcrete.core.inputs.yaml_files import parsed_yaml, yaml_text
 from warpcrete.geometry.lines import SHIPPED as LINES
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import task_of
 
@@ -70,6 +71,7 @@ def test_what_is_shipped_and_shown_is_valid():
         ("how-to/pump-pressure.md", ["line", "mix"]),
         ("theory/lines.md", ["line"]),
         ("how-to/concrete-file.md", ["concrete"]),
+        ("how-to/flow-laws.md", ["concrete", "mix"]),
     ],
 )
 def test_files_in_the_pages_are_valid(page, kinds):
@@ -81,6 +83,14 @@ def test_files_in_the_pages_are_valid(page, kinds):
     for value in whole:
         if "parts" in value or kinds != ["line"]:
             assert any(errors(kind, value) == [] for kind in kinds), (value, [errors(kind, value) for kind in kinds])
+
+
+def test_concrete_files_on_the_page_of_flow_laws_are_complete(tmp_path):
+    text = (ROOT / "notebooks" / "how-to" / "flow-laws.md").read_text(encoding="utf-8")
+    for block, laws in zip(text.split("```yaml\n")[1:], ((1.3, 1.0), (1.3, 0.8)), strict=True):
+        (tmp_path / "mix.yaml").write_text(block.split("```")[0], encoding="utf-8")
+        concrete = concrete_of(str(tmp_path / "mix.yaml"))
+        assert (concrete.flow_index, concrete.slip_flow_index) == laws
 
 
 CONCRETE = {"elements": {"friction": 0.2, "modulus": "2 MPa"}, "flow": {"density": "2.35 t/m3"}}

@@ -47,7 +47,7 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
         with new_folder(out):
             with atomic_file(out / "verification.md") as partial:
                 partial.write_text(text, encoding="utf-8")
-            draw(results).savefig(out / "verification.png", dpi=160)
+            draw(results).savefig(out / "verification.png", dpi=150)
         click.echo(f"written: {out / 'verification.md'}, {out / 'verification.png'}")
     if failed:
         click.echo(f"FAILED: {failed} results are outside their tolerances")

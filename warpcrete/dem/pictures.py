@@ -6,7 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from ..core.drawing.style import MEASURED, NOT_STRAIGHT, RUN, SECOND, SERIES, THIRD, legend_beside, open_frame, rgb
+from ..core.drawing.style import (
+    MEASURED,
+    NOT_STRAIGHT,
+    RUN,
+    SECOND,
+    SERIES,
+    THIRD,
+    legend_above,
+    new_figure,
+    open_frame,
+    rgb,
+)  # fmt: skip
 from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
@@ -20,15 +31,12 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
     The figure marks the travel at which the piston reaches its final speed, and the published pressures of the scene of
     the first run. For a single run it also marks the plateau.
     """
-    from matplotlib.figure import Figure
-
     many = runs if isinstance(runs, Mapping) else {"": runs}
-    figure = Figure(figsize=(8.6, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    for (name, run), colour in zip(many.items(), itertools.cycle(SERIES)):
-        axes.plot(run.series["travel"], run.series["pressure"] / 1e3, label=name or "this run", linewidth=1.6,
-                  color=rgb(colour))  # fmt: skip
     run = next(iter(many.values()))
+    figure = new_figure(run.scene.caption if len(many) == 1 else run.scene.name)
+    axes = figure.add_subplot()
+    for (name, each), colour in zip(many.items(), itertools.cycle(SERIES)):
+        axes.plot(each.series["travel"], each.series["pressure"] / 1e3, label=name or "this run", color=rgb(colour))
     longest = max(float(r.series["travel"].max()) for r in many.values()) or 1.0
     _mark_travel(axes, run, longest)
     if len(many) == 1 and "plateau_pressure" in run.result:
@@ -44,12 +52,10 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
             axes.plot(published.peak_travel, published.peak / 1e3, "k+", markersize=10,
                       label=f"peak, {published.source}")  # fmt: skip
         elif published.peak is not None:
-            axes.axhline(published.peak / 1e3, color="k", linestyle="--", linewidth=0.8,
-                         label=f"maximum, {published.source}")  # fmt: skip
+            axes.axhline(published.peak / 1e3, color="k", linestyle="--", label=f"maximum, {published.source}")
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, longest))
     if len(axes.lines) > 1:
-        legend_beside(axes, 9)
-    axes.set_title(run.scene.caption if len(many) == 1 else run.scene.name, fontsize=10)
+        legend_above(axes)
     open_frame(axes)
     return figure
 
@@ -58,9 +64,9 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
     """Draw a vertical line at the piston travel at which its speed becomes constant."""
     ramp = run.scene.pipe.ramp if run.scene.pipe is not None else 0.0
     if 0 < ramp < longest:
-        axes.axvline(ramp, color="0.7", linewidth=0.8)
+        axes.axvline(ramp, color="0.7")
         axes.annotate("piston at full speed", (ramp, 0.02), xycoords=("data", "axes fraction"), xytext=(4, 0),
-                      textcoords="offset points", color="0.45", fontsize=8)  # fmt: skip
+                      textcoords="offset points", color="0.45")  # fmt: skip
 
 
 def plot_stations(run: ElementRun) -> Any:
@@ -69,22 +75,20 @@ def plot_stations(run: ElementRun) -> Any:
     Four panels show stresses [kPa], solid fraction, velocity profiles over the radius [cm/s], and the pressure on the
     piston [kPa] against its travel [m].
     """
-    from matplotlib.figure import Figure
-
     table = run.tables["stations"].columns
-    figure = Figure(figsize=(10, 6.4), layout="constrained")
-    (stresses, piston), (solid, profile) = figure.subplots(2, 2)
+    figure = new_figure(run.scene.caption, 2.9, 2.3, 2.9, 2.3)
+    stresses, solid, profile, piston = figure.subplots(4, 1, height_ratios=[2.9, 2.3, 2.9, 2.3])
     for name, label, colour in (
         ("axial_stress", "along the pipe", RUN),
         ("pressure", "mean normal", SECOND),
         ("wall_stress", "on the wall", THIRD),
     ):
         stresses.plot(table["place"], table[name] / 1e3, ".-", label=label, color=rgb(colour))
-    stresses.set(ylabel="stress [kPa]", ylim=(0, None))
+    stresses.set(xlabel="position along the part [m]", ylabel="stress [kPa]", ylim=(0, None))
     piston.plot(run.series["travel"], run.series["pressure"] / 1e3, color=rgb(RUN))
-    piston.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
+    piston.set(xlabel="piston travel [m]", ylabel="pressure on\nthe piston [kPa]", ylim=(0, None))
     solid.plot(table["place"], table["solid_fraction"], ".-", color=rgb(RUN))
-    solid.set(xlabel="position along the part [m]", ylabel="solid fraction (overlaps counted twice)", ylim=(0, None))
+    solid.set(xlabel="position along the part [m]", ylabel="solid fraction\n(overlaps counted twice)", ylim=(0, None))
     rings = [name for name in table if name.endswith("R")]
     middles = [float(name.removeprefix("velocity_").removesuffix("R")) for name in rings]
     full = np.flatnonzero(np.isfinite(table["velocity"]))
@@ -96,15 +100,14 @@ def plot_stations(run: ElementRun) -> Any:
         )  # fmt: skip
     profile.set(xlabel="radius over pipe radius", ylabel="velocity [cm/s]", ylim=(0, None), xlim=(0, 1))
     if len(full):
-        legend_beside(profile, title="along the part")
+        legend_above(profile, title="position along the part")
     middle = run.scene.stations.middle
     for axes in (stresses, solid):
         if middle is not None:
             ends = (end - run.scene.stations.origin for end in middle)
             axes.axvspan(*ends, color=rgb(NOT_STRAIGHT), linewidth=0, zorder=0, label="middle of the part")
-    legend_beside(stresses)
+    legend_above(stresses)
     open_frame(stresses, piston, solid, profile)
-    figure.suptitle(run.scene.caption, fontsize=10)
     return figure
 
 
@@ -122,21 +125,19 @@ def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
 
 def plot_strokes(run: ElementRun) -> Any:
     """Return a figure of pumping pressure [kPa] over time [s], with stops (shaded) and a rest (a vertical line)."""
-    from matplotlib.figure import Figure
-
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:
         hint = "use the scene pipe with 'strokes', or plot_pressure for the pressure over the travel"
         refuse("scene", run.scene.name, "must have a piston that stops and starts again", hint)
     time, pressure = run.series["time"], run.series["pressure"] / 1e3
-    figure = Figure(figsize=(8.6, 4.2), layout="constrained")
+    figure = new_figure(run.scene.caption)
     axes = figure.add_subplot()
-    axes.plot(time, pressure, label="this run", linewidth=1.6, color=rgb(RUN))
+    axes.plot(time, pressure, label="this run", color=rgb(RUN))
     for stop in range(stops.count):
         begin = stop * stops.period + stops.stroke_time
         if begin < time[-1]:
             axes.axvspan(begin, min(begin + stops.pause, time[-1]), color="0.92", zorder=0)
-            axes.text(begin + 0.5 * stops.pause, 0.02, "stop", color="0.45", fontsize=8, ha="center",
+            axes.text(begin + 0.5 * stops.pause, 0.02, "stop", color="0.45", ha="center",
                       transform=axes.get_xaxis_transform())  # fmt: skip
     for stroke, each in enumerate(strokes_of(run.scene.pipe, run.series["time"])):
         top = int(np.flatnonzero(each.moving)[np.argmax(pressure[each.moving])])
@@ -144,15 +145,14 @@ def plot_strokes(run: ElementRun) -> Any:
     rest = run.scene.rest
     if rest is not None and rest.at < time[-1]:
         stood = f"{rest.duration:g} s at rest, yield stress grown by {rest.gained:.4g} Pa"
-        axes.axvline(rest.at, color=rgb(SECOND), linewidth=1.4, label=stood)
+        axes.axvline(rest.at, color=rgb(SECOND), label=stood)
     axes.set(
         xlabel="time without the rest [s]" if rest is not None else "time [s]",
         ylabel="pressure on the piston [kPa]",
         ylim=(0, None),
         xlim=(0, time[-1] or 1.0),
     )
-    axes.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    figure.suptitle(run.scene.caption, fontsize=10)
+    legend_above(axes)
     open_frame(axes)
     return figure
 

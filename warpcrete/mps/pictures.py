@@ -5,10 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from ..core.drawing.style import MEASURED, RUN, SERIES, THEORY, legend_beside, open_frame, rgb
+from ..core.drawing.style import MEASURED, RUN, SERIES, THEORY, legend_above, new_figure, open_frame, rgb
 from ..core.run.run import Run
 from ..core.units import number
 from ..theory.pipe import velocity
+
+LEFT = 0.65
+"""Width of the curves in a figure that shows particles on the right, relative to that of the figure."""
 
 
 def plot_flow(
@@ -23,15 +26,13 @@ def plot_flow(
     `scale` is the label, lowest and highest value of their colour bar. `materials` are the names and RGB bytes of
     colours that show materials instead of a quantity.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2 if particles is None else 9.0, 5.4), layout="constrained")
+    figure = new_figure(run.scene.caption, 3.0, 3.0)
     places = [["pressure"], ["profile"]] if particles is None else [["pressure", "particles"], ["profile", "particles"]]
-    axes = figure.subplot_mosaic(places, width_ratios=None if particles is None else [2.2, 1])
-    _pressure(axes["pressure"], run)
-    _profiles(axes["profile"], run)
+    axes = figure.subplot_mosaic(places, width_ratios=None if particles is None else [LEFT, 1 - LEFT])
+    for draw_panel, panel in ((_pressure, axes["pressure"]), (_profiles, axes["profile"])):
+        draw_panel(panel, run)
+        legend_above(panel, width=1.0 if particles is None else LEFT)
     open_frame(axes["pressure"], axes["profile"])
-    figure.suptitle(run.scene.caption, fontsize=10)
     if particles is not None:
         _particles(axes["particles"], *particles, scale, materials or {})
     return figure
@@ -39,14 +40,13 @@ def plot_flow(
 
 def _pressure(axes: Any, run: Run) -> None:
     theory = number(run.result["pressure_theory"]) / 1e3
-    axes.plot(run.series["time"], run.series["pressure"] / 1e3, linewidth=1.6, color=rgb(RUN), label="this run")
+    axes.plot(run.series["time"], run.series["pressure"] / 1e3, color=rgb(RUN), label="this run")
     axes.axhline(theory, color=rgb(THEORY), linestyle="--", label="theory")
     if "pressure" in run.scene.published:
         axes.axhline(
             run.scene.published["pressure"] / 1e3,
             color=rgb(MEASURED),
             linestyle=":",
-            linewidth=1.2,
             label="printed (Xu et al.)",
         )
     axes.set(xlabel="time [s]", ylabel=_pressure_label(run.scene))
@@ -56,7 +56,6 @@ def _pressure(axes: Any, run: Run) -> None:
     if np.isfinite(lowest + highest):
         margin = max(0.2 * (highest - lowest), 0.05 * abs(highest), 1e-9)
         axes.set_ylim(lowest - margin, highest + margin)
-    legend_beside(axes)
 
 
 def _pressure_label(scene: Any) -> str:
@@ -78,7 +77,6 @@ def _profiles(axes: Any, run: Run) -> None:
     theory = velocity(scene.concrete, scene.line, scene.theory(), radius)
     axes.plot(100 * radius, 100 * theory, color=rgb(THEORY), linestyle="--", label="theory")
     axes.set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
-    legend_beside(axes)
 
 
 def _particles(
@@ -117,7 +115,7 @@ def _particles(
     if materials:
         style = dict(marker="o", linestyle="")
         marks = [Line2D([], [], color=shade / 255, label=name, **style) for name, shade in materials.items()]
-        legend_beside(axes, curves=marks)
+        legend_above(axes, curves=marks, width=1 - LEFT)
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

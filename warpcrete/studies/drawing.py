@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_beside, open_frame, rgb
+from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_above, new_figure, open_frame, rgb
 from ..core.errors import SceneError, one_of, refuse
 from ..core.inputs.amounts import UNITS
 from ..core.inputs.concretes import is_file
@@ -26,7 +26,7 @@ TITLE = ("unit", "diameter", "concrete", "flow", "velocity")
 """Names of scene parameters that the title of a study's figure states if they are the same in all cases."""
 LABEL_WIDTH = 34
 """Number of characters after which the label of an axis continues on a new line."""
-WIDTH, HEIGHT = 7.6, 3.0  # size of a panel with its legend [inch]
+HEIGHT = 3.2  # height of a panel with its legend [inch]
 MOST_TICKS = 6  # number of values of a numeric parameter up to which each value has a tick
 TICKS = 4  # maximum number of intervals between labelled values of a numeric parameter
 THEORY_POINTS = 21  # number of points of a theoretical curve
@@ -52,8 +52,6 @@ def draw(
     case or a check failed, and rings means to which only some of the runs contribute. `quantity`, `x`, `unit` and
     `y_unit` are those of :meth:`warpcrete.studies.study_result.Study.plot`.
     """
-    from matplotlib.figure import Figure
-
     names = study.varied or ["seed"]
     if x is not None:
         one_of("x", x, names)
@@ -76,7 +74,7 @@ def draw(
     units = list(dict.fromkeys(each.unit for each in compared))
     # Panels stand below each other, because the text of panels side by side is too small on a page.
     count = len(units) * len(names)
-    figure = Figure(figsize=(WIDTH, HEIGHT * count), layout="constrained")
+    figure = new_figure(", ".join([study.scene, *_common(study)]), *[HEIGHT] * count)
     panels = iter(figure.subplots(count, 1, squeeze=False)[:, 0])
     rows, theory = study.rows(), _TheoryCurves(study)
     for each_unit in units:
@@ -86,7 +84,6 @@ def draw(
             axes = next(panels)
             _panel(axes, study, rows, name, drawn, scales[name], y_scale, theory)
             axes.set_visible(bool(axes.lines or axes.containers))
-    figure.suptitle(", ".join([study.scene, *_common(study)]), fontsize=10)
     return figure
 
 
@@ -190,7 +187,7 @@ def _panel(
             partial = [k for k, row in enumerate(part) if f"{each.name}_runs" in row]
             curves.append(axes.errorbar(
                 x, y, scatter if scatter.any() else None, fmt=marker, linestyle="-" if joined else "none",
-                color=rgb(colour), capsize=3, markersize=5, linewidth=1.4, label=name_of_series,
+                color=rgb(colour), capsize=3, markersize=5, label=name_of_series,
             ))  # fmt: skip
             if partial:
                 hollow = axes.plot(
@@ -220,7 +217,7 @@ def _panel(
                                 markeredgewidth=2, transform=axes.get_xaxis_transform(), label=label)  # fmt: skip
     open_frame(axes)
     if len(curves) > 1:
-        legend_beside(axes, curves=curves)
+        legend_above(axes, curves=curves)
 
 
 class _TheoryCurves:
@@ -270,7 +267,7 @@ def _draw_theory(axes: Any, x: list[float], y: np.ndarray, between: Any) -> Any:
     If `between` holds the coordinates of a curve, the curve is drawn as a dashed line. If `between` is None, a short
     dash marks each value in `y` at its position in `x`.
     """
-    style = dict(color=rgb(THEORY), linewidth=1.4, markersize=14, markeredgewidth=2, zorder=1.5)
+    style = dict(color=rgb(THEORY), markersize=14, markeredgewidth=2, zorder=1.5)
     (line,) = axes.plot(x, y, "_", **style) if between is None else axes.plot(*between, "--", **style)
     return line
 

@@ -2,35 +2,25 @@
 
 import numpy as np
 
-from ..core.drawing.style import MEASURED, RUN, SECOND, legend_beside, open_frame, rgb
+from ..core.drawing.style import MEASURED, RUN, SECOND, legend_above, new_figure, open_frame, rgb
 from .case import Case, Row
-
-WIDTH = 7.6
-"""Width of the figure [inch]: a page shows it about 700 pixels wide, which keeps its texts at their usual size."""
-SMALL, LARGE = 9, 11
-"""Sizes of labels and of titles [pt]."""
 
 
 def draw(results: list[tuple[Case, list[Row]]]):
     """Return a Matplotlib figure of the errors of all results, and of the curves that the cases have computed."""
-    from matplotlib.figure import Figure
-
     curves = {case.name: case.curves for case, _ in results}
     rows = len({case.name for case, rows in results if any(row.tolerance > 0 for row in rows)})
-    plots = [(_errors, results, 0.9 + 0.16 * rows)] if rows else []
+    plots = [(_errors, results, 0.9 + 0.19 * rows)] if rows else []
     plots += [(plot, curves[name], height) for name, plot, height in CURVES if curves.get(name)]
     heights = [height for *_, height in plots]
-    figure = Figure(figsize=(WIDTH, sum(heights) or 1.0), layout="constrained")
+    figure = new_figure("", *(heights or [1.0]))
     if plots:
         # Each plot has a layout of its own, so that the long names of one plot take no width from the others.
         parts = figure.subfigures(len(plots), 1, squeeze=False, height_ratios=heights)[:, 0]
         for part, (plot, content, _) in zip(parts, plots, strict=True):
             axes = part.add_subplot()
             plot(axes, content)
-            axes.title.set_size(LARGE)
-            axes.xaxis.label.set_size(SMALL)
-            axes.yaxis.label.set_size(SMALL)
-            axes.tick_params(labelsize=SMALL)
+            axes.title.set_size("medium")
             open_frame(axes)
     return figure
 
@@ -66,7 +56,7 @@ def _oblique(axes, curves) -> None:
         ylabel="tangential restitution [1],\nspin [1000 rad/s]",
         title="Oblique impact of aluminium oxide (Chung & Ooi 2011, test 4)",
     )
-    legend_beside(axes, SMALL, [line for (line,) in lines])
+    legend_above(axes, [line for (line,) in lines])
 
 
 def _normalised(axes, curves) -> None:
@@ -83,7 +73,7 @@ def _normalised(axes, curves) -> None:
         xlim=(0, 13.5),
         title="Oblique impact of steel (Chung & Ooi 2011, test 5)",
     )
-    legend_beside(axes, SMALL, [*lines, *dots])
+    legend_above(axes, [*lines, *dots])
 
 
 def _stability(axes, curves) -> None:
@@ -97,7 +87,7 @@ def _stability(axes, curves) -> None:
         holds = stable[label]
         axes.plot(steps[holds], np.full(holds.sum(), row), "o", color=rgb(RUN), markersize=5)
         axes.plot(steps[~holds], np.full((~holds).sum(), row), "x", color=rgb(RUN), markersize=5)
-    axes.axvline(0.8, color="0.6", linewidth=0.8, linestyle="--")
+    axes.axvline(0.8, color="0.6", linestyle="--")
     axes.set(
         xscale="log",
         xlabel="time step over the estimate of the stable step [1], dashed: default",
@@ -111,8 +101,8 @@ def _stability(axes, curves) -> None:
 
 
 CURVES = (
-    ("oblique impact", _oblique, 2.6),
-    ("oblique impact, normalised", _normalised, 2.6),
-    ("stability limit", _stability, 2.8),
+    ("oblique impact", _oblique, 3.3),
+    ("oblique impact, normalised", _normalised, 3.5),
+    ("stability limit", _stability, 3.2),
 )
 """Cases with a plot of their own: name, function that draws the plot, and height of the plot [inch]."""

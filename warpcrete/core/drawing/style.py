@@ -1,10 +1,16 @@
-"""Style of most curves and figures: each colour has one meaning, and legends lie next to the plots, not inside."""
+"""Style of curves and figures: one width and text size, one meaning for each colour, and legends above the plots."""
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+WIDTH = 5.8
+"""Width of a figure [inch]. Matplotlib's default text of 10 pt is then 17 pixels high on a page that shows the figure
+700 pixels wide, and 9 pixels on a phone with 390 pixels."""
+CAPTION, LEGEND, MARK = 72, 70, 7
+"""Widths of a figure's caption, of its legend, and of the mark in front of a text of the legend [characters]."""
 RGB = tuple[int, int, int]
 RUN: RGB = (215, 95, 30)
 """Colour of the simulated values that a plot is about."""
@@ -50,20 +56,41 @@ def explained(title: str, curves: Sequence[tuple[str, RGB]]) -> str:
     return f"{title}: {', '.join(f'{name} {NAMES[colour]}' for name, colour in curves)}"
 
 
-def legend_beside(axes: Any, fontsize: float = 8, curves: Sequence[Any] | None = None, **settings: Any) -> None:
-    """Put the legend to the right of a plot.
+def new_figure(caption: str = "", *heights: float) -> Any:
+    """Return an empty Matplotlib figure of the standard width for panels below each other, with a caption at the top.
+
+    `heights` are the heights of the panels with their labels and legends [inch]. The default is one panel of 3.5 inch.
+    Draw with Matplotlib's default sizes of text and lines, which suit the width.
+    """
+    from matplotlib.figure import Figure
+
+    lines = textwrap.fill(caption, CAPTION)
+    height = sum(heights or (3.5,)) + 0.2 * len(lines.splitlines())
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure.suptitle(lines, fontsize="medium")
+    return figure
+
+
+def legend_above(axes: Any, curves: Sequence[Any] | None = None, width: float = 1.0, **settings: Any) -> None:
+    """Put the legend above a plot, between the plot and its title.
 
     Its entries are the `curves` in their order. Without them, the entries are all curves that have a label, sorted by
-    the value at the right end of each curve.
+    the value at the right end of each curve. `width` is the width of the plot relative to that of the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
     order: Sequence[int] = sorted(range(len(handles)), key=lambda k: -_end(handles[k]))
     if curves is not None:
         handles, labels, order = curves, [each.get_label() for each in curves], range(len(curves))
+    sizes = [MARK + len(labels[k]) for k in order]
+    # Matplotlib fills a legend column by column and makes each column as wide as its longest text.
+    fitting = (n for n in (4, 3, 2) if sum(max(part, default=0) for part in np.array_split(sizes, n)) <= width * LEGEND)
+    columns = min(next(fitting, 1), len(labels))
     axes.legend(
-        [handles[k] for k in order], [labels[k] for k in order], loc="center left", bbox_to_anchor=(1.01, 0.5),
-        frameon=False, fontsize=fontsize, **settings,
+        [handles[k] for k in order], [labels[k] for k in order], loc="lower left", bbox_to_anchor=(-0.02, 1.0),
+        frameon=False, borderaxespad=0.2, ncols=columns, columnspacing=1.2, **settings,
     )  # fmt: skip
+    rows = -(-len(labels) // columns) + ("title" in settings)
+    axes.set_title(axes.get_title(), pad=10 + 15 * rows)  # 15 pt is the height of a row of the legend.
 
 
 def _end(handle: Any) -> float:

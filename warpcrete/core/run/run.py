@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..drawing.html import html_table
-from ..drawing.style import SERIES, legend_beside, open_frame, rgb
+from ..drawing.style import SERIES, legend_above, new_figure, open_frame, rgb
 from ..errors import RunFolderError, WarpcreteError, one_of, refuse
 from ..inputs.origin import readable
 from ..narrowing import is_dict
@@ -147,33 +147,26 @@ class Run:
         `DEFAULT_PLOT_COLUMNS` that the run has, such as the pressure. Raises :class:`SceneError` for a column that the
         run does not have.
         """
-        from matplotlib.figure import Figure
-
         if not columns:
             columns = tuple(name for name in DEFAULT_PLOT_COLUMNS if name in self.series)[:1] or tuple(self.series)[1:2]
         for name in (*columns, against):
             if name not in self.series:
                 refuse("column", name, f"must be one of {', '.join(self.series)}")
         units = list(dict.fromkeys(self.units[name] for name in columns))
-        figure = Figure(figsize=(7, 1.2 + 2.8 * len(units)), layout="constrained")
+        figure = new_figure(self.scene.caption, *[3.0] * len(units))
         every = np.atleast_1d(figure.subplots(len(units), 1, sharex=True))
         scale, along = shown(self.units[against]) if against != "time" else (1.0, "s")
         for axes, unit in zip(every, units, strict=True):
             factor, shown_unit = shown(unit)
             same_unit = [name for name in columns if self.units[name] == unit]
             for name, colour in zip(same_unit, itertools.cycle(SERIES)):
-                axes.plot(
-                    scale * self.series[against], factor * self.series[name], label=_column_title(name), linewidth=1.6,
-                    color=rgb(colour),
-                )  # fmt: skip
+                x, y = scale * self.series[against], factor * self.series[name]
+                axes.plot(x, y, label=_column_title(name), color=rgb(colour))
             axes.set_ylabel(f"{' and '.join(map(_column_title, same_unit))} [{shown_unit}]")
             if len(same_unit) > 1:
-                legend_beside(axes, 9)
+                legend_above(axes)
             open_frame(axes)
         every[-1].set_xlabel(f"{_column_title(against)} [{along}]")
-        figure.suptitle(  # pyright: ignore[reportUnknownMemberType]
-            self.scene.caption, fontsize=10
-        )
         return figure
 
     def save(self, folder: str | Path | RunOutput) -> Path:

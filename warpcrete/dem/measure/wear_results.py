@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import RUN, SECOND, THIRD, open_frame, rgb
+from ...core.drawing.style import RUN, SECOND, THIRD, legend_above, new_figure, open_frame, rgb
 from ...core.run.method import Quantity
 from ...core.units import number
 from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
@@ -145,8 +145,6 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     The upper panel shows the depth over arc length and angle. The lower panel shows means of the depth along the pipe.
     `wall` is one of `run.wear.walls`; by default it is the most worn wall. Returns None if there is nothing to draw.
     """
-    from matplotlib.figure import Figure
-
     wall = wall or (run.wear.main if run.wear is not None else None)
     time = float(run.series["time"][-1])
     found = places(wall, run.scene) if wall is not None else None
@@ -156,8 +154,8 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     s, angle = found[0][shown], found[1][shown]
     areas = wall.patches.areas[shown]
     hourly = 1e6 * HOUR / time * wall.depth[shown]
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    figure = new_figure(run.scene.caption, 2.8, 2.8)
+    axes, below = figure.subplots(2, 1, sharex=True)
     if isinstance(wall.patches, PipePatches):
         shape = wall.patches.stations, wall.patches.around
         edges = np.linspace(0, wall.patches.axis.length, shape[0] + 1), (np.arange(shape[1] + 1) - 0.5) * 360 / shape[1]
@@ -165,8 +163,8 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     else:
         drawn = axes.scatter(s, np.degrees(angle), 14, hourly, marker="s", cmap="magma_r", vmin=0, linewidths=0)
     figure.colorbar(drawn, ax=axes, label="worn depth [um/h]")
-    axes.set(ylabel="angle around the pipe [degrees]", yticks=[0, 90, 180, 270])
-    axes.set_title("Angle 0 is the outside of a bend.", fontsize=9, loc="left")
+    axes.set(ylabel="angle around\nthe pipe [degrees]", yticks=[0, 90, 180, 270])
+    axes.set_title("Angle 0 is the outside of a bend.", fontsize="medium", loc="left")
     edges = np.linspace(s.min(), s.max() + 1e-9, 25)
     row = np.clip(np.digitize(s, edges) - 1, 0, 23)
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -178,9 +176,8 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     ):
         total = np.bincount(row[chosen], (hourly * areas)[chosen], 24)
         area = np.bincount(row[chosen], areas[chosen], 24)
-        below.plot(middle[area > 0], total[area > 0] / area[area > 0], label=name, linewidth=1.6, color=rgb(colour))
+        below.plot(middle[area > 0], total[area > 0] / area[area > 0], label=name, color=rgb(colour))
     below.set(xlabel="position along the pipe [m]", ylabel="mean worn depth [um/h]", ylim=(0, None))
-    below.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=3)
-    figure.suptitle(run.scene.caption, fontsize=10)
+    legend_above(below)
     open_frame(below)
     return figure

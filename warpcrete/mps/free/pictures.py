@@ -1,11 +1,12 @@
 """Matplotlib figures of free-surface flows."""
 
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import SERIES, THEORY, legend_beside, open_frame, rgb
+from ...core.drawing.style import SERIES, THEORY, legend_above, new_figure, open_frame, rgb
 from ...core.run.run import Run
 from ...core.units import number, shown
 from ...theory.vessels import heap_depth
@@ -14,11 +15,9 @@ from .scene import FreeScene
 
 def plot_free(run: Run) -> Any:
     """Return a figure of the final shape with the mould's outline, and of spread and height over time."""
-    from matplotlib.figure import Figure
-
     scene = run.scene
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
-    shape, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
+    figure = new_figure(scene.caption, 3.0, 2.7)
+    shape, course = figure.subplots(2, 1)
     if "surface" in run.result:
         place, base, height = (
             1e3 * np.array(run.result["surface"][name]["value"]) for name in ("place", "base", "height")
@@ -32,7 +31,6 @@ def plot_free(run: Run) -> Any:
             side * corners[:, 0],
             corners[:, 1],
             color="0.4",
-            linewidth=0.8,
             linestyle=":",
             label="at the start" if side == 1 else None,
         )
@@ -41,14 +39,15 @@ def plot_free(run: Run) -> Any:
         r = np.linspace(0, half, 100)
         depth = heap_depth(half - r, concrete.yield_stress, concrete.density, scene.gravity)
         for side in (1, -1):
-            shape.plot(1e3 * side * np.r_[r, half], 1e3 * np.r_[depth, 0.0], "--", color=rgb(THEORY), linewidth=1.4,
+            shape.plot(1e3 * side * np.r_[r, half], 1e3 * np.r_[depth, 0.0], "--", color=rgb(THEORY),
                        label="heap, closed form" if side == 1 else None)  # fmt: skip
     shape.set(
         aspect="equal",
+        adjustable="datalim",
         xlabel="distance from the axis [mm]" if scene.about_axis else "position [mm]",
         ylabel="height [mm]",
     )
-    legend_beside(shape)
+    legend_above(shape)
     for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.about_axis else ())):
         corners = 1e3 * np.clip(np.array([*block, block[0]]), 0.0, [scene.width, scene.height])
         shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0)
@@ -56,10 +55,11 @@ def plot_free(run: Run) -> Any:
     for (name, label), colour in zip(_curves(scene).items(), SERIES):
         unit = run.units[name]
         course.plot(run.series["time"], shown(unit)[0] * run.series[name], color=rgb(colour), label=label)
-    course.set(xlabel="time [s]", ylabel=f"{' and '.join(_curves(scene).values())} [{shown(unit)[1]}]")
-    legend_beside(course)
+    course.set(
+        xlabel="time [s]", ylabel=f"{textwrap.fill(' and '.join(_curves(scene).values()), 24)} [{shown(unit)[1]}]"
+    )
+    legend_above(course)
     open_frame(shape, course)
-    figure.suptitle(scene.caption, fontsize=10)
     return figure
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import BEND, NOT_STRAIGHT, RUN, THEORY, legend_beside, open_frame, rgb
+from ...core.drawing.style import BEND, NOT_STRAIGHT, RUN, THEORY, legend_above, new_figure, open_frame, rgb
 from ...core.run.run import Run
 from .scene import PartScene
 
@@ -16,11 +16,9 @@ def plot_part(run: Run) -> Any:
     The frictional pressure at a place is the loss between this place and the end of the part. The theoretical
     frictional pressure of straight pipes is drawn for comparison.
     """
-    from matplotlib.figure import Figure
-
     scene = run.scene
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
-    along, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
+    figure = new_figure(scene.caption, 3.0, 2.4)
+    along, course = figure.subplots(2, 1, height_ratios=[3.0, 2.4])
     s, pressure = (np.array(run.result["profile"][name]["value"]) for name in ("place", "friction_ahead"))
     along.plot(s, 1e-3 * pressure, color=rgb(RUN), label=f"this run, after {run.series['time'][-1]:.3g} s")
     fine = np.linspace(0, scene.axis.length, 60)
@@ -31,12 +29,11 @@ def plot_part(run: Run) -> Any:
         first = name not in along.get_legend_handles_labels()[1]
         along.axvspan(begin, end, color=colour, linewidth=0, zorder=0.5, label=name if first else "")
     along.set(xlabel="position along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
-    legend_beside(along)
+    legend_above(along)
     course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:], color=rgb(RUN))
-    course.set(xlabel="time [s]", ylabel="pressure at the start [kPa]")
+    course.set(xlabel="time [s]", ylabel="pressure at\nthe start [kPa]")
     course.set_ylim(0, 1.1e-3 * float(np.max(run.series["pressure"])))
     open_frame(along, course)
-    figure.suptitle(scene.caption, fontsize=10)
     return figure
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import RUN, legend_beside, rgb
+from ...core.drawing.style import RUN, WIDTH, legend_above, new_figure, rgb
 from ...core.inputs.parameters import Field, declared_fields
 from ...core.inputs.yaml_files import yaml_text
 from ...core.run.files import atomic_file, write_json
@@ -25,7 +25,7 @@ def write(found: Calibration, modules: Mapping[str, Any]) -> None:
         return
     write_json(found.folder / "answer.json", answer(found))
     with atomic_file(found.folder / "calibration.png") as partial:
-        draw(found, modules).savefig(partial, dpi=130, format="png")
+        draw(found, modules).savefig(partial, dpi=150, format="png")
     concrete = concrete_of(found, modules)
     if concrete:
         with atomic_file(found.folder / "concrete.yaml") as partial:
@@ -155,8 +155,6 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
 
     The trials are drawn as points.
     """
-    from matplotlib.figure import Figure
-
     assert found.posterior is not None
     task, free = found.task, len(found.task.free)
     known = {name: field for target in task.targets
@@ -164,8 +162,8 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
     titles = [_title(known[each.name]) for each in task.free]
     samples = np.array([[f.value(u) for f, u in zip(task.free, row)] for row in found.posterior.samples])
     trials = np.array([[f.value(u) for f, u in zip(task.free, trial.units)] for trial in found.searched])
-    size = max(2.6 * free, 4.5)
-    figure = Figure(figsize=(size + 0.6, size), layout="constrained")
+    turned = 0 if free < 3 else 90  # Numbers below narrow panels stand upright, because they would overlap.
+    figure = new_figure("posterior of the parameters: dark where values are likely", WIDTH)
     axes = figure.subplots(free, free, squeeze=False)
     for row in range(free):
         for column in range(free):
@@ -187,11 +185,11 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
                          ylabel=titles[row] if column == 0 else "")  # fmt: skip
             here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
                      xlabel=titles[column] if row == free - 1 else "")  # fmt: skip
+            here.tick_params(axis="x", labelrotation=turned)
             for axis, of in ((here.xaxis, across), (here.yaxis, up)):
                 if of.log and (axis is here.xaxis or row != column):
                     _few_ticks(axis)
-    legend_beside(axes[0][0])
-    figure.suptitle("posterior of the parameters: dark where values are likely", fontsize=10)
+    legend_above(axes[0][0])
     return figure
 
 

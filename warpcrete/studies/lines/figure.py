@@ -4,7 +4,18 @@ from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import BEND, MEASURED, NOT_STRAIGHT, RUN, SECOND, THEORY, legend_beside, open_frame, rgb
+from ...core.drawing.style import (
+    BEND,
+    MEASURED,
+    NOT_STRAIGHT,
+    RUN,
+    SECOND,
+    THEORY,
+    legend_above,
+    new_figure,
+    open_frame,
+    rgb,
+)  # fmt: skip
 from .answers import CUSTOMARY_SIZES, time_text
 from .pressures import LinePressures
 from .taps import Tap
@@ -17,9 +28,7 @@ RESTART_PLACE = 0.015
 
 def draw(result: LinePressures) -> Any:
     """Return a Matplotlib figure of the pressure along a pump line, with its uncertainty band and the closed form."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    figure = new_figure(_title(result), 4.4)
     axes = figure.add_subplot()
     us = result.line.customary
     metre, size = (CUSTOMARY_SIZES["ft"], CUSTOMARY_SIZES["psi"]) if us else (1.0, 1e5)
@@ -33,13 +42,13 @@ def draw(result: LinePressures) -> Any:
     low, ours, high = low / size, ours / size, high / size
     main = RUN if result.simulated else SECOND
     axes.fill_between(places, low, high, color=rgb(main), alpha=0.15, linewidth=0, label="likely range")
-    axes.plot(places, ours, color=rgb(main), linewidth=1.8, label="simulated" if result.simulated else "by theory")
+    axes.plot(places, ours, color=rgb(main), label="simulated" if result.simulated else "by theory")
     if result.simulated:
         theory = scaled(result.course(lambda x: x.theory + x.weight))
-        axes.plot(*theory, "--", color=rgb(THEORY), linewidth=1.4, label="theory, as straight pipe")
+        axes.plot(*theory, "--", color=rgb(THEORY), label="theory, as straight pipe")
     if any(x.weight for x in result.losses):
         weight = scaled(result.course(lambda x: x.weight))
-        axes.plot(*weight, color=rgb(MEASURED), linestyle=":", linewidth=1.2, label="weight alone")
+        axes.plot(*weight, color=rgb(MEASURED), linestyle=":", label="weight alone")
     begin = 0.0
     for x in result.losses:
         if not x.part.is_by_length or x.part.kind == "hose":
@@ -72,8 +81,7 @@ def draw(result: LinePressures) -> Any:
                           color=rgb(MEASURED), markerfacecolor=fill, clip_on=False, label=name)  # fmt: skip
     axes.set(xlabel=f"position along the line [{'ft' if us else 'm'}]", ylabel=f"pressure [{'psi' if us else 'bar'}]",
              xlim=(0, places[-1]), ylim=(0, None))  # fmt: skip
-    axes.set_title(_title(result), fontsize=10)
-    legend_beside(axes, 9)
+    legend_above(axes)
     open_frame(axes)
     return figure
 
@@ -84,11 +92,10 @@ def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> N
     The restart is drawn at the horizontal position `place`, beside the vertical axis, which would hide it.
     """
     if result.line.pump is not None:
-        axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", linewidth=1.4,
-                     label="pump")  # fmt: skip
+        axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", label="pump")  # fmt: skip
     if result.stop is not None:
         band = result.restart(result.flow)
-        label = f"restart at full flow after {time_text(result.stop.rest)}"
+        label = f"restart after {time_text(result.stop.rest)}"
         value, low, high = (x / size for x in (band.value, band.low, band.high))
         axes.errorbar([place], [value], [[value - low], [high - value]], fmt="s", capsize=4, clip_on=False,
                       color=rgb(RUN if result.simulated else SECOND), label=label)  # fmt: skip

@@ -1,11 +1,13 @@
 """Report of a reproduction: simulated results next to those of the paper, a verdict on each trend, and a figure."""
 
 import math
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
+from ...core.drawing.style import new_figure
 from ...core.run.files import atomic_file, write_json
 from ...core.units import number
 from .papers import (
@@ -49,7 +51,7 @@ def write(found: Reproduction) -> None:
     write_json(found.folder / "results.json", {"results": kept, "failures": found.failures})
     if found.paper == "zhan" and found.results:
         with atomic_file(found.folder / "reproduction.png") as partial:
-            draw(found).savefig(partial, dpi=120, format="png")
+            draw(found).savefig(partial, dpi=150, format="png")
 
 
 def _plain(result: Mapping[str, Any]) -> dict[str, float]:
@@ -219,10 +221,9 @@ def _verdict(errors: list[float], count: int) -> str:
 
 def draw(found: Reproduction) -> Any:
     """Return a figure with a panel for each parameter; lines are simulated pressures, crosses those in the paper."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 6.5), layout="constrained")
-    panels = figure.subplots(2, 4).ravel()
+    panels_down = -(-(len(ZHAN) + 1) // 2)  # The last panel holds the legend.
+    figure = new_figure("", *[2.8] * panels_down)
+    panels = figure.subplots(panels_down, 2).ravel()
     for row, axes in zip(ZHAN, panels):
         for number_of, name in enumerate([*CONCRETES, *OPEN_ASSUMPTIONS]):
             each = pressures(found, row, name)
@@ -235,13 +236,13 @@ def draw(found: Reproduction) -> Any:
             axes.plot(list(row.printed), [value / 1e3 for value in row.printed.values()], "kx", ms=8, label="paper")
         if row.parameter == "hydration_modulus":
             axes.set_xscale("log")
-        axes.set(title=row.claim, xlabel=row.parameter, ylabel="largest pressure [kPa]")
-        axes.title.set_fontsize(8)
+        axes.set_title(textwrap.fill(row.claim, 30), fontsize="medium")
+        axes.set(xlabel=row.parameter, ylabel="largest pressure [kPa]")
         axes.set_ylim(bottom=0)
     lines = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
     for axes in panels[len(ZHAN) :]:
         axes.set_axis_off()
-    panels[-1].legend(lines.values(), lines.keys(), fontsize=9, loc="center")
+    panels[-1].legend(lines.values(), lines.keys(), loc="center")
     return figure
 
 

@@ -4,7 +4,7 @@ import csv
 import math
 from typing import Any
 
-from ...core.drawing.style import legend_beside, open_frame
+from ...core.drawing.style import legend_above, new_figure, open_frame
 from ...core.run.files import atomic_file, write_json
 from ...core.units import shown
 from .fronts import Error, front
@@ -183,8 +183,8 @@ def _number(value: float) -> str:
 
 FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
-RIGHT = 0.88  # place along the figure from which labels stand left of their points
-NEAR = 0.05  # labels closer than this fraction of the figure would overlap
+RIGHT = 0.88  # position along the plot from which labels stand left of their points
+NEAR = 0.07  # labels closer than this fraction of the plot (vertically; twice as much horizontally) would overlap
 
 
 def draw(trade: Trade) -> Any:
@@ -193,10 +193,9 @@ def draw(trade: Trade) -> Any:
     A setting is a choice of values for all parameters that trade accuracy for run time, and it is drawn as a point. A
     band shows the scatter between seeds. Settings with a failed check have hollow markers.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure = Figure(figsize=(9.6, 4.8), layout="constrained")
+    figure = new_figure(f"{trade.scene_name}: {', '.join(each.title for each in trade.quantities)}", 4.8)
     axes = figure.subplots()
     origins = [GIVEN, *(knob.name for knob in trade.knobs), COMBINED, REFERENCE]
     for k, origin in enumerate(origins):
@@ -207,15 +206,14 @@ def draw(trade: Trade) -> Any:
         axes.plot([], [], "o", color="0.4", markerfacecolor="white", markersize=6, label="hollow: a check failed")
     best = [(p.cost, 100 * max(p.worst.size, FLOOR)) for p in on_front(trade) if p.worst is not None]
     if best:
-        axes.plot(*zip(*best), color="0.5", linewidth=1.0, drawstyle="steps-post", zorder=0, label="front")
+        axes.plot(*zip(*best), color="0.5", drawstyle="steps-post", zorder=0, label="front")
     sizes = [max(p.worst.size, FLOOR) for p in trade.measured if p.worst is not None]
     bottom = 60 * min(sizes)
     reference = None if trade.reference is None else trade.reference.worst
     if reference is not None and reference.interval > 0:
-        axes.axhspan(bottom, 100 * reference.interval, color="0.92", zorder=-1, label="scatter of the finest setting")
+        axes.axhspan(bottom, 100 * reference.interval, color="0.92", zorder=-1, label="scatter of the finest")
     axes.set(
         xscale="log", yscale="log", xlabel=f"time of a run [s] on {trade.machine}", ylabel="largest error [%]",
-        title=f"{trade.scene_name}: {', '.join(each.title for each in trade.quantities)}",
     )  # fmt: skip
     axes.set_ylim(bottom=bottom)
     for axis in (axes.xaxis, axes.yaxis):
@@ -224,7 +222,7 @@ def draw(trade: Trade) -> Any:
         axis.set_minor_formatter(NullFormatter())
     _name_levels(axes, trade)
     open_frame(axes)
-    legend_beside(axes)
+    legend_above(axes)
     return figure
 
 
@@ -235,7 +233,7 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]
     below = [min(span, 0.9 * size) for span, size in zip(spans, sizes)]
     size = 11 if origin == GIVEN else 6
-    axes.errorbar(costs, sizes, [below, spans], fmt="none", ecolor=colour, capsize=2, linewidth=0.8)
+    axes.errorbar(costs, sizes, [below, spans], fmt="none", ecolor=colour, capsize=2)
     label: str | None = origin
     for suspect in (False, True):
         chosen = [(x, y) for (point, _), x, y in zip(mine, costs, sizes) if bool(point.suspect) is suspect]
@@ -259,10 +257,11 @@ def _name_levels(axes: Any, trade: Trade) -> None:
             continue
         at = (point.cost, 100 * max(point.worst.size, FLOOR))
         x, y = into_figure.transform(at)
+        # Near the right edge, a label stands left of its point.
+        side, apart = ("right", -4) if x > RIGHT else ("left", 4)
+        x -= 2 * NEAR if side == "right" else 0.0
         if all(abs(x - u) > 2 * NEAR or abs(y - v) > NEAR for u, v in placed):
             text = trade.label(point).removeprefix(f"{point.origin} ")
-            # Near the right edge, a label stands left of its point, because the legend is beside the plot.
-            side, apart = ("right", -4) if x > RIGHT else ("left", 4)
-            label = axes.annotate(text, at, (apart, 4), textcoords="offset points", fontsize=8, color="0.35", ha=side)
+            label = axes.annotate(text, at, (apart, 4), textcoords="offset points", color="0.35", ha=side)
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # The front may pass below it.
             placed.append((x, y))

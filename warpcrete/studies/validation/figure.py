@@ -1,14 +1,17 @@
 """Figure of predicted against measured values on logarithmic axes, with the uncertainty bands of the predictions."""
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from ...core.drawing.style import RUN, SECOND, rgb
+from ...core.drawing.style import RUN, SECOND, new_figure, rgb
 from .comparison import Comparison
 from .kinds import KINDS
 
-COLUMNS = 3
+COLUMNS = 2
 """Number of panels in a row of the figure."""
+TITLE = 28
+"""Number of characters that fit into a line of the title of a panel."""
 STYLES = (
     (False, False, {"marker": "o", "color": rgb(SECOND), "markerfacecolor": "white", "label": "others, with band"}),
     (True, False, {"marker": "o", "color": rgb(SECOND), "label": "held out, with band"}),
@@ -24,18 +27,16 @@ not listed are shown in SI units."""
 
 def draw(comparisons: Sequence[Comparison]) -> Any:
     """Return a Matplotlib figure with one panel for each kind of measurement; held-out cases have filled markers."""
-    from matplotlib.figure import Figure
-
     kinds = [kind for kind in KINDS if any(each.case.kind == kind for each in comparisons)]
     rows = -(-len(kinds) // COLUMNS)
-    figure = Figure(figsize=(2.9 * min(len(kinds), COLUMNS), 3.1 * rows), layout="constrained")
+    figure = new_figure("", *[2.4] * rows)
     for place, kind in enumerate(kinds):
         axes = figure.add_subplot(rows, min(len(kinds), COLUMNS), place + 1)
         _panel(axes, kind, [each for each in comparisons if each.case.kind == kind])
     shown = {}
     for axes in figure.axes:
         shown |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
@@ -46,7 +47,7 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
     factor, unit = SHOWN.get(kind, (1.0, KINDS[kind].unit))
     values = [factor * x for each in own for x in (each.measured, each.band.value)]
     low, high = min(values) / 1.6, max(values) * 1.6
-    axes.plot([low, high], [low, high], color="0.4", linewidth=1, label="prediction equals measurement")
+    axes.plot([low, high], [low, high], color="0.4", label="prediction equals measurement")
     axes.fill_between([low, high], [low / 2, high / 2], [low * 2, high * 2], color="0.92", linewidth=0,
                       label="within a factor of two")  # fmt: skip
     for held, simulated, style in STYLES:
@@ -59,14 +60,12 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
         ]
         axes.errorbar([factor * x.measured for x in chosen], [factor * x.band.value for x in chosen],
                       [[factor * x for x in end] for end in ends], linestyle="none",
-                      elinewidth=0.8, markersize=5, **style)  # fmt: skip
+                      markersize=5, **style)  # fmt: skip
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     shown = "" if unit == "1" else f" [{unit}]"
-    axes.set_title(KINDS[kind].label, fontsize=9)
-    axes.set_xlabel(f"measured{shown}", fontsize=8)
-    axes.set_ylabel(f"predicted{shown}", fontsize=8)
-    axes.tick_params(labelsize=7)
+    axes.set(xlabel=f"measured{shown}", ylabel=f"predicted{shown}")
+    axes.set_title(textwrap.fill(KINDS[kind].label, TITLE), fontsize="medium")
