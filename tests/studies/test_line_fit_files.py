@@ -121,6 +121,16 @@ def test_a_factor_of_bends_whose_range_begins_at_zero_is_taken_to_another_line(t
     assert "factor of bends: not determined" in run(*call, "--fit", trial / "taps.csv", "--gauge", "0.6 bar")
 
 
+def test_a_layer_from_gauges_that_contradict_each_other_is_written_with_a_warning(trial):
+    text = "part,pressure [bar],flow [m3/h]\n1,30,30\n2,29,30\n3,10,30\n"
+    (trial / "taps.csv").write_text(text, encoding="utf-8")
+    said = run("line", trial / "site.yaml", "--concrete", concrete(trial, mix=BULK), "--fit", trial / "taps.csv",
+               "--out", trial / "fit")  # fmt: skip
+    assert "WARNING: no slip layer explains all gauges" in said
+    assert "concrete.yaml; do not use it before you have found out why the gauges contradict each other" in said
+    assert read_mix(trial / "fit" / "concrete.yaml").source.endswith("pressures of site, which contradict each other")
+
+
 def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
     """Points of a viscometer are written as numbers, because their file is in the folder of the concrete."""
     options = ["--diameter", "125 mm", "--length", "158 m", "--flow", "30 m3/h", "--fit", trial / "taps.csv"]

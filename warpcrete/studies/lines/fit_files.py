@@ -29,6 +29,7 @@ def fitted_concrete(
     `line` is the name of the trial line.
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
+    origin += "" if fit.contradiction is None else ", which contradict each other"
     found: dict[str, Any] = {"name": concrete.name, "source": origin}
     own = fit.concrete(concrete)
     yields, viscous = (1.0, 1.0) if mix is None else mix.factors
@@ -67,6 +68,8 @@ def write_fit(
     """
     _write(folder / CONCRETE_FILE, fitted_concrete(fit, concrete, mix, source, line))
     said = [f"the fitted layer for another line: --concrete {folder / CONCRETE_FILE}"]
+    if fit.contradiction is not None:
+        said[0] += "; do not use it before you have found out why the gauges contradict each other"
     if fit.bend_factor is not None:
         factor = fit.constants[2]
         entry = {"factor": f"{factor.value:.4g}", "low": f"{factor.low:.4g}", "high": f"{factor.high:.4g}"}
