@@ -137,6 +137,8 @@ def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
     run("line", "--slump", "200 mm", "--stone", "16 mm", *options, "--out", trial / "one")
     mix = read_mix(trial / "one" / "concrete.yaml")
     assert mix.given.slump == 0.2 and mix.given.largest == 0.016 and mix.band_origin == "fit"
+    run("line", "--slump", "7 in", *options, "--out", trial / "customary")
+    assert "slump: 0.1778\n" in (trial / "customary" / "concrete.yaml").read_text(encoding="utf-8")
     (trial / "points.csv").write_text("rate [1/s],stress [Pa]\n5,380\n10,680\n20,1280\n", encoding="utf-8")
     own = concrete(trial, mix={"density": 2400, "viscometer": "points.csv"}, elements={"friction": 0.3})
     run("line", *options, "--concrete", own, "--out", trial / "two")

@@ -89,14 +89,14 @@ def _plain_entries(concrete: Concrete) -> dict[str, Any]:
     bulk = {"viscosity": concrete.viscosity, "yield_stress": concrete.yield_stress}
     bulk |= {key: getattr(concrete, key) for key in ("flow_index", "quadratic_viscosity")
              if getattr(concrete, key) != LAW_DEFAULTS[key]}  # fmt: skip
-    return {"density": concrete.density, "concrete": bulk}
+    return {"density": concrete.density, "concrete": {key: _short(value) for key, value in bulk.items()}}
 
 
 def _slumped_entries(given: MixEntries) -> dict[str, Any]:
     """Return the entries of a mix for which the user stated only slump or spread, and perhaps the largest stone."""
     found: dict[str, Any] = {"density": given.density}
-    found |= {key: getattr(given, key) for key in ("slump", "spread") if getattr(given, key) is not None}
-    return found if given.sizes is None else found | {"sizes": list(given.sizes)}
+    found |= {key: _short(getattr(given, key)) for key in ("slump", "spread") if getattr(given, key) is not None}
+    return found if given.sizes is None else found | {"sizes": [_short(size) for size in given.sizes]}
 
 
 def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
@@ -104,6 +104,11 @@ def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
     if "viscometer" not in section.values or given.viscometer_points is None:
         return {}
     return {"viscometer": [list(pair) for pair in zip(*given.viscometer_points, strict=True)]}
+
+
+def _short(value: float) -> float:
+    """Return a number without the digits that the conversion of units adds, such as 0.17779999999999999 for 7 in."""
+    return float(f"{value:.9g}")
 
 
 def _plain(value: Any) -> Any:
