@@ -1,5 +1,6 @@
 """Installation: what wheels and sdists contain, how packages are found, and what the metadata states."""
 
+import ast
 import email
 import importlib.metadata
 import os
@@ -187,3 +188,35 @@ def test_conda_recipe_has_the_dependencies_of_the_package():
     wanted = {re.sub(r"^([\w.-]+?)(>=.*)$", lambda m: f"{renamed.get(m[1], m[1])} {m[2]}", each) for each in needed}
     found = set(recipe["requirements"]["run"])
     assert found - {"python >=${{ python_min }}"} == wanted and len(wanted) == 10
+
+
+NEWER = {
+    "typing": ("LiteralString", "Never", "NotRequired", "Required", "Self", "TypeVarTuple", "Unpack", "assert_never",
+               "assert_type", "override", "reveal_type"),
+    "enum": ("StrEnum", "ReprEnum", "verify"),
+    "datetime": ("UTC",),
+    "contextlib": ("chdir",),
+    "itertools": ("batched",),
+}  # fmt: skip
+"""Names that these modules of the standard library do not have in Python 3.10, the oldest version of the package."""
+
+
+def imports_too_new(source: str) -> list[str]:
+    """Return what a source text imports from the standard library that Python 3.10 does not have."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            names = [each.name for each in node.names]
+            found += ["tomllib"] if node.module == "tomllib" else []
+            found += [f"{node.module}.{name}" for name in names if name in NEWER.get(node.module or "", ())]
+        if isinstance(node, ast.Import):
+            found += [each.name for each in node.names if each.name == "tomllib"]
+    return found
+
+
+def test_modules_import_nothing_that_the_oldest_python_lacks():
+    assert 'requires-python = ">=3.10"' in PROJECT
+    assert imports_too_new("from typing import Any, Self") == ["typing.Self"]
+    paths = [path for folder in ("warpcrete", "kernels", "scenes") for path in (ROOT / folder).rglob("*.py")]
+    found = {path: imports_too_new(path.read_text(encoding="utf-8")) for path in paths}
+    assert not {path: names for path, names in found.items() if names}

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from ...theory.pipe import Concrete, after_rest
 from .fittings import MODEL_ERRORS, range_of, uncertain_kinds
 from .line_fit import LineFit
 from .losses import friction, straight_friction, with_layer_factor
+
+P = TypeVar("P", bound="LinePressures")
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class LinePressures:
         ]
         return places, found
 
-    def measured(self, cause: str, factors: tuple[float, float]) -> Self:
+    def measured(self: P, cause: str, factors: tuple[float, float]) -> P:
         """Return a copy with the uncertainty that would remain after a measurement of some properties of the concrete.
 
         The measurement is assumed to confirm the present values. The properties are those of one cause of uncertainty,
