@@ -58,7 +58,7 @@ THOROUGH = [pytest.param(each, id=name, marks=pytest.mark.thorough)
             for each, name in ((SOFT, "soft"), (STIFF, "stiff"))]  # fmt: skip
 
 
-@pytest.mark.parametrize("flows", [(20, 35), (30,)])
+@pytest.mark.parametrize("flows", [pytest.param((20, 35), marks=pytest.mark.thorough), (30,)])
 @pytest.mark.parametrize("true", [pytest.param(STIFFEST, id="stiffest"), *THOROUGH])
 def test_bands_of_soft_and_stiff_layers_contain_the_true_pressure(true, flows):
     """Of 100 bands, 97 to 100 contain it.

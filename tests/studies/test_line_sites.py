@@ -137,7 +137,7 @@ def test_the_picture_shows_gauges_pump_and_restart_in_the_units_of_the_line(tmp_
     found = result(tmp_path, 85, 2400.0)
     axes = found.plot().axes[0]
     names = axes.get_legend_handles_labels()[1]
-    assert "pump" in names and "restart at full flow after 40 min" in names
+    assert "pump" in names and "restart after 40 min" in names
     assert {"bend", "reducer", "hose", "weight alone"} <= set(names)
     bar = next(each for each in axes.containers if each.get_label().startswith("restart"))
     assert 0 < bar[0].get_xdata()[0] < 0.05 * axes.get_xlim()[1]
