@@ -58,7 +58,7 @@ THOROUGH = [pytest.param(each, id=name, marks=pytest.mark.thorough)
             for each, name in ((SOFT, "soft"), (STIFF, "stiff"))]  # fmt: skip
 
 
-@pytest.mark.parametrize("flows", [(20, 35), (30,)])
+@pytest.mark.parametrize("flows", [pytest.param((20, 35), marks=pytest.mark.thorough), (30,)])
 @pytest.mark.parametrize("true", [pytest.param(STIFFEST, id="stiffest"), *THOROUGH])
 def test_bands_of_soft_and_stiff_layers_contain_the_true_pressure(true, flows):
     """Of 100 bands, 97 to 100 contain it.
@@ -80,6 +80,20 @@ def test_the_uncertainty_is_that_of_the_layer():
                 for x in (1 / (1 + fit.uncertainty), 1 + fit.uncertainty)]  # fmt: skip
         # The ratio of both ends differs by at most 0.3 % from the wanted one.
         assert ends[1] / ends[0] == pytest.approx((1 + fit.friction_uncertainty) ** 2, rel=5e-3)
+
+
+def test_gauges_that_show_no_pressure_at_half_the_flow_leave_the_uncertainty_as_it_is():
+    """In a falling pipe, concrete needs no pressure at half the flow, so a layer has no effect on the gauges there."""
+    line, layer = line_of({"diameter": "100 mm", "begin": "down", "parts": [{"straight": 60}]}), {}
+    true = replace(TRUE, slip_viscosity=1000.0, slip_yield=20.0)
+    for flow in (30, 40):
+        places, course = line_by_theory(line, true, flow / 3600).course(lambda x: x.friction + x.weight)
+        points = [Tap(x, float(np.interp(x, places, course)), flow / 3600, 0) for x in (0.0, 20.0, 40.0)]
+        layer[flow] = fit_line(line, true, points)
+    assert line_by_theory(line, true, 15 / 3600).pressure == 0 < line_by_theory(line, true, 20 / 3600).pressure
+    # The later uncertainty is 2.7 times the one at the measured flow, and 2.6 times for 40 m3/h.
+    for each in layer.values():
+        assert each.uncertainty < each.later_uncertainty < 3 * each.uncertainty
 
 
 def test_the_weight_of_earlier_knowledge_compares_two_uncertainties_of_the_friction():

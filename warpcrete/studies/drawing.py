@@ -254,6 +254,7 @@ class _TheoryCurves:
 
     def _expected(self, given: Mapping[str, Any], name: str, place: float) -> Mapping[str, float]:
         """Return the quantities by theory if the parameter `name` has the value `place`; empty for an invalid scene."""
+        assert self.module is not None, "the study has no scene of this package"
         with suppress(SceneError, KeyError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = self.module.scene(**{**given, name: place})

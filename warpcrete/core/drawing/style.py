@@ -66,7 +66,7 @@ def new_figure(caption: str = "", *heights: float) -> Any:
 
     lines = textwrap.fill(caption, CAPTION)
     height = sum(heights or (3.5,)) + 0.2 * len(lines.splitlines())
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure: Any = Figure(figsize=(WIDTH, height), layout="constrained")
     figure.suptitle(lines, fontsize="medium")
     return figure
 
