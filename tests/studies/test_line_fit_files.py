@@ -99,12 +99,46 @@ def test_the_written_files_hold_at_another_flow_of_a_longer_line(trial):
     assert found["pressure_low"]["value"] < true < found["pressure_high"]["value"]
 
 
+def test_a_factor_of_bends_whose_range_begins_at_zero_is_taken_to_another_line(trial):
+    """The errors of the gauges are larger than the friction of the bends, and a fit leaves a stated factor as it is."""
+    bends = [{"bend": way} for way in ("left", "right") * 5]
+    site = {"diameter": "125 mm", "flow": "30 m3/h", "parts": [{"straight": 60}, *bends, {"straight": 60}]}
+    (trial / "bends.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
+    text = "part,pressure [bar],flow [m3/h]\n1,23.4,30\n2,11.9,30\n12,11.4,30\n1,31,45\n2,15.8,45\n12,15.1,45\n"
+    (trial / "taps.csv").write_text(text, encoding="utf-8")
+    call = ["line", trial / "bends.yaml", "--concrete", concrete(trial, mix=BULK)]
+    run(*call, "--fit", trial / "taps.csv", "--gauge", "0.6 bar", "--out", trial / "fit")
+    factor = yaml.safe_load((trial / "fit" / "bends.yaml").read_text(encoding="utf-8"))
+    assert factor["bend_factor"]["low"] == 0
+    (trial / "bends.yaml").write_text(yaml.safe_dump({**site, **factor}), encoding="utf-8")
+    said = run("line", trial / "bends.yaml", "--concrete", trial / "fit" / "concrete.yaml", "--out", trial / "again")
+    first, second = record(trial / "fit"), record(trial / "again")
+    assert second["pressure"]["value"] == pytest.approx(first["pressure"]["value"], rel=1e-4)
+    assert "comes from the bends; their range is that of 'bend_factor' in the file of the line; leave this" in said
+    # A factor of 0.03 is smaller than all that a line may state, so the fit leaves it out.
+    (trial / "taps.csv").write_text(text.replace("11.4", "11.85").replace("15.1", "15.75"), encoding="utf-8")
+    (trial / "bends.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
+    assert "factor of bends: not determined" in run(*call, "--fit", trial / "taps.csv", "--gauge", "0.6 bar")
+
+
+def test_a_layer_from_gauges_that_contradict_each_other_is_written_with_a_warning(trial):
+    text = "part,pressure [bar],flow [m3/h]\n1,30,30\n2,29,30\n3,10,30\n"
+    (trial / "taps.csv").write_text(text, encoding="utf-8")
+    said = run("line", trial / "site.yaml", "--concrete", concrete(trial, mix=BULK), "--fit", trial / "taps.csv",
+               "--out", trial / "fit")  # fmt: skip
+    assert "WARNING: no slip layer explains all gauges" in said
+    assert "concrete.yaml; do not use it before you have found out why the gauges contradict each other" in said
+    assert read_mix(trial / "fit" / "concrete.yaml").source.endswith("pressures of site, which contradict each other")
+
+
 def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
     """Points of a viscometer are written as numbers, because their file is in the folder of the concrete."""
     options = ["--diameter", "125 mm", "--length", "158 m", "--flow", "30 m3/h", "--fit", trial / "taps.csv"]
     run("line", "--slump", "200 mm", "--stone", "16 mm", *options, "--out", trial / "one")
     mix = read_mix(trial / "one" / "concrete.yaml")
     assert mix.given.slump == 0.2 and mix.given.largest == 0.016 and mix.band_origin == "fit"
+    run("line", "--slump", "7 in", *options, "--out", trial / "customary")
+    assert "slump: 0.1778\n" in (trial / "customary" / "concrete.yaml").read_text(encoding="utf-8")
     (trial / "points.csv").write_text("rate [1/s],stress [Pa]\n5,380\n10,680\n20,1280\n", encoding="utf-8")
     own = concrete(trial, mix={"density": 2400, "viscometer": "points.csv"}, elements={"friction": 0.3})
     run("line", *options, "--concrete", own, "--out", trial / "two")

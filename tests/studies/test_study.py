@@ -205,6 +205,16 @@ def test_the_study_command(tmp_path):
         assert "Traceback" not in wrong.stderr
 
 
+@pytest.mark.filterwarnings("ignore:aggregate_density")
+def test_a_study_of_a_parameter_without_effect_is_refused(tmp_path):
+    """Without aggregates, their density only gives a warning. All cases of a study of it would be the same run."""
+    tube = importlib.import_module("warpcrete.scenes.tube")
+    says = "aggregate_density = 2500.0: is varied, but has no effect in any case of the study"
+    with pytest.raises(SceneError, match=says):
+        run_study("tube", tube, {"aggregate_density": [2500.0, 2700.0]}, out=tmp_path / "study")
+    assert not (tmp_path / "study").exists()
+
+
 def test_what_means_nothing_in_a_case_is_left_out_with_all_that_hangs_on_it(tmp_path):
     """Without bonds there is no hydration, and so no modulus of it; what means nothing anywhere is refused."""
     scene = pipe_module.scene

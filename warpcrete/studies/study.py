@@ -296,15 +296,20 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     """Return the cases without those parameters that do not affect the results of the case.
 
-    Raises :class:`SceneError` if there is a parameter that affects none of the cases.
+    Raises :class:`SceneError` if a parameter that varies affects none of the cases, or if another parameter affects
+    none and its rule is strict. For a parameter whose rule is not strict, such as the density of aggregates in a flow
+    without aggregates, creating the scene gives a warning.
     """
     found = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]
     used = {name for case in found for name in case.parameters}
     for case in cases:
-        if set(case.parameters) - used:
+        if idle := set(case.parameters) - used:
             # At least one parameter of this case affects none of the cases, so it is probably a mistake. Creating the
-            # scene raises an error that names the parameter.
+            # scene raises an error that names the parameter, or gives a warning.
             scene(**case.parameters)
+            for name in sorted(idle & set(case.varied)):
+                problem = "is varied, but has no effect in any case of the study"
+                refuse(name, case.varied[name], problem, f"leave out {name!r}, or set what it needs")
     return found
 
 

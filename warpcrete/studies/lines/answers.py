@@ -35,6 +35,12 @@ ADVICE = {
     "rates are 0.1 to 1.7 Pa/s (notebooks/theory/restarts.md)",
 }
 """Advice for the user on how to reduce the uncertainty that comes from a fitting or from thixotropy."""
+STATED_BENDS = (
+    "their range is that of 'bend_factor' in the file of the line; leave this entry out to fit the factor to more "
+    "pressures with --fit"
+)
+"""Advice for the user if the uncertainty comes from bends whose factor the file of the line states with a range. A fit
+does not change a stated factor."""
 SHORTEST_STOP = 60.0
 """Shortest time between two movements of concrete in a line that is recommended [s]."""
 LONGEST_STOP = 3600.0

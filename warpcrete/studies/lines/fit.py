@@ -10,6 +10,7 @@ from contextlib import suppress
 import numpy as np
 
 from ...core.errors import SceneError, refuse
+from ...geometry.line_entries import FACTORS
 from ...geometry.pipe_line import PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
@@ -38,9 +39,10 @@ NO_SLIP = 1e6
 larger fitted value hardly changes the friction any more, so it means that no slip layer explains the pressures."""
 NO_FACTOR = "not determined by these points, so fitted without it; each bend keeps the factor of the table"
 """Reason why the friction factor of bends was left out of a fit."""
-NOTHING = {1: 1e-3, 2: 0.0}
+NOTHING = {1: 1e-3, 2: FACTORS[0]}
 """Limits below which a fitted constant cannot be distinguished from zero, so that it gets its default value. The key 1
-stands for the yield stress of the slip layer [Pa], and the key 2 for the friction factor of bends."""
+stands for the yield stress of the slip layer [Pa], and the key 2 for the friction factor of bends, whose limit is the
+smallest factor that the file of a line may state."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 GAUGE = 0.04

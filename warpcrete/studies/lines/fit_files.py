@@ -29,6 +29,7 @@ def fitted_concrete(
     `line` is the name of the trial line.
     """
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
+    origin += "" if fit.contradiction is None else ", which contradict each other"
     found: dict[str, Any] = {"name": concrete.name, "source": origin}
     own = fit.concrete(concrete)
     yields, viscous = (1.0, 1.0) if mix is None else mix.factors
@@ -67,6 +68,8 @@ def write_fit(
     """
     _write(folder / CONCRETE_FILE, fitted_concrete(fit, concrete, mix, source, line))
     said = [f"the fitted layer for another line: --concrete {folder / CONCRETE_FILE}"]
+    if fit.contradiction is not None:
+        said[0] += "; do not use it before you have found out why the gauges contradict each other"
     if fit.bend_factor is not None:
         factor = fit.constants[2]
         entry = {"factor": f"{factor.value:.4g}", "low": f"{factor.low:.4g}", "high": f"{factor.high:.4g}"}
@@ -86,14 +89,14 @@ def _plain_entries(concrete: Concrete) -> dict[str, Any]:
     bulk = {"viscosity": concrete.viscosity, "yield_stress": concrete.yield_stress}
     bulk |= {key: getattr(concrete, key) for key in ("flow_index", "quadratic_viscosity")
              if getattr(concrete, key) != LAW_DEFAULTS[key]}  # fmt: skip
-    return {"density": concrete.density, "concrete": bulk}
+    return {"density": concrete.density, "concrete": {key: _short(value) for key, value in bulk.items()}}
 
 
 def _slumped_entries(given: MixEntries) -> dict[str, Any]:
     """Return the entries of a mix for which the user stated only slump or spread, and perhaps the largest stone."""
     found: dict[str, Any] = {"density": given.density}
-    found |= {key: getattr(given, key) for key in ("slump", "spread") if getattr(given, key) is not None}
-    return found if given.sizes is None else found | {"sizes": list(given.sizes)}
+    found |= {key: _short(getattr(given, key)) for key in ("slump", "spread") if getattr(given, key) is not None}
+    return found if given.sizes is None else found | {"sizes": [_short(size) for size in given.sizes]}
 
 
 def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
@@ -101,6 +104,11 @@ def _points(section: MixSection, given: MixEntries) -> dict[str, Any]:
     if "viscometer" not in section.values or given.viscometer_points is None:
         return {}
     return {"viscometer": [list(pair) for pair in zip(*given.viscometer_points, strict=True)]}
+
+
+def _short(value: float) -> float:
+    """Return a number without the digits that the conversion of units adds, such as 0.17779999999999999 for 7 in."""
+    return float(f"{value:.9g}")
 
 
 def _plain(value: Any) -> Any:

@@ -21,6 +21,7 @@ from .answers import (
     LONGEST_STOP,
     MEASUREMENTS,
     ON_CONCRETE,
+    STATED_BENDS,
     WORTHWHILE,
     FastGrowth,
     PumpMargin,
@@ -37,6 +38,7 @@ from .line_fit import FITTED_YIELD
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
 from .pressures import LinePressures, Stop
+from .taps import is_free
 
 COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of cases",
             "other": ", a range without a known probability"}  # fmt: skip
@@ -225,6 +227,8 @@ class LineResult(LinePressures):
             return ""
         if self.band_origin == "fit" and cause == "slip layer":
             return ADVICE[FITTED_YIELD]
+        if cause == "bends" and not any(is_free(part) for part in self.line.parts):
+            return STATED_BENDS
         if cause not in MEASUREMENTS:
             return ADVICE.get(cause, "")
         now, found = band_of(self), []
