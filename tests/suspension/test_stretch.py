@@ -135,7 +135,7 @@ def test_a_run_reports_its_results(device):
     assert "m3/h, mean of the last 29.9 s " in told["flow"]
     figure = method.show(run)
     assert figure is not None and len(figure.axes) == 3
-    assert figure.axes[0].lines[0].get_label() == "this run\nat 59.8 s"
+    assert figure.axes[0].lines[0].get_label() == "this run at 59.8 s"
     mean = figure.axes[2].lines[1].get_ydata()
     assert mean == pytest.approx(np.full(len(mean), 3600 * number(run.result["flow"])))
     assert set(run.units) == set(run.series)
