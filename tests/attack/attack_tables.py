@@ -206,7 +206,7 @@ TARGETS = [
     (VARY + "targets: [{scene: slump, parameters: [a], quantity: spread, value: 1, uncertainty: 1%}]\n", "parameters"),
     (VARY + "targets: [{scene: slump, parameters: {a: 1}, quantity: spread, value: 1, uncertainty: 1%}]\n", "'a'"),
     *((f"vary: {vary}\ntargets: [{TARGET}quantity: spread, value: 0.55, uncertainty: 5%}}]\n", says) for vary, says in (
-        ("{viscosity: [100, 15]}", "the lower number"), ("{viscosity: [15, 15]}", "the lower number"), ("[viscosity]", "vary"),
+        ("{viscosity: [100, 15]}", "the lower number"), ("{viscosity: [15, 15]}", "single value"), ("[viscosity]", "vary"),
         ("{viscosity: 15}", "two finite numbers"), ("{viscosity: [10 Pa, 20 Pa]}", "viscosity"), ("{seed: [1, 9]}", "seed"),
         ("{concrete: [no1, no2]}", "concrete"), ("{viscosty: [1, 9]}", "did you"), ("{viscosity: [-5, 20]}", ""),
         ("{viscosity: {low: 0, high: 9, scale: log}}", "log"), ("{viscosity: {low: 3, hi: 9}}", "'low' and 'high'"),
