@@ -69,7 +69,7 @@ def test_the_stone_in_the_bore(stone, shape, spread, bore, verdict):
     ],
 )
 def test_the_share_of_sand_is_by_volume_if_the_stones_are_light_or_heavy(stones, density, share):
-    """By hand: 700 kg of sand are 264 litres, 470 kg of light stones 376, and 2,000 kg of magnetite 408."""
+    """Compare with a computation by hand: 264 litres of sand, 376 of light stones and 408 of magnetite."""
     changes = {"aggregate": None, "aggregate_density": density}
     found = verdicts(parts={"cement": 400, "water": 180, "sand": 700, **stones}, **changes)["sand"]
     if share is None:

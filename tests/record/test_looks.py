@@ -2,16 +2,12 @@
 
 import functools
 import json
-import re
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from pumping import SMALL, TINY
 from test_recordings import columns
 
@@ -19,7 +15,6 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device.recorder_thread import RecorderThread
 from warpcrete.core.drawing.display import DrawnWall
 from warpcrete.core.drawing.paint import palette_colours
-from warpcrete.core.drawing.style import legend_above, new_figure
 from warpcrete.core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES, Frames
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.measure.probes import largest_forces, pair_forces
@@ -431,49 +426,3 @@ def test_a_scale_may_begin_above_zero():
     """Viridis between 3 and 5: its ends, and its middle for 4."""
     values = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
     assert np.array_equal(palette_colours(values, 5.0, 3.0), palette_colours(np.array([0.0, 0.0, 0.5, 1.0, 1.0]), 1.0))
-
-
-def test_a_legend_lists_curves_by_their_ends_with_and_without_error_bars():
-    axes = Figure().add_subplot()
-    for label, end in (("lowest", 1.0), ("highest", 4.0), ("third", 2.0)):
-        axes.errorbar([0, 1], [3.0, end], [0.1, 0.1], label=label)
-    axes.plot([0, 1], [0.0, 3.0], label="second")
-    axes.axvspan(0, 1, label="area")
-    legend_above(axes)
-    found = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert found == ["highest", "second", "third", "lowest", "area"]
-
-
-@pytest.mark.parametrize(
-    "labels",
-    [
-        ["coarse-graining", "time step", "combined", "front", "as given", "settling", "scatter of the finest"],
-        ["simulated", "theory, as straight pipe", "weight alone", "likely range", "bend", "restart after 10 min"],
-        ["around 0 degrees, a quarter of the circumference", "all round", "180 degrees"],
-        ["plateau, Zhan et al. 2019", "this run", "peak, Zhan et al. 2019"],
-    ],
-)
-def test_caption_legend_and_plot_share_the_width_of_a_figure(labels):
-    """A legend that is too wide would leave the edge of the figure or take the width of the plot."""
-    figure = new_figure("part-dem bend-to-horizontal, diameter 100 mm, concrete zhan, 5.4 m3/h")
-    axes = figure.add_subplot(xlabel="time [s]", ylabel="pressure [kPa]")
-    for label in labels:
-        axes.plot([0, 1], [0, 100], label=label)
-    legend_above(axes)
-    FigureCanvasAgg(figure).draw()
-    parts = [figure.texts[0], axes.get_legend(), axes]
-    caption, legend, plot = (part.get_window_extent() for part in parts)
-    assert min(caption.x0, legend.x0) >= 0 and max(caption.x1, legend.x1) <= figure.bbox.width
-    assert legend.y0 >= plot.y1 - 1 and caption.y0 >= legend.y1
-    assert plot.width > 0.8 * figure.bbox.width
-
-
-def test_figures_of_the_package_have_the_standard_sizes():
-    """Sizes of their own would make the text of some figures too small for a phone."""
-    own = re.compile(r"figsize=|fontsize=[\d.]|labelsize=")
-    allowed = {"style.py", "legend.py"}  # The style itself, and the legend of a recording in the viewer.
-    for path in sorted((Path(__file__).parents[2] / "warpcrete").rglob("*.py")):
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if own.search(line)]
-        # Pictures of the aggregates of several runs have a panel of equal size for each run.
-        lines = [line for line in lines if "len(many)" not in line]
-        assert path.name in allowed or not lines, (path.name, lines)

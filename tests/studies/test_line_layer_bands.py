@@ -61,13 +61,13 @@ THOROUGH = [pytest.param(each, id=name, marks=pytest.mark.thorough)
 @pytest.mark.parametrize("flows", [pytest.param((20, 35), marks=pytest.mark.thorough), (30,)])
 @pytest.mark.parametrize("true", [pytest.param(STIFFEST, id="stiffest"), *THOROUGH])
 def test_bands_of_soft_and_stiff_layers_contain_the_true_pressure(true, flows):
-    """Of 100 bands, 97 to 100 contain it.
+    """Count the bands that contain the true pressure: 97 to 100 of 100.
 
     Before uncertainties of the friction were converted to those of the layer, 32 to 83 did for the stiffest layer, and
     75 to 100 for soft ones.
     """
     found = inside(true, flows, 100)
-    assert np.all(found >= 0.93), found
+    assert np.all(found >= 0.96), found
 
 
 def test_the_uncertainty_is_that_of_the_layer():
