@@ -383,7 +383,7 @@ def test_unequal_spheres_that_turn_like_gears_do_not_slide(start, spin, slides):
     (BinghamMortar, "normal", 4e-3), (PlasticMortar, "normal", 4e-3),
 ])  # fmt: skip
 def test_dashpots_are_a_part_of_the_critical_ones(start, kind, name, overlap):
-    """A force 2 zeta sqrt(m k) on the velocity, with half a sphere's mass m and the stiffness k or k_s of a pair.
+    """The force is 2 zeta sqrt(m k) times the velocity, with half a sphere's mass m and a pair's stiffness k or k_s.
 
     Below their shells of mortar, aggregates have the dashpot of aggregates.
     """

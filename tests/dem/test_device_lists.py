@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("like_a_gpu")]
     "more", [dict(wall="mesh"), dict(shapes="shape-1.5", travel=0.015), dict(hydration=0.2, hydration_modulus=1e7)]
 )
 def test_the_device_builds_lists_as_the_host_would(monkeypatch, shared_packings, more):
-    """And leaves it to the host where there is no room for them."""
+    """The device leaves the lists to the host where there is no room for them."""
     scene = scenes.pipe(**TINY | dict(travel=0.02) | more)
     found = {}
     for way in ("device", "no room", "host"):

@@ -49,7 +49,7 @@ def near_list_exceeded(monkeypatch):
 @pytest.mark.thorough
 @pytest.mark.parametrize("shapes", ["spheres", "reference"])
 def test_whatever_links_are_near_the_state_hash_is_the_same(shapes, monkeypatch, shared_packings, near_list_exceeded):
-    """Chosen every twenty steps, or only with new lists, so that spheres outrun them and all links are looked at."""
+    """They are chosen every twenty steps, or only with new lists: then spheres outrun them, and all links are read."""
     scene, found = scenes.pipe(shapes=shapes, hydration=0.2, healing=True, **SMALL), []
     with divide_work_like_gpu():
         for chosen in (stages.NEAR_LINK_INTERVAL, 10**6):

@@ -111,7 +111,7 @@ def test_the_moment_of_a_pair_grows_with_the_turn_up_to_its_limit_and_outlives_r
 
 
 def test_the_dashpot_of_a_rolling_pair_is_a_part_of_the_critical_one(start):
-    """A moment 2 zeta sqrt(I k_r) on the turning: I = 7/5 m r^2 with half a sphere's mass m, and k_r = k_s r^2/4."""
+    """The moment is 2 zeta sqrt(I k_r) times the spin: I = 7/5 m r^2 with half a sphere's mass m, k_r = k_s r^2/4."""
     spins, booked, dt, density = [], [], 1e-6, 1e6
     mass = density * 4 / 3 * math.pi * RADIUS**3
     for ratio in (0.0, 0.25):

@@ -334,7 +334,7 @@ SMALL = OWN | SHORT | {"unit": "horizontal", "spacing": 0.0165, "time_step": 0.0
 
 @pytest.mark.thorough
 def test_runs_abreast_do_what_they_do_alone(side_by_side):
-    """Of different length and size, one of which fails; on a GPU each goes on a stream of its own."""
+    """The runs differ in length and size, and one of them fails; on a GPU each has a stream of its own."""
     wanted = [scenes.part(**SMALL | {"flow": flow, "duration": 0.04}) for flow in (1e-3, 2e-3)] + [
         scenes.channel(ends="periodic", concrete="no1", spacing=0.01, length=0.1, duration=0.01),
         scenes.channel(concrete="no2", spacing=0.02, length=0.2, duration=0.004, sample_interval=2e-3),

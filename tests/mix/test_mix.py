@@ -153,19 +153,17 @@ def test_points_of_tribometer_and_viscometer():
     assert (mix["slip viscosity"].low, mix["slip viscosity"].high) == pytest.approx((0.3 * 900, 2 * 900))
 
 
-@pytest.mark.parametrize(("stresses", "student"), [((100, 141, 178), 12.706), ((100, 141, 178, 220), 4.303)])
+@pytest.mark.parametrize(("stresses", "student"), [((100, 141, 178), 12.706), ((100, 150, 160, 230), 4.303)])
 def test_a_line_through_several_points_has_the_interval_of_student(stresses, student):
-    """The standard error of a slope times the quantile for as many degrees of freedom as there are points less two.
-
-    The interval is at least the error of a rheometer, 20 %, as with four points here.
-    """
+    """Expect a slope's standard error times the quantile for as many degrees of freedom as points less two."""
     rate, stress = np.arange(1.0, 1 + len(stresses)), np.array(stresses)
     slope, offset = np.polyfit(rate, stress, 1)
     variance = np.sum((stress - slope * rate - offset) ** 2) / (len(rate) - 2)
     error = math.sqrt(variance / np.sum((rate - rate.mean()) ** 2))
     found = mix_of({"density": 2300, "viscometer": np.transpose([rate, stress]).tolist()})["viscosity"]
     assert found.value == pytest.approx(slope)
-    assert found.high - slope == pytest.approx(max(student * error, 0.2 * slope), rel=2e-3)
+    assert student * error > 0.2 * slope
+    assert found.high - slope == pytest.approx(student * error, rel=2e-3)  # Measured: 3e-4, as 12.706 is rounded.
 
 
 def test_points_on_a_straight_line_still_have_the_error_of_a_rheometer():

@@ -431,7 +431,7 @@ def test_aggregate_is_counted_where_it_is(device):
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_particles_that_are_too_close_move_apart(dimensions):
-    """Each by a tenth of what is missing from 0.95 spacings, in every step, along the line between them."""
+    """Particles move apart by a tenth of what is missing from 0.95 spacings, in every step, along their line."""
     flow = flow_of("cpu", dimensions=dimensions)
     h, particles = flow.state.particle_spacing, flow.state.particles
     x = particles.position.numpy().copy()
@@ -444,4 +444,5 @@ def test_particles_that_are_too_close_move_apart(dimensions):
     missing = np.where(distance < 0.95 * h, 0.1 * (0.95 * h - distance), 0.0)
     expected = np.sum((missing / distance)[..., None] * apart, axis=1)
     assert (missing.any(1)).sum() > 50
-    assert flow.fields.extra_displacement.numpy() == pytest.approx(expected, rel=1e-9, abs=1e-12 * h)
+    # Measured: 3e-18 m at most.
+    assert flow.fields.extra_displacement.numpy() == pytest.approx(expected, rel=1e-12, abs=1e-15 * h)

@@ -161,8 +161,8 @@ def test_points_that_do_not_suffice_are_refused(points, says):
         ("pressure [bar],flow [m3/h]\n20,20\n", r"must have one of the columns 'place' and 'part'"),
         ("place [m],part,pressure [bar],flow [m3/h]\n0,1,20,20\n", r"must have one of the columns 'place' and 'part'"),
         ("place [m],distance [m],pressure [bar],flow [m3/h]\n0,0,20,20\n", r"'place' and 'distance', which mean the"),
-        ("place [m],pressure [bar],flow [m3/h],note,note\n0,20,20,a,b\n", r"note"),
-        ("place [m],pressure [bar],flow [m3/h]\n0,20,20,7\n", r"line 2"),
+        ("place [m],pressure [bar],flow [m3/h],note,note\n0,20,20,a,b\n", r"has the column 'note' twice"),
+        ("place [m],pressure [bar],flow [m3/h]\n0,20,20,7\n", r"line 2: has 4 values where the header names 3 columns"),
         (
             "place [m],pressure [bar],flow [m3/h]\n200,20,20\n",
             r"taps\.csv, line 2: place = 200\.0: must be at least 0 and below 158",

@@ -74,16 +74,17 @@ def test_the_written_concrete_and_factor_give_the_fitted_line(trial, sections):
     run("line", trial / "site.yaml", "--concrete", trial / "fit" / "concrete.yaml", "--out", trial / "again")
     first, second = record(trial / "fit"), record(trial / "again")
     assert second["pressure"]["value"] == pytest.approx(first["pressure"]["value"], rel=1e-4)
-    # The uncertainty in the file is the one that holds at other flows too, so the lower end of the band is lower. The
-    # upper end of the fit is up to 1.0 % higher, because a hose with less friction means a stiffer layer there.
+    # The uncertainty in the file is the one that holds at other flows too, so the lower end of the band is lower, by
+    # 2.1 to 2.5 %. The upper end is up to 1.0 % lower, because a hose with less friction means a stiffer layer in the
+    # fit, or up to 0.3 % higher.
     assert 0.97 < second["pressure_low"]["value"] / first["pressure_low"]["value"] <= 1
-    assert 0.99 < second["pressure_high"]["value"] / first["pressure_high"]["value"] < 1.03
+    assert 0.99 < second["pressure_high"]["value"] / first["pressure_high"]["value"] < 1.005
     mix = read_mix(trial / "fit" / "concrete.yaml")
     assert mix.name == "Own" and mix.source == f"slip layer fitted to {len(first['fit']['taps'])} pressures of site"
 
 
 def test_the_written_files_hold_at_another_flow_of_a_longer_line(trial):
-    """The known line is made longer. Its true pressure lies in the band, and within 2 % of the prediction."""
+    """The known line is made longer. Its true pressure lies in the band, and within 0.1 % of the prediction."""
     run("line", trial / "site.yaml", "--concrete", concrete(trial, mix=BULK), "--fit", trial / "taps.csv",
         "--gauge", "0.1 bar", "--out", trial / "fit")  # fmt: skip
     longer = [{"straight": 200}, *PARTS, {"straight": 100}, {"bend": "right"}, {"straight": 50}]
@@ -95,7 +96,7 @@ def test_the_written_files_hold_at_another_flow_of_a_longer_line(trial):
     factor = next(part.factor for part in KNOWN.parts if part.kind == "bend")
     line = replace(line, parts=tuple(replace(p, factor=factor) if p.kind == "bend" else p for p in line.parts))
     true, found = line_by_theory(line, TRUE, 50 / 3600).pressure, record(trial / "far")
-    assert found["pressure"]["value"] == pytest.approx(true, rel=0.02)
+    assert found["pressure"]["value"] == pytest.approx(true, rel=1e-3)  # Measured: 7e-4.
     assert found["pressure_low"]["value"] < true < found["pressure_high"]["value"]
 
 

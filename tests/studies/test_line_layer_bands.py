@@ -78,8 +78,8 @@ def test_the_uncertainty_is_that_of_the_layer():
         flow, own = np.mean([tap.flow for tap in fit.taps]), fit.concrete(true)
         ends = [straight_friction(FLAT.parts[0], with_layer_factor(own, x), flow)
                 for x in (1 / (1 + fit.uncertainty), 1 + fit.uncertainty)]  # fmt: skip
-        # The ratio of both ends differs by at most 0.3 % from the wanted one.
-        assert ends[1] / ends[0] == pytest.approx((1 + fit.friction_uncertainty) ** 2, rel=5e-3)
+        # The ratio of both ends differs by at most 7e-6 from the wanted one.
+        assert ends[1] / ends[0] == pytest.approx((1 + fit.friction_uncertainty) ** 2, rel=2e-5)
 
 
 def test_gauges_that_show_no_pressure_at_half_the_flow_leave_the_uncertainty_as_it_is():
@@ -93,7 +93,7 @@ def test_gauges_that_show_no_pressure_at_half_the_flow_leave_the_uncertainty_as_
     assert line_by_theory(line, true, 15 / 3600).pressure == 0 < line_by_theory(line, true, 20 / 3600).pressure
     # The later uncertainty is 2.7 times the one at the measured flow, and 2.6 times for 40 m3/h.
     for each in layer.values():
-        assert each.uncertainty < each.later_uncertainty < 3 * each.uncertainty
+        assert 2.5 * each.uncertainty < each.later_uncertainty < 2.8 * each.uncertainty
 
 
 def test_the_weight_of_earlier_knowledge_compares_two_uncertainties_of_the_friction():
@@ -121,7 +121,10 @@ def test_the_range_of_an_open_yield_stress_follows_from_the_concrete():
 
 
 def test_bands_at_other_flows_contain_layers_as_the_slump_gives_them():
-    """With the 0 to 50 Pa of the paste, 5 to 9 of 100 bands at other flows contain the true pressure, and now 95."""
+    """Count the bands that contain the true pressure: 60, 59 and 56 of 60 at half, one and two times the flow.
+
+    With the 0 to 50 Pa of the paste, only 5 to 9 % of the bands at other flows did.
+    """
     mix = mix_of(TICKET)
     tau = next(tau for _, tau in mix.other_layers)
 

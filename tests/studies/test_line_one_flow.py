@@ -39,7 +39,7 @@ MORE = [pytest.param(flows, marks=pytest.mark.thorough) for flows in ((30,), (30
 def test_the_band_at_other_flows_covers_the_pressures_of_unknown_layers(flows):
     """The band of a yield stress that was fitted to two flows was once as narrow at other flows as at these flows."""
     found = inside(flows)
-    assert np.all(found >= 0.9), found  # measured 0.97 to 1; once 0.08 to 0.85 at other flows for two flows
+    assert np.all(found >= 0.95), found  # measured 0.97 to 1; once 0.08 to 0.85 at other flows for two flows
 
 
 def test_one_flow_leaves_the_band_at_this_flow_and_widens_it_at_others():
@@ -52,9 +52,8 @@ def test_one_flow_leaves_the_band_at_this_flow_and_widens_it_at_others():
         return line_by_theory(KNOWN, one.concrete(TRUE), flow / 3600, variants=ends, fit=one).band().factor
 
     assert factor(30, False) == pytest.approx(factor(30, True), rel=1e-6)
-    for flow in (15, 60):
-        # The ratio is 2.04 at half the flow, and 1.47 at twice the flow.
-        assert factor(flow, False) - 1 > 1.4 * (factor(flow, True) - 1)
+    for flow, ratio in ((15, 2.04), (60, 1.47)):
+        assert factor(flow, False) - 1 == pytest.approx(ratio * (factor(flow, True) - 1), rel=0.01)
     text = "\n".join(fit_lines(one, KNOWN))
     assert "All gauges were read at 30 m3/h; at another flow the band is wider, because" in text
     assert f"uncertainty: {100 * one.later_uncertainty:.3g} %, from: pipe" in text
@@ -84,8 +83,9 @@ def test_an_unknown_yield_stress_does_not_change_the_pressure_behind_the_gauges(
 
     every = fit.variants(GUESS)
     alone = band(**{"slip layer": every["slip layer"]})
-    assert band(**every).low == pytest.approx(alone.low, rel=2e-3)  # measured 3e-4; once 0.84 and 0.05 of it
-    assert band(**every).high == pytest.approx(alone.high, rel=2e-3)
+    # Measured: 5e-6 and 8e-5; the lower end was once 0.84 and 0.05 of it.
+    assert band(**every).low == pytest.approx(alone.low, rel=2e-4)
+    assert band(**every).high == pytest.approx(alone.high, rel=2e-4)
 
 
 def test_flows_that_differ_by_less_than_the_tolerance_are_one_flow_in_the_report():

@@ -109,7 +109,7 @@ def test_a_plug_loses_what_its_closed_form_says():
 
 
 def test_the_layer_of_a_hose_resists_by_its_factor_at_every_speed():
-    """A plug that slips at v on a layer of tau + eta v + xi v^2, each of them times the factor."""
+    """The layer of a plug that slips at v resists by tau + eta v + xi v^2, and the factor multiplies each term."""
     concrete = replace(SLIPPING, slip_quadratic_viscosity=400.0)
     part, flow = Part(1, "hose", 0.1, 6.0, 0.0, 0.1, layer=2.5), 0.005
     speed = flow / (math.pi * 0.05**2)

@@ -53,24 +53,24 @@ def test_sigterm_in_a_worker_stops_all_workers():
         assert crew.run((HERE, "add"), (1, 1)) == (2, False)
         (idle,) = crew._workers
         waiting = pool.submit(crew.run, (HERE, "wait_for_stop"), ())
-        wait_until(lambda: not crew._idle, 30)
+        assert wait_until(lambda: not crew._idle, 30)
         other = pool.submit(crew.run, (HERE, "wait_for_stop"), ())
-        wait_until(lambda: len(crew._workers) == 2 and crew._workers[1]._ready, 30)
+        assert wait_until(lambda: len(crew._workers) == 2 and crew._workers[1]._ready, 30)
         assert not crew.stopping
         idle._process.terminate()
         assert waiting.result(timeout=30) == other.result(timeout=30) == "stopped"
         assert crew.terminated and crew.stopping and idle._process.wait(timeout=30) == 0
     with ThreadPoolExecutor(1) as pool, WorkerPool() as crew:
         begun = pool.submit(crew.run, (HERE, "add"), (1, 1))
-        while not crew._workers:  # Its imports take longer than the pauses of `wait_until`.
+        while not (crew._workers or begun.done()):  # Its imports take longer than the pauses of `wait_until`.
             time.sleep(1e-3)
         crew._workers[0]._process.terminate()
         assert begun.result(timeout=30) is None and crew.terminated
     with ThreadPoolExecutor(1) as pool, WorkerPool() as crew:
         deaf = pool.submit(crew.run, (HERE, "sleep"), ())
-        wait_until(lambda: crew._workers and crew._workers[0]._ready, 30)
+        assert wait_until(lambda: crew._workers and crew._workers[0]._ready, 30)
         # The first SIGTERM asks a worker to end, the second one ends it.
-        wait_until(lambda: deaf.done() or crew._workers[0]._process.terminate(), 30)
+        assert wait_until(lambda: deaf.done() or crew._workers[0]._process.terminate(), 30)
         assert deaf.result() is None and crew.terminated and crew._workers[0]._process.wait() == -signal.SIGTERM
 
 

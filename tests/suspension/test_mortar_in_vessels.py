@@ -1,5 +1,7 @@
 """Mortar with aggregates in a vessel: scenes, runs, restarts and bad input."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -103,28 +105,23 @@ def test_aggregates_are_drawn_beside_the_surface_of_the_concrete(device):
     assert len(half.vertices) < len(surface.vertices)
 
 
-@pytest.mark.parametrize("name", ["lbox", "funnel", "slump", "jring", "part", "tube", "channel"])
-@pytest.mark.parametrize(
-    "given",
-    [{"aggregate_smallest": 0.05}, {"aggregate_largest": 0.05}, {"aggregate_density": 3000.0}, {"roughness": 0.02},
-     {"friction": 0.3}],
-)  # fmt: skip
-def test_properties_of_aggregates_give_a_warning_without_aggregates(name, given):
-    (field,) = given
-    with pytest.warns(PlausibilityWarning, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
-        getattr(warpcrete.scenes, name)(**given)
+OF_AGGREGATES = [
+    {"aggregate_smallest": 0.05}, {"aggregate_largest": 0.05}, {"aggregate_density": 3000.0}, {"roughness": 0.02},
+    {"friction": 0.3},
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "name, given",
     [
+        *itertools.product(["lbox", "funnel", "slump", "jring", "part", "tube", "channel"], OF_AGGREGATES),
         ("part", {"blocked_travel": 0.1}),
         ("part", {"pressure_limit": 1e5}),
         ("tube", {"courant": 0.4}),
         ("channel", {"courant": 0.4}),
     ],
 )
-def test_settings_of_flows_with_aggregates_give_a_warning_without_aggregates(name, given):
+def test_properties_and_settings_of_aggregates_give_a_warning_without_aggregates(name, given):
     (field,) = given
     with pytest.warns(PlausibilityWarning, match=f"^{field} = .*: has no effect unless 'aggregate_fraction'"):
         getattr(warpcrete.scenes, name)(**given)

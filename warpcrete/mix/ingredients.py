@@ -8,6 +8,9 @@ from ..core.errors import quoted, refuse, suggested
 from ..core.inputs.amounts import amount, is_amount, unit_names
 from ..core.inputs.limits import warn
 
+HEAVY = {**dict.fromkeys(("barite", "baryte", "barytes"), 4200.0), **dict.fromkeys(("magnetite", "hematite"), 4900.0)}
+"""Densities of heavy rocks [kg/m3]. An ingredient with such a word in its name, such as "barite sand", has the density
+of this rock."""
 DENSITIES = {
     **dict.fromkeys(("cement", "clinker", "cem", "opc", "type", "binder", "powder"), 3100.0),
     **dict.fromkeys(("slag", "ggbs", "ggbfs"), 2900.0),
@@ -20,21 +23,17 @@ DENSITIES = {
                      "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
                      "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer"), 1100.0),
     **dict.fromkeys(("steel", "fibres", "fibers", "fibre", "fiber"), 7850.0),
-    **dict.fromkeys(("barite", "baryte", "barytes"), 4200.0),
-    **dict.fromkeys(("magnetite", "hematite"), 4900.0),
+    **HEAVY,
 }  # fmt: skip
 """Usual densities of ingredients [kg/m3]. The keys are words by which the name of an ingredient is recognised."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
 """Words that mean coarse aggregate. If the mix states a density of coarse aggregate, it applies to ingredients with
 such a word in their names."""
-HEAVY = ("barite", "baryte", "barytes", "magnetite", "hematite")
-"""Words for heavy rocks. An ingredient with such a word in its name, such as "barite sand", has the density of this
-rock."""
 LIGHT = ("lightweight", "light", "expanded", "pumice", "perlite")
 """Words for light aggregate, whose density differs from product to product."""
 MIXED_WITH_SAND = ("gravel", "stone", "stones", "chippings", "pebbles")
 """Words for stones that are no rock. Beside "sand", as in "sand and gravel", they mean a mixture of both."""
-VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "pp", "pva",
+VARIABLE = (*LIGHT, "clay", "recycled", "polypropylene", "pp", "pva",
           "synthetic", "polymer", "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
 MIN_AMOUNT = 0.01

@@ -225,8 +225,8 @@ class _TheoryCurves:
 
     def __init__(self, study: Any) -> None:
         self.study, self.module = study, modules().get(study.scene)
-        self._known: dict[tuple[str, str], list[tuple[float, Mapping[str, float]]]] = {}
-        """Values of a varied parameter, each with all quantities by theory, by the names of the case and the parameter.
+        self._known: dict[tuple[Any, ...], list[tuple[float, Mapping[str, float]]]] = {}
+        """Values of a varied parameter, each with all quantities by theory, by case, name of the parameter and values.
 
         A closed form returns all quantities of a scene at once. The quantities in a figure therefore share the scenes.
         """
@@ -246,8 +246,8 @@ class _TheoryCurves:
             return None
         case = next(case for case in self.study.cases if all(part[0].get(k) == v for k, v in case.varied.items()))
         places = np.linspace(min(values), max(values), THEORY_POINTS).tolist()
-        key, wanted = (case.name, name), quantity.name.removesuffix("_theory")
-        if key not in self._known or [place for place, _ in self._known[key]] != places:
+        key, wanted = (case.name, name, *places), quantity.name.removesuffix("_theory")
+        if key not in self._known:
             self._known[key] = [(place, self._expected(case.parameters | case.varied, name, place)) for place in places]
         found = [(place, expected[wanted]) for place, expected in self._known[key] if wanted in expected]
         return ([place for place, _ in found], [value for _, value in found]) if found else None

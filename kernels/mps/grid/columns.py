@@ -70,12 +70,12 @@ def column_functions(scalar, dimensions: int, periodic: bool = False) -> SimpleN
     vec, Columns = t.vec, wp.array(dtype=scalar)
     pair = wp.types.vector(2, scalar)
     Particles = grid_structs(scalar, dimensions).Particles
-    dims, name = dimensions, "double" if scalar is wp.float64 else "float"
+    dims = dimensions
+    constants = {"LANES": LANES, "DIMS": dims, "SCALAR": "double" if scalar is wp.float64 else "float"}
 
     def source(distance: str, first: str, value: str, add: str) -> str:
-        words = {"DISTANCE": distance, "FIRST": first, "VALUE": value, "ADD": add, "LANES": LANES, "DIMS": dims}
         found = WEIGHTS
-        for word, text in (words | {"SCALAR": name}).items():
+        for word, text in ({"DISTANCE": distance, "FIRST": first, "VALUE": value, "ADD": add} | constants).items():
             found = found.replace(word, str(text))
         return found
 

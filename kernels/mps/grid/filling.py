@@ -174,19 +174,16 @@ def fill_kernel(scalar, serial: bool, of: GridKind):
         particle_density = scalar(1.0)
         if mesh.solid[number] == OPEN:
             particle_density = scalar(0.0)
+            place = vec()
+            for b in range(dims):
+                place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
+            sum = scalar(0.0)
             # No particle is in the frame around the grid, so every cell of the grid has neighbours on all sides.
-            crowd = wp.int32(0)
             for n in range(around):
-                crowd += mesh.count[neighbour(g, number, n)]
-            if crowd > 0:
-                place = vec()
-                for b in range(dims):
-                    place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
-                sum = scalar(0.0)
-                for n in range(around):
-                    other = neighbour(g, number, n)
-                    if mesh.count[other] > 0:
-                        sum = add_cell(g, mesh, c, place, other, other == number, sum)
+                other = neighbour(g, number, n)
+                if mesh.count[other] > 0:
+                    sum = add_cell(g, mesh, c, place, other, other == number, sum)
+            if sum > scalar(0.0):
                 particle_density = sum * g.volume / geometry.weighted_volume[number]
                 height = level(particle_density)
                 if film(mesh, g, c):

@@ -133,9 +133,10 @@ class Method:
         )
 
     def drawn(self, simulation: Simulation, run: Run, colouring: str | None) -> Figure | None:
-        """Return the picture for a run folder; None if the run has only its initial row, which leaves nothing to draw.
+        """Return the picture for a run folder; None if there is nothing to draw.
 
-        `colouring` is the quantity that colours the bodies.
+        Without a function `draw`, there is nothing to draw of a run that has only its initial row. `colouring` is the
+        quantity that colours the bodies.
         """
         if self.draw is not None:
             return self.draw(simulation, run, colouring)

@@ -34,8 +34,9 @@ SLOT_BYTES = {2: 4 * 277, 3: 4 * 557}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
 by number of axes."""
 COLUMN_BYTES = {2: 4 * 54, 3: 4 * 96}
-"""Additional memory per cell on a CPU, for the array `columns` of the struct `Fields` [bytes], in single precision, by
-number of axes. The array has an entry for each column of each particle; full cells hold nine or eight particles."""
+"""Additional memory per cell on a CPU [bytes], in single precision, by number of axes: that of the array `columns` of
+the struct `Fields`, less that of the empty GPU_LISTS. The array `columns` has an entry for each column of each
+particle. Full cells hold nine particles in a plane and eight in space."""
 
 FIRST_STEP_RATIO = 0.01
 """Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""

@@ -92,7 +92,7 @@ def _draw_pump(axes: Any, result: LinePressures, place: float, size: float) -> N
     The restart is drawn at the horizontal position `place`, beside the vertical axis, which would hide it.
     """
     if result.line.pump is not None:
-        axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", label="pump")  # fmt: skip
+        axes.axhline(result.line.pump.pressure / size, color=rgb(THEORY), linestyle="-.", label="pump")
     if result.stop is not None:
         band = result.restart(result.flow)
         label = f"restart after {time_text(result.stop.rest)}"

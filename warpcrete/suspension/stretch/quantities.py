@@ -56,9 +56,7 @@ def _pressure(k: RunData, gradient: float | None) -> float | None:
     """
     if gradient is None:
         return None
-    mortar = k.scene.concrete.density
-    density = mortar + k.fraction * (k.scene.aggregate_density - mortar)
-    return k.scene.length * (gradient + density * k.scene.gravity)
+    return k.scene.length * (gradient + k.scene.density_with(k.fraction) * k.scene.gravity)
 
 
 def _pressure_words(run: Run) -> str:

@@ -219,7 +219,11 @@ class StretchScene(SphereFields, Parametrised, StretchSettings):
     @property
     def density(self) -> float:
         """Density of mortar and aggregates together [kg/m3]."""
-        return self.concrete.density + self.simulated_fraction * (self.aggregate_density - self.concrete.density)
+        return self.density_with(self.simulated_fraction)
+
+    def density_with(self, fraction: float) -> float:
+        """Return the density of mortar with the given volume fraction of aggregates [kg/m3]."""
+        return self.concrete.density + fraction * (self.aggregate_density - self.concrete.density)
 
     @property
     def mean_diameter(self) -> float:
