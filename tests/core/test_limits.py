@@ -1,5 +1,6 @@
 """What is possible and what is usual: every parameter of every scene, options, files, and the words of messages."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -353,3 +354,17 @@ def test_a_long_text_is_no_amount():
     assert amount("diameter", "  125  mm ", "m") == 0.125 and bare_number(" 1e3 ")
     with pytest.raises(SceneError, match="must be a number without a unit, or with %"):
         amount("share", "1 m", "1")
+
+
+@pytest.mark.parametrize(
+    "scene, given, words",
+    [
+        ("part", {"unit": "horizontal", "angle": 45}, "angle = 45.0: has no effect unless 'unit' is a bend"),
+        ("part", {"unit": "vertical", "elbow_radius": 1}, "elbow_radius = 1.0: has no effect unless 'unit' is a bend"),
+        ("part_dem", {"unit": "horizontal", "angle": 45}, "angle = 45.0: has no effect unless 'unit' is a bend"),
+        ("lbox", {"bar_diameter": 0.02}, "bar_diameter = 0.02: has no effect unless 'bars' is 2 or 3"),
+    ],
+)
+def test_dimensions_of_what_is_not_there_give_a_warning(scene, given, words):
+    with pytest.warns(PlausibilityWarning, match=f"^{re.escape(words)}"):
+        getattr(scenes, scene)(**given)
