@@ -49,10 +49,12 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
                 published.plateau / 1e3, color=rgb(MEASURED), linestyle=":", label=f"plateau, {published.source}"
             )
         if published.peak is not None and published.peak_travel is not None:
-            axes.plot(published.peak_travel, published.peak / 1e3, "k+", markersize=10,
+            axes.plot(published.peak_travel, published.peak / 1e3, "+", color=rgb(MEASURED), markersize=10,
                       label=f"peak, {published.source}")  # fmt: skip
         elif published.peak is not None:
-            axes.axhline(published.peak / 1e3, color="k", linestyle="--", label=f"maximum, {published.source}")
+            axes.axhline(
+                published.peak / 1e3, color=rgb(MEASURED), linestyle="--", label=f"maximum, {published.source}"
+            )
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, longest))
     if len(axes.lines) > 1:
         legend_above(axes)
