@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from warpcrete import scenes
@@ -209,14 +209,19 @@ class Studies:
                 axes.title.set_fontsize("medium")
                 if (scale := display[colouring].scale()) is not None:
                     label, lower, upper = scale
-                    bar = fields.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, pad=0.02,
-                                          orientation="horizontal", location="bottom", aspect=10)  # fmt: skip
-                    bar.set_label(textwrap.fill(label, 12))
+                    shades = ScalarMappable(Normalize(lower, upper), "viridis")
+                else:  # A bar of both phases; without a bar, this panel would stand higher than the others.
+                    label, both = "phase of the particles", np.unique(display[colouring].colours() / 255, axis=0)
+                    shades = ScalarMappable(Normalize(0, 2), ListedColormap(both[[-1, 0]]))
+                bar = fields.colorbar(shades, ax=axes, pad=0.02, orientation="horizontal", location="bottom", aspect=10)
+                if scale is None:
+                    bar.set_ticks([0.5, 1.5], labels=["mortar", "grain"])
+                bar.set_label(textwrap.fill(label, 12))
             for part, colour in zip(r["profiles"], map(rgb, SERIES)):
                 shown[4].plot(
                     100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]),
                     "x" if two else "o", color=colour, markersize=4,
-                    label=f"{words}, {100 * part['height']['value']:.0f} cm",
+                    label=f"{1 + two} phase{'s' if two else ''}, {100 * part['height']['value']:.0f} cm",
                 )  # fmt: skip
             mixes = [r]
             if two:
