@@ -1,13 +1,12 @@
 """What is possible and what is usual: every parameter of every scene, options, files, and the words of messages."""
 
 import re
-import subprocess
-import sys
 import warnings
 
 import pytest
 import trimesh
 from click.testing import CliRunner
+from pumping import command
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
@@ -334,9 +333,9 @@ def test_the_nearest_word_is_suggested():
 
 
 @pytest.mark.parametrize("words", [["theory", "--flow", "0.11"], ["run", "tube", "--diameter", "125"]], ids=" ".join)
-def test_the_command_says_it_in_one_line(words, tmp_path):
-    code = "from warpcrete.cli.main import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, encoding="utf-8", cwd=tmp_path)
+def test_the_command_says_it_in_one_line(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = command(*words)
     (line,) = done.stderr.splitlines()
     if words[0] == "theory":
         assert done.returncode == 0 and line.startswith("warning: flow = 0.11: makes the concrete flow at 14 m/s")
