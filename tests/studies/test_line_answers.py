@@ -29,7 +29,9 @@ def test_hoses_of_other_lengths_than_in_a_rule_count_in_proportion(length, jsce,
     rows = {row.rule: row for row in pumped({"straight": 2}, {"hose": length}).practice()[1]}
     assert rows["JSCE"].pressures["hose"] == pytest.approx(jsce * METRE)
     assert rows["JGJ/T 10"].pressures["hose"] == pytest.approx(jgj * 1e5)
-    assert "a shorter or longer hose counts in proportion" in rows["JSCE"].implies
+    for rule, shortest, longest in (("JSCE", 5, 8), ("JGJ/T 10", 3, 5)):
+        said = "a shorter or longer hose counts in proportion" in rows[rule].implies
+        assert said == (not shortest <= length <= longest)
 
 
 @pytest.mark.parametrize(

@@ -77,15 +77,13 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
     The factors on yield stresses and viscosities in this file will multiply the entries, which are therefore divided by
     them.
     """
-    tau, eta = (each.value / factor for each, factor in zip((fit.constants[1], fit.constants[0]), factors, strict=True))
     before = "" if factors == (1.0, 1.0) else ", divided by the factors that it states"
     if mix:
         return [
             f"Write into the section `mix` of the concrete's file{before} (for this delivery; without `uncertainty`, "
             "the band is 30 %, that of other deliveries), or let --out FOLDER write the whole file:",
             "",
-            f"    layer: {{viscosity: {eta:.4g} Pa s/m, yield_stress: {tau:.4g} Pa, "
-            f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
+            f"    layer: {{{', '.join(f'{key}: {value}' for key, value in fit.layer_entry(factors).items())}}}",
         ]
     own = max(fit.later_uncertainty, 0.001)
     others = (
@@ -95,8 +93,9 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
         f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor {1 + own:.4g}{others}; "
         "or let --out FOLDER write the whole file:",
         "",
-        f"    slip_viscosity: {eta:.4g} Pa s/m",
-        f"    slip_yield: {tau:.4g} Pa",
+        f"    slip_viscosity: {fit.constants[0].value / factors[1]:.6g} Pa s/m",
+        f"    slip_yield: {fit.constants[1].value / factors[0]:.6g} Pa",
+        *(f"    slip_{key}: {value:g}" for key, value in fit.law_entries(factors[1]).items()),
     ]
 
 

@@ -123,10 +123,15 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
             return JGJ_VALVE
         return JGJ_LEVEL * (_level(part) if part.rise >= 0 else part.length) + JGJ_RISE * max(part.rise, 0.0)
 
-    kinds = {part.kind for part in parts if part.factor is None}
+    others = [part for part in parts if part.factor is None]
+    kinds = {part.kind for part in others}
+
+    def hoses(lengths: tuple[float, float]) -> str:
+        outside = any(part.kind == "hose" and not lengths[0] <= part.length <= lengths[1] for part in others)
+        return f"; {OTHER_HOSES}" if outside else ""
+
     longest = max(parts, key=lambda part: part.length if part.kind == "straight" else 0.0)
     metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
-    hoses = f"; {OTHER_HOSES}" if "hose" in kinds else ""
     return [
         _row("AIJ", parts, aij,
                     "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
@@ -134,12 +139,12 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
         _row("JSCE", parts, jsce,
                     f"a metre of rise counts as {counted:.3g} m of level pipe, or {counted * metre / 1e3:.3g} "
                     f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa; the rise of bends, "
-                    f"reducers and hoses does not count, and falling pipe counts as level{hoses}"
+                    f"reducers and hoses does not count, and falling pipe counts as level{hoses(JSCE_HOSE_LENGTHS)}"
                     f"{_as_straight(kinds, JSCE_OTHERS)}", JSCE),
         _row("JGJ/T 10", parts, jgj,
                     f"{JGJ_LEVEL / 1e3:g} kPa/m level and {JGJ_RISE / 1e3:g} kPa/m of rise, whatever the concrete "
                     "and the flow; without the rule's 1 bar for each coupling and its 28 bar for the pump itself"
-                    f"{hoses}{_as_straight(kinds, JGJ_OTHERS)}", JGJ),
+                    f"{hoses(JGJ_HOSE_LENGTHS)}{_as_straight(kinds, JGJ_OTHERS)}", JGJ),
     ]  # fmt: skip
 
 

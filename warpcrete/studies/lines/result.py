@@ -41,12 +41,14 @@ from .pressures import LinePressures, Stop
 from .taps import is_free
 
 COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of cases",
-            "other": ", a range without a known probability"}  # fmt: skip
+            "other": ", a range without a known probability",
+            "contradicted": ", a range without a known probability: the gauges of the trial line contradict each other",
+            }  # fmt: skip
 """Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
 the slip layer, and so the band, follows from the composition of the paste, and 'fit' if the layer was fitted to a trial
-line with this concrete, now or earlier; otherwise it is 'other'. For slip layers
-that follow from the paste, `warpcrete validate` finds 94 % of the measured concretes in straight pipe inside the band,
-and two of only three measured whole lines."""
+line with this concrete, now or earlier. It is 'contradicted' if the gauges of an earlier trial line contradict each
+other, and otherwise 'other'. For slip layers that follow from the paste, `warpcrete validate` finds 94 % of the
+measured concretes in straight pipe inside the band, and two of only three measured whole lines."""
 HALVINGS = 12
 """Number of bisection steps in the search for the longest stop, or the fastest growth of the yield stress, after which
 a pump restarts the line."""
@@ -68,8 +70,8 @@ class LineResult(LinePressures):
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
     band_origin: str = ""
-    """Origin of the uncertainty band of the slip layer: 'paste' if it follows from the composition of the paste,
-    otherwise 'other'. The text is empty if the user chose the width of the band."""
+    """Origin of the uncertainty band of the slip layer, a key of :data:`COVERAGE`. The text is empty if the user chose
+    the width of the band."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -225,6 +227,8 @@ class LineResult(LinePressures):
         """
         if self.fit is not None and cause in ("slip layer", "bends"):
             return ""
+        if self.band_origin == "contradicted" and cause == "slip layer":
+            return "find out why the gauges of the trial line contradict each other, and fit the layer again"
         if self.band_origin == "fit" and cause == "slip layer":
             return ADVICE[FITTED_YIELD]
         if cause == "bends" and not any(is_free(part) for part in self.line.parts):
