@@ -38,7 +38,8 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         f"- {_meaning(fit)}",
         *([f"- {_open_yield(fit, line.customary)}"] if not fit.knows_yield else []),
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
-        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
+        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar{beside(line.customary, 'psi', fit.scatter)} "
+        "about the fit; the largest deviation is "
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
         f"{beside(line.customary, 'psi', measured[worst])} "
         f"(line {fit.taps[worst].row})",

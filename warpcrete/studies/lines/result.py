@@ -27,6 +27,7 @@ from .answers import (
     PumpMargin,
     RestartMargin,
     band_sentences,
+    band_text,
     beside,
     motor_power,
     pressure_text,
@@ -208,7 +209,8 @@ class LineResult(LinePressures):
 
     def band_sentences(self) -> list[str]:
         """Return sentences on the causes of the pressure's uncertainty, with advice on how to reduce it."""
-        return band_sentences(self.band(), lambda cause: self._advice(cause, lambda each: each.band()))
+        customary = self.line.customary
+        return band_sentences(self.band(), lambda cause: self._advice(cause, lambda each: each.band()), customary)
 
     def restart_sentences(self) -> list[str]:
         """Return sentences on the causes of the uncertainty of the pressure that restarts the line at full flow."""
@@ -216,7 +218,7 @@ class LineResult(LinePressures):
         def full(each: LineResult) -> Band:
             return each.restart(each.flow)
 
-        return band_sentences(full(self), lambda cause: self._advice(cause, full))
+        return band_sentences(full(self), lambda cause: self._advice(cause, full), self.line.customary)
 
     def _advice(self, cause: str, band_of: Callable[[LineResult], Band]) -> str:
         """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
@@ -239,7 +241,7 @@ class LineResult(LinePressures):
         for each in MEASUREMENTS[cause]:
             then = band_of(self.measured(cause, each.factors))
             if then.high - then.low < WORTHWHILE * (now.high - now.low):
-                found.append(f"{each.advice}, which would give {then.low / 1e5:.3g} to {then.high / 1e5:.3g} bar")
+                found.append(f"{each.advice}, which would give {band_text(then, self.line.customary)}")
         return ", or ".join(found)
 
     def remarks(self) -> list[str]:
