@@ -20,12 +20,13 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
 
     The reduced matrix is P^T A P, with the viscous matrix A of all faces and the matrix P of rigid motions, see
     `bodies.py`. An aggregate has one block for its velocity and one for its spin. The inverses precondition the
-    conjugate gradients, without the coupling of velocity and spin. The tasks of the kernel work on the aggregates,
+    conjugate gradients, without the coupling of velocity and spin. The kernel also computes `resistance`, which the
+    preconditioner of the coupled solve needs. The tasks of the kernel work on the aggregates,
     which :func:`share_of_body` distributes.
     """
     t = mps_types(scalar, 3)
     vec, mat = t.vec, t.mat
-    all_lanes = lane_sum(vec)
+    all_lanes, all_lanes_of_scalar = lane_sum(vec), lane_sum(scalar)
     Grid = grid_parameters_struct(scalar, 3)
     structs = body_structs(scalar)
     Bodies, Cover = structs.Bodies, structs.Cover
@@ -57,8 +58,9 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
         b, lane = share_of_body(wp.tid(), 0)
         whole = mat()
         round = mat()
+        viscous = scalar(0.0)
+        dt = scalar(mesh.clock[DT])
         if lane == 0:
-            dt = scalar(mesh.clock[DT])
             resisting, turning = pair_blocks(bodies, pairs, b)
             whole = bodies.extra_mass[b] / dt * wp.identity(n=3, dtype=scalar) + resisting
             round = inertia(bodies, b) / dt * wp.identity(n=3, dtype=scalar) + turning
@@ -67,6 +69,7 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
             axis = r / g.slots
             e = unit(axis)
             turned = wp.cross(f.lever(g, bodies, b, r), e)
+            viscous += matrix.diagonal[r] - g.density * mesh.volume[r] / dt
             whole += matrix.diagonal[r] * wp.outer(e, e)
             round += matrix.diagonal[r] * wp.outer(turned, turned)
             for n in range(matrix.near_count[r]):
@@ -74,12 +77,16 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
                 o = matrix.near[place]
                 if cover.owner[o] == b + 1:
                     other = unit(o / g.slots)
+                    if o / g.slots == axis:
+                        viscous -= matrix.coefficient[place]
                     whole -= matrix.coefficient[place] * wp.outer(e, other)
                     round -= matrix.coefficient[place] * wp.outer(turned, wp.cross(f.lever(g, bodies, b, o), other))
         for axis in range(3):
             whole[axis] = all_lanes(whole[axis])
             round[axis] = all_lanes(round[axis])
+        viscous = all_lanes_of_scalar(viscous)
         if lane == 0:
+            bodies.resistance[b] = wp.max(viscous, scalar(0.0)) / scalar(wp.max(cover.count[b], 1))
             bodies.mobility[b] = wp.inverse(whole)
             bodies.spin_mobility[b] = wp.inverse(round)
 

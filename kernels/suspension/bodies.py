@@ -83,6 +83,10 @@ def body_structs(scalar) -> SimpleNamespace:
         # each of shape (n,).
         mobility: wp.array(dtype=mat33)
         spin_mobility: wp.array(dtype=mat33)
+
+        # Mean viscous resistance of the faces that move with each aggregate [kg/s], shape (n,): the viscous force on
+        # the aggregate per velocity if all other faces are at rest, divided by the number of its faces along an axis.
+        resistance: wp.array(dtype=scalar)
         # The following arrays describe clumps; they are empty if each aggregate is a sphere. The number of spheres of
         # all aggregates is m.
         first: wp.array(dtype=wp.int32)  # Index of each aggregate's first sphere, shape (n + 1,).

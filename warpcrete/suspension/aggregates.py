@@ -171,6 +171,7 @@ class BodyState:
             turn=aggregates.turns, radius=radius, extra_mass=extra,
             extra_inertia=0.4 * extra * radius**2, force=self.extra_weight, torque=count, mobility=count,
             spin_mobility=count,
+            resistance=count,
         )  # fmt: skip
         if self.kind.clumps:
             allocate(structs.Bodies, device, self.bodies, first=parts.first, body=parts.body, size=parts.radius,
