@@ -15,12 +15,14 @@ from shortcuts import SharedPackings
 from warpcrete import scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import SceneError
+from warpcrete.core.units import number
 from warpcrete.dem.measure.probes import body_sums
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.containers import Fill, MeshContainer, PipeContainer
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
 from warpcrete.dem.scene.sizes import Gaussian, SieveCurve, Uniform
+from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.rotation import rotate
 
@@ -316,3 +318,21 @@ def test_shared_packings_have_the_bits_of_new_ones(device, tmp_path, monkeypatch
     with divide_work_like_gpu() if device == "cpu" else nullcontext():
         shared(scene.fill, **settings)
     assert len(packed) == (6 if device == "cpu" else 5) and shared.reused == 7 - len(packed)
+
+
+def test_a_result_counts_bodies_and_spheres_and_names_each_time(monkeypatch):
+    """Two clumps of four spheres: speeds count spheres, and each phase has its own time."""
+    shape = clumps.clump("four", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.ones(4))
+    scene = Scene(
+        name="two", duration=1.0, gravity=(0, 0, 0), bodies=(Bodies(positions=[[0, 0, 0], [1, 0, 0]], sizes=0.02,
+                                                                    template=shape),),
+    )  # fmt: skip
+    simulation = ElementSimulation(scene, device="cpu", precision="float64")
+    simulation.prepare()
+    monkeypatch.setattr(ElementSimulation, "pace", 1000.0)
+    simulation.wall_times.phases = {"packing": 2.0, "settling": 3.0, "running": 5.0}
+    result = simulation.result(False).result
+    speed = {name: number(value) for name, value in result["speed"].items()}
+    assert result["bodies"] == 2 and result["spheres"] == 8
+    assert speed["steps_per_second"] == 1000.0 and speed["sphere_steps_per_second"] == 8000.0
+    assert (speed["packing_time"], speed["settling_time"], speed["wall_time"]) == (2.0, 3.0, 5.0)

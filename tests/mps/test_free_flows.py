@@ -289,3 +289,11 @@ def test_slump_by_the_command(tmp_path):
 
 def test_any_simulation_takes_a_slump():
     assert isinstance(Simulation(slump(), device="cpu"), FreeSimulation)
+
+
+def test_falling_concrete_passes_at_most_one_cell_per_step():
+    """Concrete falls from the height h of its surface, at up to sqrt(2 g h) = 1.4007 m/s, through cells of 10 mm."""
+    for gravity, limit in ((9.81, 0.01 / np.sqrt(2 * 9.81 * 0.1)), (1.0, 0.01 / np.sqrt(2 * 0.1))):
+        vessel(gravity=gravity, step_error=0.0, time_step=0.999 * limit)
+        with pytest.raises(SceneError, match=rf"time_step = .* falls at {0.01 / limit:.3g} m/s"):
+            vessel(gravity=gravity, step_error=0.0, time_step=1.001 * limit)

@@ -5,10 +5,12 @@ import itertools
 
 import numpy as np
 import pytest
+import warp as wp
 from flows import SCENES, flow_of, forces, neighbours, stage_named, step, two_phase_flow
 
 from warpcrete import scenes
 from warpcrete.core.device.device import find_device
+from warpcrete.kernels.mps.structs import mps_functions, mps_types
 from warpcrete.mps.layout import layout
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.probes import Snapshot, aggregate_fractions
@@ -446,3 +448,22 @@ def test_particles_that_are_too_close_move_apart(dimensions):
     assert (missing.any(1)).sum() > 50
     # Measured: 3e-18 m at most.
     assert flow.fields.extra_displacement.numpy() == pytest.approx(expected, rel=1e-12, abs=1e-15 * h)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_inverse_of_few_neighbours_is_that_of_a_lattice_of_the_same_trace(device, dimensions):
+    """Neighbours on one line give a singular matrix; a multiple of the identity with the same trace replaces it."""
+    t, inverse = mps_types(wp.float64, dimensions), mps_functions(wp.float64, dimensions).inverse
+
+    @wp.kernel(module="unique")
+    def invert(given: wp.array(dtype=t.mat), found: wp.array(dtype=t.mat)):
+        found[wp.tid()] = inverse(given[wp.tid()])
+
+    line = np.array([1.0, 2.0, -2.0])[:dimensions]
+    full = np.eye(dimensions) + 0.1 * np.arange(dimensions**2).reshape(dimensions, dimensions) % 0.7
+    given = np.stack([full, 1e-4 * full, np.outer(line, line), 0 * full])
+    found = wp.zeros(len(given), dtype=t.mat, device=device)
+    wp.launch(invert, len(given), [wp.array(given, dtype=t.mat, device=device), found], device=device)
+    mean = line @ line / dimensions
+    exact = [np.linalg.inv(full), 1e4 * np.linalg.inv(full), np.eye(dimensions) / mean, 0 * full]
+    assert found.numpy() == pytest.approx(np.stack(exact), rel=1e-12, abs=1e-12)

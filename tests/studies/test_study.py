@@ -261,3 +261,13 @@ def test_a_study_without_cases_or_settings_is_none(tmp_path):
         (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
         with pytest.raises(RunFolderError, match="is not the record of a study"):
             resume_study(tmp_path, pipe_module)
+
+
+@pytest.mark.parametrize("name", ["contact", "wall_contact"])
+def test_parameters_of_a_contact_law_can_be_varied(name):
+    """A study knows the parameters of a law as soon as an option names it, whatever the words of the option."""
+    option = name.replace("_", "-")
+    found = parameter_values(pipe_module, {option: ["lubrication"], f"{option}-viscosity": ["3", "5.5"]})
+    assert found == {name: ["lubrication"], f"{name}_viscosity": [3.0, 5.5]}
+    with pytest.raises(click.UsageError, match=f"--{option}-viscosity: is not a parameter of this scene"):
+        parameter_values(pipe_module, {f"{option}-viscosity": ["3"]})

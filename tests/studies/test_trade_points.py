@@ -1,0 +1,42 @@
+"""What one setting of a trade-off study tells of its runs: cost, work, memory, failure and suspicious results."""
+
+import math
+
+from warpcrete.core.units import quantity
+from warpcrete.studies.tradeoffs.points import Setting
+
+
+def result(wall, packing=None, steps=10, failed=(), **counts):
+    """Return the contents of a result.json with the given times [s]."""
+    speed = {"wall_time": quantity(wall, "s"), "memory": quantity(1e6 * wall, "B")}
+    if packing is not None:
+        speed |= {"packing_time": quantity(packing, "s"), "settling_time": quantity(0.5, "s")}
+    checks = {name: {"passed": name not in failed, "found": ""} for name in ("volume", "energy")}
+    return {"speed": speed, "steps": steps, "checks": checks, **counts}
+
+
+def test_costs_are_medians_of_whole_runs():
+    """Packing and settling count; the work is steps times spheres, or times particles of a flow."""
+    point = Setting("size", {}, {}, {
+        1: result(4.0, 2.0, steps=10, spheres=7), 2: result(1.0, 1.0, steps=30, spheres=5),
+        5: result(9.0, 9.0, steps=20, spheres=6, failed=("volume",)),
+    })  # fmt: skip
+    assert point.cost == 6.5 and point.work == 120.0 and point.memory == 4e6
+    flow = Setting("size", {}, {}, {0: result(3.0, steps=4, particles=25)})
+    assert flow.cost == 3.0 and flow.work == 100.0
+    none = Setting("size", {}, {})
+    assert all(math.isnan(each) for each in (none.cost, none.work, none.memory))
+
+
+def test_a_failure_is_that_of_the_lowest_seed():
+    """Runs end in any order; the answer must not depend on it."""
+    point = Setting("size", {}, {}, failures={7: "later", 3: "first", 5: "between"}, left_out="too slow")
+    assert point.failure == "first"
+    assert Setting("size", {}, {}, left_out="too slow").failure == "too slow" and not Setting("size", {}, {}).failure
+
+
+def test_a_setting_is_suspect_if_any_of_its_runs_fails_a_check():
+    point = Setting("size", {}, {}, {1: result(1.0), 2: result(1.0, failed=("volume",)),
+                                     3: result(1.0, failed=("volume", "energy"))})  # fmt: skip
+    assert point.suspect == ["energy", "volume"]
+    assert Setting("size", {}, {}, {1: result(1.0)}).suspect == []
