@@ -14,6 +14,7 @@ from warpcrete.core.errors import ConvergenceError, InstabilityError, SceneError
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import number
 from warpcrete.kernels.mps.structs import DENSITY
+from warpcrete.mps.free import forecast as forecasts
 from warpcrete.mps.free.display import SHOWN_DEPTH
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import surface, volume
@@ -297,3 +298,13 @@ def test_falling_concrete_passes_at_most_one_cell_per_step():
         vessel(gravity=gravity, step_error=0.0, time_step=0.999 * limit)
         with pytest.raises(SceneError, match=rf"time_step = .* falls at {0.01 / limit:.3g} m/s"):
             vessel(gravity=gravity, step_error=0.0, time_step=1.001 * limit)
+
+
+@pytest.mark.parametrize("plate", [False, True])
+@pytest.mark.parametrize("walls", [False, True])
+def test_a_forecast_says_which_surfaces_slip(plate, walls, monkeypatch):
+    """The sides of the box and the walls inside it are two different settings."""
+    monkeypatch.setattr(forecasts, "flow_forecast", lambda simulated, course, features, probe, **more: features(None))
+    told = forecasts.forecast(vessel(plate_slips=plate, walls_slip=walls), None, "float32", None, None)
+    words = {False: "concrete sticks", True: "slip layer"}
+    assert (told["sides of the box"], told["walls"]) == (words[plate], words[walls])

@@ -403,3 +403,19 @@ def test_pressures_that_grow_along_the_line_are_refused():
         else:
             with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be below that of line 2"):
                 by_scatter(flat, TRUE, points)
+
+
+def test_the_table_of_a_fit_compares_each_pressure_with_the_fitted_line():
+    """The measured pressures are the given ones, and each deviation is fitted minus measured."""
+    points = taps((15, 45), (0, 1, 5), noise=3e4)
+    fit = by_scatter(LINE, GUESS, points)
+    lines = [x for x in fit_lines(fit, LINE) if x.startswith("| ")][1:]
+    assert len(lines) == len(points)
+    courses = {x.flow: line_by_theory(fit.line(LINE), fit.concrete(GUESS), x.flow).course(
+        lambda loss: loss.friction + loss.weight) for x in points}  # fmt: skip
+    for line, point in zip(lines, points, strict=True):
+        place, flow, measured, fitted, deviation = (float(cell) for cell in line.strip("| ").split(" | "))
+        exact = float(np.interp(point.place, *courses[point.flow])) / 1e5
+        assert (place, flow) == pytest.approx((point.place, 3600 * point.flow), rel=1e-3)
+        assert (measured, fitted) == pytest.approx((point.pressure / 1e5, exact), rel=1e-3)
+        assert deviation == pytest.approx(exact - point.pressure / 1e5, rel=0.06, abs=1e-4)  # It has two digits.
