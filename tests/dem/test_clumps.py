@@ -16,11 +16,11 @@ from warpcrete import scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.core.units import number
-from warpcrete.dem.measure.probes import body_sums
+from warpcrete.dem.measure.probes import body_sums, contact_sums
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.containers import Fill, MeshContainer, PipeContainer
-from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
+from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.dem.scene.sizes import Gaussian, SieveCurve, Uniform
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.geometry.axis import Arc, Axis, Line
@@ -336,3 +336,29 @@ def test_a_result_counts_bodies_and_spheres_and_names_each_time(monkeypatch):
     assert result["bodies"] == 2 and result["spheres"] == 8
     assert speed["steps_per_second"] == 1000.0 and speed["sphere_steps_per_second"] == 8000.0
     assert (speed["packing_time"], speed["settling_time"], speed["wall_time"]) == (2.0, 3.0, 5.0)
+
+
+def test_the_virial_of_clumps_has_the_vector_from_centroid_to_centroid(start):
+    """Each pair of touching spheres adds k times the overlap, projected on its normal and times the branch vector."""
+    shape = clumps.clump("pair", np.array([[0, 0, 0], [1.2, 0, 0]]), np.array([1.0, 0.7]))
+    scene = Scene(
+        name="pairs", duration=1.0, gravity=(0, 0, 0), contact=Contact(effective_modulus=1e5, friction=0.0),
+        bodies=(Bodies(positions=[[0, 0, 0], [0.012, 0.015, 0.004]], sizes=0.02, template=shape,
+                       orientations=[[0, 0, 0, 1], [0, 0, 0.6, 0.8]]),),
+        time_step=TimeStep(fixed=1e-6),
+    )  # fmt: skip
+    state = (stepper := start(scene)).state
+    place, body = state.spheres.position.numpy(), state.spheres.body.numpy()
+    centre, sum, touching = state.bodies.position.numpy(), 0.0, 0
+    for i in range(4):
+        for j in range(i + 1, 4):
+            offset = place[j, :3] - place[i, :3]
+            apart, radii = np.linalg.norm(offset), (place[i, 3], place[j, 3])
+            if body[i] == body[j] or apart >= np.sum(radii):
+                continue
+            force = 1e5 * math.pi * min(radii) ** 2 / np.sum(radii) * (np.sum(radii) - apart)
+            sum += force * (centre[body[j]] - centre[body[i]]) @ offset / apart
+            touching += 1
+    found = contact_sums(stepper.model, state)
+    assert found.contacts == touching > 0
+    assert found.virial == pytest.approx(sum, rel=1e-9)
