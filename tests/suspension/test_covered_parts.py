@@ -1,7 +1,6 @@
 """Parts of faces and cells of the grid that a clump of two spheres covers."""
 
 import numpy as np
-import pytest
 import warp as wp
 
 from warpcrete.kernels.common.types import types
