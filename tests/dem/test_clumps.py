@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from warpcrete import scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.core.units import number
+from warpcrete.dem import packing
 from warpcrete.dem.measure.probes import body_sums, contact_sums
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene import clumps
@@ -362,3 +364,19 @@ def test_the_virial_of_clumps_has_the_vector_from_centroid_to_centroid(start):
     found = contact_sums(stepper.model, state)
     assert found.contacts == touching > 0
     assert found.virial == pytest.approx(sum, rel=1e-9)
+
+
+@pytest.mark.parametrize("pilot, wanted", [(0.5, 0.51), (0.74, packing.CLOSE_FRACTION)])
+def test_a_packing_to_a_pressure_begins_a_little_denser_than_its_trial(straight, monkeypatch, pilot, wanted):
+    """Sizes grow until the pressure is reached, so the wanted fraction must lie above that of the trial packing."""
+    asked = []
+
+    def grow(growths, threads, tell):
+        return {number: (None, SimpleNamespace(solid_fraction=pilot)) for number in growths}
+
+    monkeypatch.setattr(packing, "_Growth", lambda request, container, fraction, *more: asked.append(fraction))
+    monkeypatch.setattr(packing, "_grow_together", grow)
+    fill = Fill(container=PipeContainer(straight, 0.05, 0.15), pressure=2000.0)
+    (found,) = packing.pack_many([packing.Request(fill, Contact(), 3)], device="cpu")
+    assert asked == [packing.CLOSE_FRACTION, pytest.approx(wanted, rel=1e-12)]
+    assert found[1].solid_fraction == pilot
