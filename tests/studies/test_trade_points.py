@@ -1,9 +1,13 @@
 """What one setting of a trade-off study tells of its runs: cost, work, memory, failure and suspicious results."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 from warpcrete.core.units import quantity
-from warpcrete.studies.tradeoffs.points import Setting
+from warpcrete.studies.tradeoffs.fronts import Error
+from warpcrete.studies.tradeoffs.points import WANTED_ERRORS, Setting
+from warpcrete.studies.tradeoffs.trade import _find_promises
 
 
 def result(wall, packing=None, steps=10, failed=(), **counts):
@@ -40,3 +44,28 @@ def test_a_setting_is_suspect_if_any_of_its_runs_fails_a_check():
                                      3: result(1.0, failed=("volume", "energy"))})  # fmt: skip
     assert point.suspect == ["energy", "volume"]
     assert Setting("size", {}, {}, {1: result(1.0)}).suspect == []
+
+
+def test_a_promise_is_the_cheapest_setting_that_is_neither_suspect_nor_failed_nor_too_inaccurate():
+    """Settings that are suspect already are not run with new seeds; one of them becomes suspect in these runs."""
+    bounds = {"suspect": 0.01, "estimated": 0.01, "later": 0.01, "rough": 0.08, "good": 0.04, "dear": 0.005}
+    settings = {name: Setting(name, {}, {}, {0: result(1.0 + k, failed=("volume",) if name == "suspect" else ())})
+                for k, name in enumerate(bounds)}  # fmt: skip
+    settings["estimated"].timed = False
+    ran: list[str] = []
+
+    def run(point: Setting, seeds: list[int], tell: Any) -> bool:
+        ran.append(point.origin)
+        if point.origin == "later":
+            point.results[seeds[0]] = result(1.0, failed=("energy",))
+        return True
+
+    trade: Any = SimpleNamespace(
+        exact=False, reference=None, has_seeds=True, chosen_knobs=[], seeds=[0], measured=list(settings.values()),
+        promised=lambda point: bounds[point.origin], promises=[], run=run,
+        errors_of=lambda point, seeds: [Error("pressure", 0.001, 0.0)],
+    )  # fmt: skip
+    _find_promises(trade, lambda *told: None)
+    found = {promise.target: promise.point and promise.point.origin for promise in trade.promises}
+    assert found == dict(zip(WANTED_ERRORS, ("rough", "rough", "good", "dear", "dear"), strict=True))
+    assert set(ran) == {"later", "rough", "good", "dear"}
