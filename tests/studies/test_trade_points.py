@@ -1,12 +1,15 @@
 """What one setting of a trade-off study tells of its runs: cost, work, memory, failure and suspicious results."""
 
 import math
+from itertools import permutations
 from types import SimpleNamespace
 from typing import Any
 
+from warpcrete.core.errors import InstabilityError
 from warpcrete.core.units import quantity
 from warpcrete.studies.tradeoffs.fronts import Error
 from warpcrete.studies.tradeoffs.points import WANTED_ERRORS, Setting
+from warpcrete.studies.tradeoffs.state import Trade
 from warpcrete.studies.tradeoffs.trade import _find_promises
 
 
@@ -69,3 +72,25 @@ def test_a_promise_is_the_cheapest_setting_that_is_neither_suspect_nor_failed_no
     found = {promise.target: promise.point and promise.point.origin for promise in trade.promises}
     assert found == dict(zip(WANTED_ERRORS, ("rough", "rough", "good", "dear", "dear"), strict=True))
     assert set(ran) == {"later", "rough", "good", "dear"}
+
+
+def test_workers_that_end_in_any_order_leave_the_results_before_the_first_failure(tmp_path, monkeypatch):
+    """Seeds 2 and 4 fail; only the result of seed 1 counts, whether seed 3 ended before or after them."""
+    outcomes = {1: result(1.0) | {"finished": True}, 2: InstabilityError("of seed 2"),
+                3: result(3.0) | {"finished": True}, 4: InstabilityError("of seed 4")}  # fmt: skip
+    monkeypatch.setattr(Trade, "parameters_of", lambda trade, point, seed: {})
+    monkeypatch.setattr(Trade, "folder_of", lambda trade, point, seed: tmp_path / f"seed={seed}")
+    monkeypatch.setattr(Trade, "hardware", "here")
+    for order in permutations(outcomes):
+        trade = object.__new__(Trade)
+        trade.spent, trade.device, trade.threads, trade.record = 0.0, "cpu", 1, {}
+        trade.module, trade.folder, trade.gap = None, tmp_path, 0.0
+        point = Setting("size", {}, {})
+
+        def each(work, where, jobs, store, gap, lazily):
+            for job, _ in jobs:
+                store(job, [outcomes[seed] for seed in job[1]])
+
+        trade._run_on(SimpleNamespace(each=each), iter([(point, [seed], 10.0) for seed in order]))
+        assert point.results == {1: outcomes[1]} and sorted(point.failures) == [2, 4]
+        assert point.failure == "failed: of seed 2"
