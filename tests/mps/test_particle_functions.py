@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import warp as wp
+from flows import flow_of
 
 from warpcrete.kernels.mps.operators import wall_law_function
 from warpcrete.kernels.mps.rigid import places_kernel
 from warpcrete.kernels.mps.structs import array_structs, flow_struct, mps_functions, mps_types
+from warpcrete.mps.probes import measured
 from warpcrete.theory import laws
 from warpcrete.theory.laws import FlowLaw
 
@@ -95,3 +97,14 @@ def test_a_grain_in_a_tube_is_moved_back_by_the_depth_of_its_deepest_particle(de
     assert found == pytest.approx(target - back, abs=1e-15)
     assert np.hypot(*found[0, :2]) == pytest.approx(limit, rel=1e-12)
     assert grains.middle.numpy()[0] == pytest.approx(begin + step - back, abs=1e-15)
+
+
+def test_the_first_row_of_a_column_is_that_of_a_full_pipe(device):
+    """The front is the surface of the topmost particles, half a spacing above their centres."""
+    flow = flow_of(device, length=0.3)
+    row = measured(flow, None)
+    top = flow.state.layout.fluid[:, -1].max() + 0.5 * flow.state.layout.spacing
+    assert row["front"] == pytest.approx(top, rel=1e-12) and top == pytest.approx(0.3, rel=1e-12)
+    assert row["time"] == row["travel"] == 0.0
+    # The particles are shaken by up to a hundredth of their spacing; measured 1e-5.
+    assert abs(row["volume_error"]) < 2e-5
