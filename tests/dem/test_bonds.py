@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from conftest import bonds_of, by_id, pair_history
+from pumping import TINY
 from test_contacts import MASS, RADIUS, two_spheres
 
 from warpcrete import Simulation, scenes
@@ -249,3 +250,11 @@ def test_another_seed_hydrates_other_bonds_of_the_same_packing(start):
         found.append({key for key, value in history.items() if int(np.frombuffer(value[1], np.int32)[0]) == 2})
     assert found[0] == found[1] != found[2]
     assert len(found[0]) > 20 and len(found[0] & found[2]) < 0.6 * len(found[0])
+
+
+def test_bonds_that_heal_carry_no_force_after_settling(device):
+    """Bonds that formed while the packing settled are loaded, so all contacts are bonded anew before the run begins."""
+    simulation = Simulation(scenes.pipe(**TINY, healing=True), device=device)
+    simulation.prepare()
+    kinds, load = bonds_of(simulation.state)
+    assert np.count_nonzero(kinds > 0) > 100 and np.abs(load).max() == 0.0
