@@ -280,3 +280,14 @@ def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     assert json.loads(path.read_text(encoding="utf-8")) == {"a": 1} and list(tmp_path.iterdir()) == [path]
     write_json(path, {"a": 2, "b": [3, 4]})
     assert json.loads(path.read_text(encoding="utf-8")) == {"a": 2, "b": [3, 4]}
+
+
+def test_a_folder_is_finished_if_its_result_says_so_and_no_checkpoint_is_left(tmp_path):
+    """A checkpoint remains until all files are written, so a folder that has one must be completed."""
+    assert not is_finished(tmp_path)
+    write_json(tmp_path / "result.json", {"finished": False})
+    assert not is_finished(tmp_path)
+    write_json(tmp_path / "result.json", {"finished": True})
+    assert is_finished(tmp_path)
+    (tmp_path / "checkpoint.npz").touch()
+    assert not is_finished(tmp_path)
