@@ -11,6 +11,7 @@ from pumping import command
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.theory import fields as theory_fields
+from warpcrete.core.device.device import checked_threads
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
 from warpcrete.core.inputs.amounts import UNITS, amount, bare_number
 from warpcrete.core.inputs.limits import LIMITS, check_limit, limit_of
@@ -367,3 +368,11 @@ def test_a_long_text_is_no_amount():
 def test_dimensions_of_what_is_not_there_give_a_warning(scene, given, words):
     with pytest.warns(PlausibilityWarning, match=f"^{re.escape(words)}"):
         getattr(scenes, scene)(**given)
+
+
+def test_threads_are_at_least_one_and_at_most_the_cores(monkeypatch):
+    monkeypatch.setattr("warpcrete.core.device.device.os.cpu_count", lambda: 4)
+    assert [checked_threads(count) for count in (1, 4)] == [1, 4]
+    for wrong in (-1, 0, 5):
+        with pytest.raises(SceneError, match=rf"^threads = {wrong}: must be in \[1, 4\]"):
+            checked_threads(wrong)

@@ -410,3 +410,30 @@ def test_pressures_that_grow_along_the_line_are_refused():
         else:
             with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be below that of line 2"):
                 by_scatter(flat, TRUE, points)
+
+
+def test_the_table_of_a_fit_compares_each_pressure_with_the_fitted_line():
+    """The measured pressures are the given ones, and each deviation is fitted minus measured."""
+    points = taps((15, 45), (0, 1, 5), noise=3e4)
+    fit = by_scatter(LINE, GUESS, points)
+    lines = [x for x in fit_lines(fit, LINE) if x.startswith("| ")][1:]
+    assert len(lines) == len(points)
+    courses = {x.flow: line_by_theory(fit.line(LINE), fit.concrete(GUESS), x.flow).course(
+        lambda loss: loss.friction + loss.weight) for x in points}  # fmt: skip
+    for line, point in zip(lines, points, strict=True):
+        place, flow, measured, fitted, deviation = (float(cell) for cell in line.strip("| ").split(" | "))
+        exact = float(np.interp(point.place, *courses[point.flow])) / 1e5
+        assert (place, flow) == pytest.approx((point.place, 3600 * point.flow), rel=1e-3)
+        assert (measured, fitted) == pytest.approx((point.pressure / 1e5, exact), rel=1e-3)
+        assert deviation == pytest.approx(exact - point.pressure / 1e5, rel=0.06, abs=1e-4)  # It has two digits.
+
+
+def test_a_slump_alone_is_a_poor_source_of_the_layer_unless_the_layer_is_fitted(tmp_path):
+    taps_file = "place [m],pressure [bar],flow [m3/h]\n2,44,57\n43,31,57\n2,31,34\n43,23,34\n"
+    (tmp_path / "taps.csv").write_text(taps_file, encoding="utf-8")
+    call = ["line", "--slump", "150 mm", "--diameter", "125 mm", "--length", "107 m", "--flow", "40 m3/h"]
+    guessed, fitted = (CliRunner().invoke(cli, [*call, *more], catch_exceptions=False)
+                       for more in ((), ("--fit", str(tmp_path / "taps.csv"))))  # fmt: skip
+    remark = "a slump or spread alone says little about the slip layer"
+    assert guessed.exit_code == fitted.exit_code == 0
+    assert remark in guessed.output and remark not in fitted.output

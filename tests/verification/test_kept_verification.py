@@ -19,6 +19,7 @@ from warpcrete.verification import (
     Case,
     Row,
     assemblies,
+    contacts,
     extremes,
     flow_extremes,
     spreading,
@@ -334,3 +335,10 @@ def test_the_nearest_particles_are_found_whatever_their_order(dimensions):
     state = SimpleNamespace(particles=particles, layout=SimpleNamespace(spacing=0.25))
     apart = np.linalg.norm(x[:, None] - x[None], axis=2)[np.triu_indices(60, 1)]
     assert flow_extremes._closest(SimpleNamespace(state=state)) == pytest.approx(apart.min() / 0.25, rel=1e-12)
+
+
+def test_a_spin_in_the_wrong_direction_is_not_taken_for_the_right_one():
+    """The cases of rolling compare the velocity along x and the spin about y with theory, both with their signs."""
+    arrays = {"velocity": [[-1.5, 2.0, 3.0]], "spin": [[4.0, -5.0, 6.0]]}
+    bodies = SimpleNamespace(**{k: SimpleNamespace(numpy=lambda v=v: np.array(v)) for k, v in arrays.items()})
+    assert contacts._speed_and_spin(SimpleNamespace(state=SimpleNamespace(bodies=bodies))) == (-1.5, -5.0)
