@@ -8,7 +8,7 @@ import warp as wp
 from ..common.control import HALTED
 from ..mps.coarse import lanes
 from ..mps.grid.cells import LIQUID, GridKind, grid_parameters_struct, grid_structs
-from ..mps.grid.places import place_functions
+from ..mps.grid.places import grid_functions, place_functions
 from ..mps.structs import mps_types
 from .bodies import COVER_LOOPS, FULL, BodyKind, body_functions, body_structs, shape_functions
 from .vectors import share_of_body
@@ -200,20 +200,33 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """
     Grid = grid_parameters_struct(scalar, 3)
     Cover = body_structs(scalar).Cover
-    Fields = grid_structs(scalar, 3).Fields
-    places = place_functions(scalar, of)
+    fields = grid_structs(scalar, 3)
+    Fields, Geometry = fields.Fields, fields.Geometry
+    places = grid_functions(scalar, of)
+
+    @wp.func
+    def is_cut(g: Grid, geometry: Geometry, number: wp.int32) -> wp.bool:
+        """Return whether a wall cuts a cell, which is the case if the open areas of two opposite faces differ."""
+        if wp.static(of.cut):
+            c = places.cell(g, number)
+            for axis in range(3):
+                high = places.open_area(g, geometry, places.moved(c, axis, 1), axis)
+                if places.open_area(g, geometry, c, axis) != high:
+                    return True
+        return False
 
     @wp.kernel(enable_backward=False, module="unique")
-    def close(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
+    def close(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, cover: Cover):
         """Find cells of which all faces but one move with the same aggregate, and mark the remaining face.
 
-        Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. The result is stored in
-        `closing` and `closer`, because other tasks of this kernel still read `claims` and `owner`.
+        Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. This is not so if a wall
+        cuts the cell. The result is stored in `closing` and `closer`, because other tasks of this kernel still read
+        `claims` and `owner`.
         """
         if flags[HALTED] != 0:
             return
         number = wp.tid()
-        if mesh.liquid[number] == 0:
+        if mesh.liquid[number] == 0 or is_cut(g, geometry, number):
             return
         c = places.cell(g, number)
         owner = wp.int32(0)
@@ -245,11 +258,13 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
             cover.owner[r] = cover.closer[r]
 
     @wp.kernel(enable_backward=False, module="unique")
-    def share(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields, cover: Cover):
+    def share(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, cover: Cover):
         """Find the cells that would prevent two aggregates, or an aggregate and a wall, from moving apart.
 
         In such a cell, two faces move with different aggregates, or the centre of a face lies in two aggregates, or
-        each face moves with an aggregate or belongs to a wall.
+        each face moves with an aggregate or belongs to a wall. If a wall cuts the cell, the faces that move with the
+        aggregate let in more mortar than out, or less, so one free face is not enough either: two cells at the wall
+        that share their only free face would form a closed pocket.
         """
         if flags[HALTED] != 0:
             return
@@ -273,6 +288,8 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
                     else:
                         closed += 1
             if found != 0 and free == 0 and closed > 0:
+                shared = 1
+            if found != 0 and free <= 1 and is_cut(g, geometry, number):
                 shared = 1
         cover.shared[number] = shared
 

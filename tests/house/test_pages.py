@@ -130,9 +130,11 @@ def test_the_line_that_the_page_shows(tmp_path):
     """The file is taken from the page; its band was computed by flows, whose bends lie a little above theory."""
     text = (ROOT / "notebooks" / "theory" / "lines.md").read_text(encoding="utf-8")
     (tmp_path / "site.yaml").write_text(text.partition("```yaml\n")[2].partition("```")[0], encoding="utf-8")
-    simulated, theory, low, high = map(
-        float, figures("theory/lines.md", rf"two CPU cores: {N} bar, {N} by theory; {N} to {N} with a slip layer")
+    sentences = (
+        rf"two CPU cores, the pressure is {N} bar, and theory gives {N} bar\. "
+        rf"With a slip layer that resists half or twice as much, it is {N} to {N} bar"
     )
+    simulated, theory, low, high = map(float, figures("theory/lines.md", sentences))
     found = printed(f"line {tmp_path / 'site.yaml'} ", rf"pump {N} bar .*?; {N} to {N} bar",
                     rf"straight pipe, {N} bar")  # fmt: skip
     assert abs(found[3] - theory) <= 0.00505

@@ -135,3 +135,5 @@ def test_no_list_item_is_inside_another(path):
     """Find items that a re-wrapped paragraph has swallowed, so that a reader sees their dash or number as text."""
     text = without_code(path.read_text(encoding="utf-8"))
     assert not re.findall(r"[.;] - [A-Za-z*`].*|[.)] [2-9]\. [A-Z*`].*", text)
+    # A plus sign at the start of a line makes an item of a wrapped formula, although items here begin with a dash.
+    assert not re.findall(r"^ *\+ .*", text, re.M)

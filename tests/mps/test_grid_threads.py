@@ -54,8 +54,7 @@ def test_any_number_of_threads_gives_the_same_bits(kind):
 def test_vector_instructions_transfer_particles_like_a_gpu(kind):
     """Cells with none, a few, and more particles than fit in one vector give the sums of one particle after another.
 
-    Both ways add up the same products in the same order. On a processor that fuses multiplications with additions they
-    gave the same bits; the tolerance is a few roundings.
+    Both ways add up the same products, in another order. Measured on velocities of about 1: 3.7e-6 at most.
     """
     fields = []
     for way in (nullcontext, divide_work_like_gpu):
@@ -76,7 +75,7 @@ def test_vector_instructions_transfer_particles_like_a_gpu(kind):
             fields.append([getattr(flow.mesh, name).numpy() for name in ("fill", "velocity")])
     assert np.ptp(fields[0][1]) > 1
     for one, other in zip(*fields, strict=True):
-        assert one == pytest.approx(other, abs=3e-6)
+        assert one == pytest.approx(other, abs=6e-6)
 
 
 def test_one_thread_that_does_the_work_of_all_computes_the_same(monkeypatch):

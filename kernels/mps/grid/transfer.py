@@ -78,67 +78,94 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
     Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
     f = grid_functions(scalar, of)
     kind_of, needed = face_functions(scalar, of)
-    around = 2 * 3**last
+    around, block = 2 * 3**last, 3**dims
     columns = column_functions(scalar, dims, of.periodic)
     add_velocity, pair = columns.add_velocity, columns.pair
 
     @wp.func
-    def from_cell(
-        g: Grid, particles: Particles, mesh: Fields, place: vec, other: wp.int32, axis: wp.int32, sums: pair
-    ) -> pair:
-        """Add the weights and the weighted velocities of the particles of the cell `other` to two sums.
+    def cell_beside(g: Grid, c: whole, n: wp.int32, axis: wp.int32):
+        """Return the cell number `n` around a cell or around one of its lower faces, and whether the grid has it.
 
-        The weights fall linearly to zero at a distance of one cell from `place`, the centre of a face. The velocities
-        are those along an axis.
+        The face is that of an axis; the axis -1 means the cell. There are three cells along each axis, but only two
+        along the axis of a face.
         """
-        length = scalar(g.n[last]) * g.width[last]
-        if wp.static(serial):
-            return add_velocity(
-                mesh.columns, mesh.place.shape[0] + LANES, mesh.begin[other], mesh.count[other], place, g.width, length,
-                axis, sums,
-            )  # fmt: skip
-        else:
-            total, sum = sums[0], sums[1]
-            for k in range(mesh.count[other]):
-                at = mesh.begin[other] + k
-                d = place - mesh.sorted_position[at]
+        o = whole()
+        there = wp.bool(True)
+        rest = wp.where(axis >= 0, n / 2, n)
+        for b in range(dims):
+            if b == axis:
+                o[b] = c[b] + n % 2 - 1
+            else:
+                o[b] = c[b] + rest % 3 - 1
+                rest = rest / 3
+            if o[b] < 0 or o[b] >= g.n[b]:
                 if wp.static(of.periodic):
-                    d[last] = d[last] - length * wp.round(d[last] / length)
-                weight = mesh.sorted_mass[at]
-                for b in range(dims):
-                    weight *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
-                if weight > scalar(0.0):
-                    p = mesh.sorted_particles[at]
-                    carried = particles.velocity[p] + particles.gradient[p] * d
-                    total += weight
-                    sum += weight * carried[axis]
-            return pair(total, sum)
+                    there = there and b == last
+                else:
+                    there = False
+        return o, there
 
     @wp.func
     def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
-        """Return the weighted mean velocity of the particles around a face, or `before` if there are none."""
+        """Return the weighted mean velocity of the particles around a face, or `before` if there are none.
+
+        The weights fall linearly to zero at a distance of one cell from the centre of the face.
+        """
         place = f.face_middle(g, c, axis)
+        length = scalar(g.n[last]) * g.width[last]
         sums = pair()
         for n in range(around):
-            o = whole()
-            rest = n / 2
-            there = wp.bool(True)
-            for b in range(dims):
-                if b == axis:
-                    o[b] = c[b] + n % 2 - 1
-                else:
-                    o[b] = c[b] + rest % 3 - 1
-                    rest = rest / 3
-                if o[b] < 0 or o[b] >= g.n[b]:
-                    if wp.static(of.periodic):
-                        there = there and b == last
-                    else:
-                        there = False
+            o, there = cell_beside(g, c, n, axis)
             if there:
-                sums = from_cell(g, particles, mesh, place, f.at(g, o), axis, sums)
+                other = f.at(g, o)
+                sums = add_velocity(
+                    mesh.columns, mesh.place.shape[0] + LANES, mesh.begin[other], mesh.count[other], place, g.width,
+                    length, axis, sums,
+                )  # fmt: skip
         if sums[0] > scalar(0.0):
             return sums[1] / sums[0]
         return before
+
+    @wp.func
+    def at_all_faces(g: Grid, particles: Particles, mesh: Fields, c: whole):
+        """Return sums over particles at the lower faces of a cell: of weights, and of weighted velocities.
+
+        The weights are those of `from_particles`. A GPU reads every particle only once for all faces of a cell.
+        """
+        totals = vec()
+        sums = vec()
+        length = scalar(g.n[last]) * g.width[last]
+        middle = f.face_middle(g, c, 0)
+        middle[0] = middle[0] + scalar(0.5) * g.width[0]
+        for n in range(block):
+            o, there = cell_beside(g, c, n, -1)
+            if there:
+                other = f.at(g, o)
+                for k in range(mesh.count[other]):
+                    at = mesh.begin[other] + k
+                    d = middle - mesh.sorted_position[at]
+                    if wp.static(of.periodic):
+                        d[last] = d[last] - length * wp.round(d[last] / length)
+                    weights = vec()
+                    found = wp.bool(False)
+                    for axis in range(dims):
+                        weight = mesh.sorted_mass[at]
+                        for b in range(dims):
+                            away = d[b]
+                            if b == axis:
+                                away -= scalar(0.5) * g.width[b]
+                            weight *= wp.max(scalar(1.0) - wp.abs(away) / g.width[b], scalar(0.0))
+                        weights[axis] = weight
+                        found = found or weight > scalar(0.0)
+                    if found:
+                        p = mesh.sorted_particles[at]
+                        gradient = particles.gradient[p]
+                        carried = particles.velocity[p] + gradient * d
+                        for axis in range(dims):
+                            own = carried[axis] - scalar(0.5) * g.width[axis] * gradient[axis, axis]
+                            totals[axis] = totals[axis] + weights[axis]
+                            sums[axis] = sums[axis] + weights[axis] * own
+        return totals, sums
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
@@ -152,6 +179,10 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
         if wp.static(of.periodic):
             if c[last] < 0 or c[last] >= g.n[last]:
                 return
+        totals = vec()
+        sums = vec()
+        if wp.static(not serial):
+            totals, sums = at_all_faces(g, particles, mesh, c)
         for axis in range(dims):
             r = number + axis * g.slots
             kind = INSIDE
@@ -163,7 +194,6 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
                     if kind == INSIDE and needed(g, mesh, geometry, c, axis):
                         kind = GHOST
                         volume = scalar(LIGHT) * f.face_area(g, c, axis) * g.width[axis]
-                        mesh.velocity[r] = from_particles(g, particles, mesh, c, axis, mesh.velocity[r])
                 if kind == FIXED:
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
@@ -173,7 +203,11 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
                 if kind == LIQUID:
                     wet = scalar(0.5) * (mesh.fill[low] + mesh.fill[number])
                     volume = wet * f.open_area(g, geometry, c, axis) * g.width[axis]
-                    mesh.velocity[r] = from_particles(g, particles, mesh, c, axis, mesh.velocity[r])
+                if f.is_unknown(kind):
+                    if wp.static(serial):
+                        mesh.velocity[r] = from_particles(g, particles, mesh, c, axis, mesh.velocity[r])
+                    elif totals[axis] > scalar(0.0):
+                        mesh.velocity[r] = sums[axis] / totals[axis]
             mesh.kind[r] = kind
             mesh.volume[r] = volume
 
