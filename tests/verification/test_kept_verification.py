@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import kept
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.scene.bodies import placed_bodies
@@ -299,7 +300,10 @@ def test_the_figure_of_the_verification_is_kept():
     curves = {
         "oblique impact": {"angle": x, "tangential": x / 100, "spin": -10 * x},
         "oblique impact, normalised": {name: [x / 6, x / 7, x / 8, x / 9] for name in ("speed", "angle")},
-        "stability limit": {"linear": np.geomspace(1, 1e9, len(stability.FRACTIONS)), "layer": [np.inf] * 15},
+        "stability limit": {
+            "linear": np.geomspace(1, 1e9, len(stability.FRACTIONS)),
+            "lubrication layer, spheres": [np.inf] * 15,
+        },
     }
     results = []
     for name, own in curves.items():
@@ -307,7 +311,13 @@ def test_the_figure_of_the_verification_is_kept():
         case.curves.update({label: np.array(each) for label, each in own.items()})
         rows = [Row("a", 1.001, 1.0, 0.01), Row("b", 1.1, 1.0, 0.01), Row("c", 1.0, 1.0, 0.0), Row("d", 2.0, 2.0, 0.1)]
         results.append((case, rows))
-    kept.compare("verified-figure", {"all": kept.drawn(draw(results)), "one": kept.drawn(draw(results[:1]))})
+    whole = draw(results)
+    FigureCanvasAgg(whole).draw()
+    for axes in whole.axes:
+        for text in (axes.title, axes.xaxis.label):
+            ends = text.get_window_extent()
+            assert ends.x0 >= 0 and ends.x1 <= whole.bbox.width, text
+    kept.compare("verified-figure", {"all": kept.drawn(whole), "one": kept.drawn(draw(results[:1]))})
 
 
 def test_starts_from_rest_are_kept(monkeypatch):
