@@ -29,6 +29,7 @@ extensions = [
 ]
 exclude_patterns = ["_site", "**/.ipynb_checkpoints", "targets"]
 nb_execution_mode = "off"  # The notebooks' outputs are stored with them; a test compares them with fresh ones.
+nb_render_markdown_format = "myst"  # The default, CommonMark, shows tables in the notebooks' outputs as plain text.
 suppress_warnings = ["mystnb.unknown_mime_type", "ref.python"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath", "deflist", "attrs_inline"]

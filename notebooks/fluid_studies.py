@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from warpcrete import scenes
@@ -104,7 +104,7 @@ class Studies:
             f"{100 * runs[0]['slip_velocity_theory']['value']:.2f} cm/s. Observed order of the slip velocity, 20 to 10 "
             f"and 10 to 5 mm: {', '.join(f'{x:.1f}' for x in orders)}.",
         )  # fmt: skip
-        figure = new_figure("channel, 100 mm wide, concrete no1, 0.191 m/s", 2.9, 2.9)
+        figure = new_figure("channel, 100 mm wide, concrete no1, 1500 cm3/s", 2.9, 2.9)
         top, bottom = figure.subplots(2, 1)
         mm = 1e3 * np.array(spacings)
         top.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", color=rgb(RUN), label="this program")
@@ -141,18 +141,18 @@ class Studies:
              "theory, Eq. 12 in the plane [kPa]"],
             rows,
         )  # fmt: skip
-        figure = new_figure()
+        figure = new_figure("channel, 100 mm wide, concrete no1, 1500 cm3/s")
         axes = figure.subplots()
         x, ours, thick = np.array(pressures).T
-        axes.plot(1e3 * x, ours / 1e3, "o-", label="ours")
-        axes.plot(1e3 * x, thick / 1e3, ":", color="0.4", label="theory, Eq. 12 in the plane")
+        axes.plot(1e3 * x, ours / 1e3, "o-", color=rgb(RUN), label="this program")
+        axes.plot(1e3 * x, thick / 1e3, ":", color=rgb(THEORY), label="theory, Eq. 12 in the plane")
         axes.set(xlabel="thickness of the slip layer [mm]", ylabel="pressure [kPa]", ylim=(9.0, 10.2))
         legend_above(axes)
         self.save("thickness", figure)
 
     def flow(self) -> None:
         """Figs. 16 and 17: pressure against flow, three concretes, one phase and two."""
-        figure = new_figure("", 2.9, 2.3, 2.5)
+        figure = new_figure("channel, 100 mm wide and 300 mm high", 2.9, 2.3, 2.5)
         rows = []
         for axes, mix in zip(figure.subplots(3, 1, sharex=True, height_ratios=[2.9, 2.3, 2.5]), MIXES):
             found: dict[bool, list[float]] = {False: [], True: []}
@@ -191,7 +191,7 @@ class Studies:
 
     def fields(self) -> None:
         """Figs. 14, 15 and 18: pressure and velocity of all particles, profiles at three heights."""
-        figure = new_figure("", 5.2, 3.6)
+        figure = new_figure("channel, 100 mm wide, concrete no1, 1500 cm3/s", 5.2, 3.6)
         fields, profiles = figure.subfigures(2, 1, height_ratios=[5.2, 3.6])
         shown = [*fields.subplots(1, 4), profiles.subplots()]
         rows = []
@@ -209,14 +209,19 @@ class Studies:
                 axes.title.set_fontsize("medium")
                 if (scale := display[colouring].scale()) is not None:
                     label, lower, upper = scale
-                    bar = fields.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, pad=0.02,
-                                          orientation="horizontal", location="bottom", aspect=10)  # fmt: skip
-                    bar.set_label(textwrap.fill(label, 12))
+                    shades = ScalarMappable(Normalize(lower, upper), "viridis")
+                else:  # A bar of both phases; without a bar, this panel would stand higher than the others.
+                    label, both = "phase of the particles", np.unique(display[colouring].colours() / 255, axis=0)
+                    shades = ScalarMappable(Normalize(0, 2), ListedColormap(both[[-1, 0]]))
+                bar = fields.colorbar(shades, ax=axes, pad=0.02, orientation="horizontal", location="bottom", aspect=10)
+                if scale is None:
+                    bar.set_ticks([0.5, 1.5], labels=["mortar", "grain"])
+                bar.set_label(textwrap.fill(label, 12))
             for part, colour in zip(r["profiles"], map(rgb, SERIES)):
                 shown[4].plot(
                     100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]),
                     "x" if two else "o", color=colour, markersize=4,
-                    label=f"{words}, {100 * part['height']['value']:.0f} cm",
+                    label=f"{1 + two} phase{'s' if two else ''}, {100 * part['height']['value']:.0f} cm",
                 )  # fmt: skip
             mixes = [r]
             if two:
@@ -266,7 +271,7 @@ class Studies:
 
     def migration(self) -> None:
         """Fig. 21: fraction of aggregate inside and outside, in front and behind, over time; means of several mixes."""
-        figure = new_figure("", 3.4, 3.4)
+        figure = new_figure("channel, 100 mm wide, 1500 cm3/s, grains in mortar", 3.4, 3.4)
         top, bottom = figure.subplots(2, 1)
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
@@ -297,7 +302,7 @@ class Studies:
                 )  # fmt: skip
         np.savez_compressed(self.folder / "migration.npz", time=time, **changes)
         for axes in (top, bottom):
-            axes.axhline(0, color="0.7")
+            axes.axhline(0, color="0.7", zorder=0)
             axes.set(xlabel="time [s]", ylabel="fraction of aggregate,\nchange [percentage points]")
             legend_above(axes)
         self.save("migration", figure)

@@ -14,7 +14,7 @@ from fluid_studies import Studies, main
 
 from warpcrete import InstabilityError, Simulation, scenes
 from warpcrete.core.device.device import default_threads
-from warpcrete.core.drawing.style import legend_above, new_figure
+from warpcrete.core.drawing.style import RUN, SECOND, legend_above, new_figure, rgb
 from warpcrete.core.units import number
 
 
@@ -41,7 +41,7 @@ class GridStudies(Studies):
         speed = scenes.channel().velocity
         layers = [{"slip_viscosity": eta} for eta in (1e6, 2e4, 4e3, 1e3, 300.0, 100.0, 20.0)]
         plugs = [{"yield_stress": n * 20 * speed / 0.05} for n in (0.1, 1.0, 10.0, 100.0)]
-        figure, rows = new_figure("", 3.8, 2.8), []
+        figure, rows = new_figure("width or diameter 100 mm, concrete of 20 Pa s, 0.191 m/s", 3.8, 2.8), []
         for axes, name in zip(figure.subplots(2, 1, sharex=True, height_ratios=[3.8, 2.8]), ("channel", "tube")):
             found: dict[str, list[tuple[float, float]]] = {"piston": [], "periodic": []}
             stopped = []
@@ -65,9 +65,11 @@ class GridStudies(Studies):
                     if given in layers:
                         found[ends].append((share, abs(wall)))
                 rows.append(cells)
-            for ends, word in (("piston", "column of particles, until steady"), ("periodic", "grid, ten diameters")):
-                axes.semilogy(*np.transpose(found[ends]), "o-", markersize=4, label=word)
-            axes.plot(stopped, np.full(len(stopped), 30.0), "x", color="C0", label="column stops with an error")
+            for ends, word, colour in (
+                ("piston", "column of particles, until steady", SECOND), ("periodic", "grid, ten diameters", RUN),
+            ):  # fmt: skip
+                axes.semilogy(*np.transpose(found[ends]), "o-", markersize=4, color=rgb(colour), label=word)
+            axes.plot(stopped, np.full(len(stopped), 30.0), "x", color=rgb(SECOND), label="column stops with an error")
             axes.set(ylabel="error of the\nwall's stress [%]", title=name, ylim=(1e-4, 100.0))
         figure.axes[1].set_xlabel("share of slip in the flow")
         legend_above(figure.axes[0])

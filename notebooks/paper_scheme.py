@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from warpcrete import scenes
-from warpcrete.core.drawing.style import legend_above, new_figure
+from warpcrete.core.drawing.style import RUN, SECOND, THEORY, legend_above, new_figure, rgb
 from warpcrete.core.run.run import Run
 from warpcrete.kernels.common.control import HALTED
 from warpcrete.kernels.mps.structs import array_structs, flow_struct, mps_functions
@@ -205,20 +205,21 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     settings = {"duration": 1.0, "sample_interval": 0.02}
     ours = FluidSimulation(scenes.channel(ends="piston", **settings), device="cpu").run()
-    figure = new_figure("", 2.9, 2.5)
+    figure = new_figure("channel, 100 mm wide, concrete no1, 1500 cm3/s", 2.9, 2.5)
     top, bottom = figure.subplots(2, 1, height_ratios=[2.9, 2.5])
     table = ["| scheme | pressure [kPa] | off [%] | slip off [%] | volume [%] | balance of forces [%] |"]
     table.append("| --- | --- | --- | --- | --- | --- |")
-    for name, run in (("ours", ours), ("as printed", run_printed(**settings))):
+    printed = run_printed(**settings)
+    for name, run, colour in (("this program", ours, RUN), ("scheme as printed", printed, SECOND)):
         r, s = run.result, run.series
-        top.plot(s["time"][1:], s["pressure"][1:] / 1e3, label=name)
-        bottom.plot(s["time"], 100 * s["volume_error"], label=name)
+        top.plot(s["time"][1:], s["pressure"][1:] / 1e3, color=rgb(colour), label=name)
+        bottom.plot(s["time"], 100 * s["volume_error"], color=rgb(colour), label=name)
         table.append(
             f"| {name} | {r['pressure']['value'] / 1e3:.2f} | {100 * r['pressure_error']:+.1f} "
             f"| {100 * r['slip_velocity_error']:+.2f} | {100 * r['volume_error']:+.3f} "
             f"| {100 * r['force_balance_error']:+.1f} |"
         )
-    top.axhline(ours.result["pressure_theory"]["value"] / 1e3, color="0.4", linestyle=":", label="theory")
+    top.axhline(ours.result["pressure_theory"]["value"] / 1e3, color=rgb(THEORY), linestyle=":", label="theory")
     top.set(xlabel="time [s]", ylabel="pressure [kPa]", ylim=(0, None))
     bottom.set(xlabel="time [s]", ylabel="volume error [%]")
     legend_above(top)

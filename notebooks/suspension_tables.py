@@ -186,7 +186,7 @@ class Tables:
     def layer(self) -> None:
         """Show the slip layer: fraction over distance, thickness, and the law of stress over slip velocity."""
         stores = load(self.runs, "a")
-        rows, figure = [], new_figure("", 2.6, 3.2)
+        rows, figure = [], new_figure("pipe, diameter 100 mm, mortar of concrete no1 that sticks to the wall", 2.6, 3.2)
         top, bottom = figure.subplots(2, 1, height_ratios=[2.6, 3.2])
         for surfaces, part in (("sticks", 0.5), ("slips", 0.1)):
             for fraction, colour in zip(FRACTIONS, SERIES, strict=False):
@@ -211,7 +211,7 @@ class Tables:
                 if surfaces == "slips":
                     continue
                 mean = rings(chosen[-1])[1][late(chosen[-1], 0.5)].mean(0)
-                top.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour), label=f"{fraction:g}")
+                top.plot(1e3 * np.array(chosen[-1]["distance"]), mean, color=rgb(colour))
                 bottom.loglog(1e3 * slip, stress, "o", color=rgb(colour), markersize=4, label=f"fraction {fraction:g}")
                 line = np.geomspace(slip.min(), slip.max())
                 bottom.loglog(1e3 * line, slope * line + start, color=rgb(colour))
@@ -269,7 +269,7 @@ class Tables:
 
     def migration(self) -> None:
         """Show the fraction in the inner half of the radius, and in the ring at the wall, over the travel."""
-        rows, figure = [], new_figure("", 3.4, 3.4)
+        rows, figure = [], new_figure("pipe, diameter 100 mm", 3.4, 3.4)
         sheared, pumped = figure.subplots(2, 1)
         for (name, store), colour in zip(load(self.runs, "b").items(), (*SERIES, *SERIES), strict=False):
             inner, wall, time = 100 * inner_fraction(store), 100 * at_wall(store), column(store, "time")
@@ -291,7 +291,7 @@ class Tables:
     def tests(self) -> None:
         """Show the standard tests at the end, or at the last time that a run with aggregates reached."""
         stores, rows = load(self.runs, "c"), []
-        figure = new_figure("", 2.6, 3.0)
+        figure = new_figure("concrete of 30 Pa s and 50 Pa, aggregate fraction 0.3", 2.6, 3.0)
         for axes, test in zip(figure.subplots(2, 1, sharex=True), ("slump", "jring"), strict=True):
             for name, store in stores.items():
                 if name.startswith(test) and "surface" in store.get("result", {}):
@@ -356,7 +356,7 @@ class Tables:
             speed = -1e3 * float(lag(store)[late(store, 0.25)].mean())
             points.setdefault(key, {}).setdefault(varied["part"], []).append(speed)
             uneven.setdefault(varied["fraction"], []).append(uneven_stress(store))
-        rows, figure = [], new_figure()
+        rows, figure = [], new_figure("upright pipe, spheres of 16 mm in a mortar of 5 Pa s at rest")
         axes = figure.subplots()
         for key, found in sorted(points.items()):
             kind, fraction, beta, stress = key

@@ -48,8 +48,9 @@ __all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring", "jring_dem",
 METHODS = ("mps", "dem", "suspension")
 """Names of the simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements, and
 "suspension" for flows of mortar with aggregates."""
-PIPE_AS_PART = {"unit": "vertical", "diameter": 0.15, "elbow_radius": 0.5}
-"""Defaults of the scene `pipe` that the scene `part` takes over if `pipe` is simulated as a suspension."""
+PIPE_AS_PART, BEND_AS_PART = {"unit": "vertical", "diameter": 0.15}, {"elbow_radius": 0.5}
+"""Defaults of the scene `pipe` that the scene `part` takes over if `pipe` is simulated as a suspension: those of all
+pipes, and those that have an effect in bends only."""
 
 
 def modules() -> dict[str, ModuleType]:
@@ -96,10 +97,14 @@ def by_method(name: str, method: str) -> str:
     return found[method]
 
 
-def suspended(name: str) -> dict[str, Any]:
-    """Return the parameters of the suspension that simulates the same test as scene `name` (see `by_method`)."""
+def suspended(name: str, bend: bool = True) -> dict[str, Any]:
+    """Return the parameters of the suspension that simulates the same test as scene `name` (see `by_method`).
+
+    `bend` states whether the user asks for a pipe with a bend.
+    """
     target = by_method(name, "suspension")
-    return {**(PIPE_AS_PART if name == "pipe" else {}), **modules()[target].suspension}
+    of_pipe = PIPE_AS_PART | (BEND_AS_PART if bend else {})
+    return {**(of_pipe if name == "pipe" else {}), **modules()[target].suspension}
 
 
 def __dir__() -> list[str]:

@@ -58,6 +58,7 @@ AGGREGATE_REMARKS = (
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
 """Values of parameters that the option `--method suspension` sets if the user does not set them."""
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
+IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
 MIN_LEG_DISTANCE = 3.0
 """Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
 belongs to both stretches."""
@@ -83,8 +84,8 @@ class PartParameters(ConcreteParameters, AggregateParameters, BlockageSettings, 
     diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), NO_LINE] = 0.1
     straight: Annotated[float, "Length of the straight pipes before and behind the bend or taper [m]", Above(),
                         NO_LINE] = 0.3  # fmt: skip
-    elbow_radius: Annotated[float, "Radius of the centreline of a bend [m]", Above(), NO_LINE] = 0.25
-    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), NO_LINE] = 90.0
+    elbow_radius: Annotated[float, "Radius of the centreline of a bend [m]", Above(), NO_LINE, IN_BENDS] = 0.25
+    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), NO_LINE, IN_BENDS] = 90.0
     outlet_diameter: Annotated[float | None, "Inner diameter behind the taper, which lies in the middle of a straight "
                                "pipe, or one length straight behind a bend [m]", Above(), NO_LINE] = None  # fmt: skip
     taper: Annotated[float, "Length of the taper [m]", Needs("outlet_diameter", _is_given, "is given"),

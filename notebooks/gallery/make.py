@@ -138,19 +138,19 @@ half = display.surface(cut=True); x, y, z = half.vertices.T; cap = half.faces[np
 figure = new_figure(scene.caption, 1.7); axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="z [m]")
 figure.colorbar(axes.tripcolor(x, z, cap, half.fields["speed"]), label="speed [m/s]", location="bottom", aspect=45)"""
 MIGRATION = """\
-import warpcrete; from warpcrete.core.drawing.style import legend_above, new_figure
+import warpcrete; from warpcrete.core.drawing import style
 scene = warpcrete.scenes.channel(aggregates=True, spacing=0.005, duration=2.0, sample_interval=0.05)
-run = warpcrete.Simulation(scene, device="cpu").run(); figure = new_figure(scene.caption)
-axes = figure.add_subplot(xlabel="time [s]", ylabel="change of share [% points]")
-for part, share in ((name, run.series[f"aggregate_{name}"]) for name in ("front", "rear", "inner", "outer")):
-    axes.plot(run.series["time"], 100 * (share - share[0]), label=part); legend_above(axes)"""
+run = warpcrete.Simulation(scene, device="cpu").run(); axes = style.new_figure(scene.caption).add_subplot()
+for part, colour in zip(("front", "rear", "inner", "outer"), map(style.rgb, style.SERIES)):
+    share = 100 * run.series[f"aggregate_{part}"]; axes.plot(run.series["time"], share - share[0], c=colour, label=part)
+axes.set(xlabel="time [s]", ylabel="change of share [% points]"); style.legend_above(axes); figure = axes.figure"""
 RESTART = """\
-from warpcrete.core.drawing.style import new_figure; from warpcrete.theory.pipe import CONCRETES, Line, restart
-figure, rests = new_figure("100 m of pipe, concrete no2, 20 m3/h"), range(0, 1801, 60)
-axes = figure.add_subplot(xlabel="rest [s]", ylabel="restart pressure [bar]")
-for rate in (0.1, 0.5, 1.7):
+from warpcrete.core.drawing import style; from warpcrete.theory.pipe import CONCRETES, Line, restart
+figure, rests = style.new_figure("100 m of pipe, concrete no2, 20 m3/h"), range(0, 1801, 60)
+axes = figure.add_subplot(xlabel="rest [s]", ylabel="restart pressure [bar]", xlim=(0, 2100))
+for rate, colour in zip((0.1, 0.5, 1.7), map(style.rgb, style.SERIES)):
     peaks = [restart(CONCRETES["no2"], Line(length=100, rise=0), t, rate, 20 / 3600).pressure / 1e5 for t in rests]
-    axes.plot(rests, peaks); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1])); axes.set_xlim(0, 2100)"""
+    axes.plot(rests, peaks, color=colour); axes.annotate(f" {rate} Pa/s", (rests[-1], peaks[-1]))"""
 CONCRETE = "--concrete own --density 2300 --viscosity 30 --yield-stress"
 PIPE = "--diameter 0.1 --length 0.35 --elbow-radius 0.25"
 PIPE_A = "--diameter 0.1 --length 0.35"
@@ -186,8 +186,8 @@ ENTRIES = (
           f"warpcrete run slump {CONCRETE} 500 --spacing 0.01 --duration 1 --out OUT",
           usd(time=0.5, direction=(0.25, -1.0, 0.35), opacity=0.18)),
     Entry("heap", "Shape after the slump test",
-          "The left diagram shows the shape of concrete at rest after a slump test, and the shape of a heap by a "
-          "closed form (a formula of theory). The right diagram shows the spread and the highest point of the "
+          "The upper diagram shows the shape of concrete at rest after a slump test, and the shape of a heap by a "
+          "closed form (a formula of theory). The lower diagram shows the spread and the highest point of the "
           "concrete over time.",
           f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
     Entry("jring", "J-ring test",

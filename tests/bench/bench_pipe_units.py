@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.drawing.style import legend_above, new_figure
+from warpcrete.core.drawing.style import MEASURED, SERIES, legend_above, new_figure, open_frame, rgb
 from warpcrete.core.run.run import Run
 from warpcrete.dem.scene.scene import Published
 
@@ -88,19 +88,19 @@ def figure(rows: list[dict]):
     for row in rows:
         if row["seed"]:
             continue
-        (line,) = axes.plot(
-            row["series"]["travel"],
-            np.array(row["series"]["pressure"]) / 1e3,
+        colour = rgb(SERIES[UNITS.index(row["unit"])])
+        axes.plot(
+            row["series"]["travel"], np.array(row["series"]["pressure"]) / 1e3, color=colour,
             label=f"{LETTER[row['unit']]} {row['unit']}",
-        )
+        )  # fmt: skip
         paper = PAPER[row["unit"]]
         if paper.peak_travel is not None:
-            axes.plot(paper.peak_travel, paper.peak / 1e3, "+", color=line.get_color(), markersize=11, mew=2)
-            axes.axhline(paper.plateau / 1e3, color=line.get_color(), linestyle=":")
-    axes.plot([], [], "k+", markersize=9, label="peak in the paper's text")
-    axes.plot([], [], "k:", label="plateau in the paper's text")
+            axes.plot(paper.peak_travel, paper.peak / 1e3, "+", color=colour, markersize=11, mew=2)
+            axes.axhline(paper.plateau / 1e3, color=colour, linestyle=":")
+    axes.plot([], [], "+", color=rgb(MEASURED), markersize=9, label="peak in the paper's text")
+    axes.plot([], [], ":", color=rgb(MEASURED), label="plateau in the paper's text")
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None))
-    axes.spines[["top", "right"]].set_visible(False)
+    open_frame(axes)
     legend_above(axes)
     return drawing
 

@@ -108,9 +108,10 @@ def test_a_study_of_flows(tmp_path):
 
 
 def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
+    """Both run in one process, so that the failed run could harm the other one."""
     out = tmp_path / "sweep"
     done = command("study", "channel", "--spacing", 20e-3, "--most-iterations", 3, 2000, "--device", "cpu", "--out",
-                   out, "--quiet")  # fmt: skip
+                   out, "--processes", 1, "--quiet")  # fmt: skip
     assert done.returncode == 1 and "1 of 2 cases done, 1 failed" in done.stdout
     assert "failed: 001-maximum_iterations=3" in done.stdout and "did not converge in 3 iterations" in done.stdout
     assert json.loads((out / "002-maximum_iterations=2000" / "result.json").read_text(encoding="utf-8"))["finished"]

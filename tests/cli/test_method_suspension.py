@@ -28,8 +28,11 @@ def test_a_pipe_becomes_a_part_of_the_same_unit():
     assert found[0] == "part" and found[-2:] == ["--unit", "horizontal"] and found.count("--unit") == 1
     pipe, part = (scenes.modules()[name].scene.parameters for name in ("pipe", "part"))
     values = scenes.suspended("pipe")
-    assert all(getattr(pipe(), name) == values[name] for name in scenes.PIPE_AS_PART)
-    assert part(**values).unit == "vertical"
+    assert all(getattr(pipe(), name) == values[name] for name in (*scenes.PIPE_AS_PART, "elbow_radius"))
+    assert part(**scenes.suspended("pipe", bend=False)).unit == "vertical"
+    assert "--elbow-radius" not in found
+    bend = by_method(["pipe", "--method", "suspension", "--unit=bend-to-vertical"])
+    assert bend[bend.index("--elbow-radius") + 1] == "0.5"
 
 
 def test_scenes_without_aggregates_refuse_the_method():

@@ -2,9 +2,11 @@
 
 import importlib
 import math
+import pkgutil
 
 from pumping import command
 
+from warpcrete import verification
 from warpcrete.verification import Case, Row, cases, summary, table
 from warpcrete.verification.extremes import Outcome
 
@@ -59,3 +61,11 @@ def test_verify_refuses_what_it_does_not_know():
     )
     done = command("verify", "--device", "cuda:99")
     assert done.returncode == 2 and "Traceback" not in done.stderr
+
+
+def test_every_module_with_cases_is_verified():
+    """A module of the package that has cases must be part of the table of results."""
+    modules = [importlib.import_module(f"warpcrete.verification.{each.name}")
+               for each in pkgutil.iter_modules(verification.__path__)]  # fmt: skip
+    listed = {case.name for module in modules for case in getattr(module, "CASES", ())}
+    assert {case.name for case in cases()} == listed

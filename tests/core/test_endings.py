@@ -6,14 +6,17 @@ import pickle
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from pumping import INTERRUPTIBLE, TINY, command, small_options, small_run, wait_until
 
 import warpcrete
 from warpcrete import ConvergenceError, InstabilityError, Simulation, scenes
+from warpcrete.core.device.device import find_device
 from warpcrete.core.run.ending import REASONS, Ending
 from warpcrete.core.run.recorder import Recorder
+from warpcrete.record.run_folder import TableRecorder
 
 CPU = dict(device="cpu", threads=1)
 FLOW = dict(spacing=10e-3)
@@ -181,3 +184,19 @@ def test_an_error_states_what_is_known():
     assert str(InstabilityError("burst")) == "burst"
     assert str(InstabilityError("burst", time=0.5, cure="glue")) == "t = 0.5 s: burst; usual cure: glue"
     assert str(InstabilityError("burst", body=0, cure="a, b")) == "body 0: burst; usual cures: a, b"
+
+
+def test_a_run_that_ends_before_its_first_row_replaces_no_results(tmp_path):
+    """The reason of the latest attempt counts; a result.json with steps holds results, and stays."""
+    recorder = object.__new__(TableRecorder)
+    recorder.folder = tmp_path
+    scene = SimpleNamespace(name="pipe", seed=3)
+    simulation = SimpleNamespace(scene=scene, device=find_device("cpu"), precision="float32", threads=1)
+    path = tmp_path / "result.json"
+    for reason in ("unstable", "unconverged"):
+        recorder._write_early_end(simulation, Ending(reason, f"it was {reason}", 0.5))
+        found = json.loads(path.read_text(encoding="utf-8"))
+        assert (found["scene"], found["finished"], found["ended"]["reason"]) == ("pipe", False, reason)
+    path.write_text(json.dumps(found | {"steps": 0}), encoding="utf-8")
+    recorder._write_early_end(simulation, Ending("unstable", "it was unstable", 0.5))
+    assert json.loads(path.read_text(encoding="utf-8")) == found | {"steps": 0}

@@ -17,7 +17,7 @@ from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
 from warpcrete.core.run import folders
-from warpcrete.core.run.files import LOCK
+from warpcrete.core.run.files import LOCK, write_json
 from warpcrete.core.run.folders import FolderLock, make_folder, new_folder
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
@@ -260,3 +260,34 @@ def test_a_lock_file_that_is_being_removed_is_tried_again_on_windows(windows, tm
     FolderLock(tmp_path).release()
     with pytest.raises(RunFolderError, match="cannot be written"):
         FolderLock(tmp_path)
+
+
+def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    """A reader finds the old contents until the new ones are complete, and no partial file remains."""
+    path = tmp_path / "result.json"
+    write_json(path, {"a": 1})
+    write = Path.write_text
+
+    def half(self, text, **settings):
+        assert json.loads(path.read_text(encoding="utf-8")) == {"a": 1}
+        write(self, text[: len(text) // 2], **settings)
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(Path, "write_text", half)
+    with pytest.raises((OSError, RunFolderError)):
+        write_json(path, {"a": 2, "b": [3, 4]})
+    monkeypatch.undo()
+    assert json.loads(path.read_text(encoding="utf-8")) == {"a": 1} and list(tmp_path.iterdir()) == [path]
+    write_json(path, {"a": 2, "b": [3, 4]})
+    assert json.loads(path.read_text(encoding="utf-8")) == {"a": 2, "b": [3, 4]}
+
+
+def test_a_folder_is_finished_if_its_result_says_so_and_no_checkpoint_is_left(tmp_path):
+    """A checkpoint remains until all files are written, so a folder that has one must be completed."""
+    assert not is_finished(tmp_path)
+    write_json(tmp_path / "result.json", {"finished": False})
+    assert not is_finished(tmp_path)
+    write_json(tmp_path / "result.json", {"finished": True})
+    assert is_finished(tmp_path)
+    (tmp_path / "checkpoint.npz").touch()
+    assert not is_finished(tmp_path)

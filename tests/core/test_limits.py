@@ -1,16 +1,17 @@
 """What is possible and what is usual: every parameter of every scene, options, files, and the words of messages."""
 
-import subprocess
-import sys
+import re
 import warnings
 
 import pytest
 import trimesh
 from click.testing import CliRunner
+from pumping import command
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.theory import fields as theory_fields
+from warpcrete.core.device.device import checked_threads
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
 from warpcrete.core.inputs.amounts import UNITS, amount, bare_number
 from warpcrete.core.inputs.limits import LIMITS, check_limit, limit_of
@@ -333,9 +334,9 @@ def test_the_nearest_word_is_suggested():
 
 
 @pytest.mark.parametrize("words", [["theory", "--flow", "0.11"], ["run", "tube", "--diameter", "125"]], ids=" ".join)
-def test_the_command_says_it_in_one_line(words, tmp_path):
-    code = "from warpcrete.cli.main import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, encoding="utf-8", cwd=tmp_path)
+def test_the_command_says_it_in_one_line(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = command(*words)
     (line,) = done.stderr.splitlines()
     if words[0] == "theory":
         assert done.returncode == 0 and line.startswith("warning: flow = 0.11: makes the concrete flow at 14 m/s")
@@ -353,3 +354,25 @@ def test_a_long_text_is_no_amount():
     assert amount("diameter", "  125  mm ", "m") == 0.125 and bare_number(" 1e3 ")
     with pytest.raises(SceneError, match="must be a number without a unit, or with %"):
         amount("share", "1 m", "1")
+
+
+@pytest.mark.parametrize(
+    "scene, given, words",
+    [
+        ("part", {"unit": "horizontal", "angle": 45}, "angle = 45.0: has no effect unless 'unit' is a bend"),
+        ("part", {"unit": "vertical", "elbow_radius": 1}, "elbow_radius = 1.0: has no effect unless 'unit' is a bend"),
+        ("part_dem", {"unit": "horizontal", "angle": 45}, "angle = 45.0: has no effect unless 'unit' is a bend"),
+        ("lbox", {"bar_diameter": 0.02}, "bar_diameter = 0.02: has no effect unless 'bars' is 2 or 3"),
+    ],
+)
+def test_dimensions_of_what_is_not_there_give_a_warning(scene, given, words):
+    with pytest.warns(PlausibilityWarning, match=f"^{re.escape(words)}"):
+        getattr(scenes, scene)(**given)
+
+
+def test_threads_are_at_least_one_and_at_most_the_cores(monkeypatch):
+    monkeypatch.setattr("warpcrete.core.device.device.os.cpu_count", lambda: 4)
+    assert [checked_threads(count) for count in (1, 4)] == [1, 4]
+    for wrong in (-1, 0, 5):
+        with pytest.raises(SceneError, match=rf"^threads = {wrong}: must be in \[1, 4\]"):
+            checked_threads(wrong)

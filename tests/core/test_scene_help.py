@@ -10,6 +10,7 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from warpcrete import SceneError, scenes
 from warpcrete.core.inputs.parameters import declared_fields
+from warpcrete.core.inputs.scene_titles import scene_titles
 
 ALL_SCENES = tuple(name.replace("-", "_") for name in scenes.modules())
 
@@ -77,3 +78,22 @@ def test_tab_completes_scenes_and_parameters(jedi):
 
     assert completed("scenes.pipe(vel") == ["velocity="]
     assert completed("scenes.") == sorted(ALL_SCENES)
+
+
+def test_titles_of_scenes_are_those_of_their_files(tmp_path):
+    """A file may hold the scenes of both methods; private files and files without scenes have no title."""
+    files = {
+        "heap": '"""Heap of concrete, as a flow.\n\nMore words."""\ndef scene(): ...\ndef scene_dem(): ...\n',
+        "two_words": '"""Box."""\ndef scene_dem(): ...\n',
+        "bare": "def scene(): ...\n",
+        "helper": '"""No scene."""\ndef other(): ...\n',
+        "_private": '"""Hidden."""\ndef scene(): ...\n',
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    assert list(scene_titles(tmp_path).items()) == [
+        ("bare", ""),
+        ("heap", "Heap of concrete, as a flow."),
+        ("heap-dem", "Heap of concrete, by discrete elements."),
+        ("two-words-dem", "Box, by discrete elements."),
+    ]

@@ -2,13 +2,16 @@
 
 import dataclasses
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from conftest import bonds_of, by_id, pair_history
+from pumping import TINY
 from test_contacts import MASS, RADIUS, two_spheres
 
 from warpcrete import Simulation, scenes
+from warpcrete.core.device.device import divide_work_like_gpu
 from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.state_data import state_hash
@@ -249,3 +252,26 @@ def test_another_seed_hydrates_other_bonds_of_the_same_packing(start):
         found.append({key for key, value in history.items() if int(np.frombuffer(value[1], np.int32)[0]) == 2})
     assert found[0] == found[1] != found[2]
     assert len(found[0]) > 20 and len(found[0] & found[2]) < 0.6 * len(found[0])
+
+
+def test_bonds_that_heal_carry_no_force_after_settling(device):
+    """Bonds that formed while the packing settled are loaded, so all contacts are bonded anew before the run begins."""
+    simulation = Simulation(scenes.pipe(**TINY, healing=True), device=device)
+    simulation.prepare()
+    kinds, load = bonds_of(simulation.state)
+    assert np.count_nonzero(kinds > 0) > 100 and np.abs(load).max() == 0.0
+
+
+@pytest.mark.parametrize("full", [False, True], ids=["half lists", "full lists"])
+def test_a_bond_that_breaks_across_a_gap_leaves_no_dashpot_force(start, full):
+    """The dashpot of the contact law brakes bonded spheres that are apart, but not in the step that breaks the bond."""
+    weak, contact = strong(tensile_strength=1e-9, cohesion=1e-9), Contact(normal_damping_ratio=0.5, friction=0.0)
+    with divide_work_like_gpu() if full else nullcontext():
+        stepper = start(two_spheres(gap=1e-7, velocity=(0.5, 0, 0), contact=contact, bonds=weak, dt=2e-6))
+        assert stepper.bond(weak, 1) == 1
+        stepper.take(1)
+        braked = by_id(stepper.state, "velocity")[:, 0].copy()
+        assert contact_sums(stepper.model, stepper.state).bonded == 1 and 0 < braked[1] < 0.25
+        stepper.take(1)
+        assert contact_sums(stepper.model, stepper.state).broken_tension == 1
+        assert by_id(stepper.state, "velocity")[:, 0] == pytest.approx(braked, rel=1e-12)

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,15 @@ from shortcuts import SharedPackings
 from warpcrete import scenes
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import SceneError
-from warpcrete.dem.measure.probes import body_sums
+from warpcrete.core.units import number
+from warpcrete.dem import packing
+from warpcrete.dem.measure.probes import body_sums, contact_sums
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.containers import Fill, MeshContainer, PipeContainer
-from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
+from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.dem.scene.sizes import Gaussian, SieveCurve, Uniform
+from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.rotation import rotate
 
@@ -316,3 +320,63 @@ def test_shared_packings_have_the_bits_of_new_ones(device, tmp_path, monkeypatch
     with divide_work_like_gpu() if device == "cpu" else nullcontext():
         shared(scene.fill, **settings)
     assert len(packed) == (6 if device == "cpu" else 5) and shared.reused == 7 - len(packed)
+
+
+def test_a_result_counts_bodies_and_spheres_and_names_each_time(monkeypatch):
+    """Two clumps of four spheres: speeds count spheres, and each phase has its own time."""
+    shape = clumps.clump("four", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.ones(4))
+    scene = Scene(
+        name="two", duration=1.0, gravity=(0, 0, 0), bodies=(Bodies(positions=[[0, 0, 0], [1, 0, 0]], sizes=0.02,
+                                                                    template=shape),),
+    )  # fmt: skip
+    simulation = ElementSimulation(scene, device="cpu", precision="float64")
+    simulation.prepare()
+    monkeypatch.setattr(ElementSimulation, "pace", 1000.0)
+    simulation.wall_times.phases = {"packing": 2.0, "settling": 3.0, "running": 5.0}
+    result = simulation.result(False).result
+    speed = {name: number(value) for name, value in result["speed"].items()}
+    assert result["bodies"] == 2 and result["spheres"] == 8
+    assert speed["steps_per_second"] == 1000.0 and speed["sphere_steps_per_second"] == 8000.0
+    assert (speed["packing_time"], speed["settling_time"], speed["wall_time"]) == (2.0, 3.0, 5.0)
+
+
+def test_the_virial_of_clumps_has_the_vector_from_centroid_to_centroid(start):
+    """Each pair of touching spheres adds k times the overlap, projected on its normal and times the branch vector."""
+    shape = clumps.clump("pair", np.array([[0, 0, 0], [1.2, 0, 0]]), np.array([1.0, 0.7]))
+    scene = Scene(
+        name="pairs", duration=1.0, gravity=(0, 0, 0), contact=Contact(effective_modulus=1e5, friction=0.0),
+        bodies=(Bodies(positions=[[0, 0, 0], [0.012, 0.015, 0.004]], sizes=0.02, template=shape,
+                       orientations=[[0, 0, 0, 1], [0, 0, 0.6, 0.8]]),),
+        time_step=TimeStep(fixed=1e-6),
+    )  # fmt: skip
+    state = (stepper := start(scene)).state
+    place, body = state.spheres.position.numpy(), state.spheres.body.numpy()
+    centre, sum, touching = state.bodies.position.numpy(), 0.0, 0
+    for i in range(4):
+        for j in range(i + 1, 4):
+            offset = place[j, :3] - place[i, :3]
+            apart, radii = np.linalg.norm(offset), (place[i, 3], place[j, 3])
+            if body[i] == body[j] or apart >= np.sum(radii):
+                continue
+            force = 1e5 * math.pi * min(radii) ** 2 / np.sum(radii) * (np.sum(radii) - apart)
+            sum += force * (centre[body[j]] - centre[body[i]]) @ offset / apart
+            touching += 1
+    found = contact_sums(stepper.model, state)
+    assert found.contacts == touching > 0
+    assert found.virial == pytest.approx(sum, rel=1e-9)
+
+
+@pytest.mark.parametrize("pilot, wanted", [(0.5, 0.51), (0.74, packing.CLOSE_FRACTION)])
+def test_a_packing_to_a_pressure_begins_a_little_denser_than_its_trial(straight, monkeypatch, pilot, wanted):
+    """Sizes grow until the pressure is reached, so the wanted fraction must lie above that of the trial packing."""
+    asked = []
+
+    def grow(growths, threads, tell):
+        return {number: (None, SimpleNamespace(solid_fraction=pilot)) for number in growths}
+
+    monkeypatch.setattr(packing, "_Growth", lambda request, container, fraction, *more: asked.append(fraction))
+    monkeypatch.setattr(packing, "_grow_together", grow)
+    fill = Fill(container=PipeContainer(straight, 0.05, 0.15), pressure=2000.0)
+    (found,) = packing.pack_many([packing.Request(fill, Contact(), 3)], device="cpu")
+    assert asked == [packing.CLOSE_FRACTION, pytest.approx(wanted, rel=1e-12)]
+    assert found[1].solid_fraction == pilot

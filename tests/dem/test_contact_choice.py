@@ -297,15 +297,15 @@ def test_an_interrupted_run_with_an_own_law_is_told_to_be_trusted(tmp_path, monk
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("page", "sign"), [
-    ("own-contact-law.md", "def test_a_stone_rests_on_a_wall"), ("test-in-ci.md", "contact=Sticky"),
-])  # fmt: skip
-def test_the_guides_tests_of_the_law_pass(tmp_path, page, sign):
+def test_the_guides_tests_of_the_law_pass(tmp_path):
+    """One process runs the tests of both pages, which load the same kernels."""
     guide_law(tmp_path)
-    guide(tmp_path, page, sign, "test_sticky.py")
-    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "test_sticky.py"]
+    guide(tmp_path, "own-contact-law.md", "def test_a_stone_rests_on_a_wall", "test_sticky.py")
+    guide(tmp_path, "test-in-ci.md", "contact=Sticky", "test_sticky_pump.py")
+    words = ["-m", "pytest", "-v", "-p", "no:cacheprovider", "test_sticky.py", "test_sticky_pump.py"]
     done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, encoding="utf-8", timeout=600)
     assert done.returncode == 0, done.stdout
+    assert "test_sticky.py::test_" in done.stdout and "test_sticky_pump.py::test_" in done.stdout
 
 
 @pytest.mark.thorough

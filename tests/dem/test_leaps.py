@@ -97,3 +97,25 @@ def test_a_wall_that_goes_further_than_a_radius_in_a_fixed_step_is_refused(start
     thrown(start, walls=(wall,), dt=1e-6)
     with pytest.raises(SceneError, match=r"time_step = 0.0003: moves the wall 'piston' by 0.015 m per step"):
         thrown(start, Contact(effective_modulus=1e3), (wall,), 3e-4, (0, 0, 0))
+
+
+def test_the_proposed_step_moves_sphere_and_wall_by_half_a_radius(start):
+    """At 100 m/s a sphere takes 5e-5 s for half of its radius; towards a wall of 50 m/s it takes 3.3e-5 s."""
+    box = replace(INSIDE[0], motion=Prescribed(velocity=(-50.0, 0.0, 0.0)))
+    for walls, part, proposed in (((), 1.1, "5e-05"), ((box,), 0.7, "3.3e-05")):
+        stepper = thrown(start, Contact(effective_modulus=1e3), walls, part * RADIUS / 100.0)
+        with pytest.raises(InstabilityError) as failed:
+            stepper.take(2)
+        assert failed.value.cure.startswith(f"a time_step below {proposed} s or an automatic one, or slower ")
+
+
+def test_the_smallest_sphere_limits_what_a_wall_may_move_in_a_step(start):
+    """A wall of 50 m/s moves 1.5 mm in 3e-5 s, and 3 mm in 6e-5 s, further than the smaller radius of 2 mm."""
+    wall = PlaneWall(name="piston", point=(0, 0, -0.1), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 50.0)))
+    bodies = Bodies(positions=[[0, 0, 0], [0.05, 0, 0]], sizes=[2 * RADIUS, 0.004], density=DENSITY)
+    scene = Scene(name="two sizes", duration=1.0, gravity=(0, 0, 0), walls=(wall,), bodies=(bodies,),
+                  contact=Contact(effective_modulus=1e3), time_step=TimeStep(fixed=3e-5))  # fmt: skip
+    state = start(scene).state
+    assert (state.smallest_radius, state.mean_radius, state.largest_radius) == pytest.approx((0.002, 0.006, RADIUS))
+    with pytest.raises(SceneError, match=r"time_step = 6e-05: moves the wall 'piston' by 0.003 m per step"):
+        start(replace(scene, time_step=TimeStep(fixed=6e-5)))

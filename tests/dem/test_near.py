@@ -28,7 +28,8 @@ from warpcrete.kernels.dem.near import CHOICE_BLOCK, NEAR, near_kernels
 from warpcrete.kernels.dem.pairs import BLOCK
 from warpcrete.kernels.dem.structs import APART, STIFF, TOUCHING, array_structs, links_struct, scene_struct
 
-SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3)
+SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3,
+             solid_fraction=0.55)  # fmt: skip
 
 
 @pytest.fixture

@@ -253,3 +253,19 @@ def test_the_front_is_looked_for_among_the_farthest():
                 behind = part * total[-1]
                 exact = s[:few][order][np.searchsorted(total, behind)]
                 assert _front(s[:few], volume[:few], behind) == exact
+
+
+def test_a_slice_is_full_only_between_the_piston_and_the_front():
+    """The slice in which the piston stands is not full, nor the one that holds the front; the others are."""
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(1.0),))
+    slices = Stations(axis=axis, bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+    s = np.linspace(0.3, 0.9, 61)
+    tangent, stress = np.tile([0.0, 0.0, 1.0], (61, 1)), np.tile([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], (61, 1))
+
+    def full(travel: float) -> list[bool]:
+        found = stresses_along(slices, stress, s, tangent, np.full(61, 0.01), np.ones(61, bool), travel)
+        return np.isfinite(found[:, 1]).tolist()
+
+    assert full(0.3) == [False, False, True, True, False]
+    assert full(0.2) == [False, True, True, True, False]  # A piston exactly at an edge leaves the slice behind it full.
+    assert full(0.2001) == [False, False, True, True, False]

@@ -137,3 +137,11 @@ def test_no_list_item_is_inside_another(path):
     assert not re.findall(r"[.;] - [A-Za-z*`].*|[.)] [2-9]\. [A-Z*`].*", text)
     # A plus sign at the start of a line makes an item of a wrapped formula, although items here begin with a dash.
     assert not re.findall(r"^ *\+ .*", text, re.M)
+
+
+def test_tables_in_outputs_of_notebooks_are_shown_as_tables():
+    """MyST-NB reads outputs as CommonMark by default, which has no tables."""
+    texts = [path.read_text(encoding="utf-8") for path in PAGES.glob("*.ipynb")]
+    configuration = (PAGES / "conf.py").read_text(encoding="utf-8")
+    assert any('"|---' in text or '"| --- ' in text for text in texts)
+    assert re.search(r'^nb_render_markdown_format = "myst"', configuration, re.M)

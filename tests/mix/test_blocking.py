@@ -21,6 +21,25 @@ ORDINARY = {
 }
 
 
+LIGHT = {"density": 1850, "sizes": [0.005, 0.015]}
+LIGHT_PARTS = {"lightweight coarse aggregate": 470, "sand": 800, "water": 180}
+
+
+@pytest.mark.parametrize(
+    ("entries", "verdict"),
+    [
+        ({**LIGHT, "slump": 0.18}, "risky"), ({**LIGHT, "slump": 0.181}, "fine"), ({**LIGHT, "spread": 0.6}, "fine"),
+        ({**LIGHT, "density": 1999, "slump": 0.1}, "risky"), ({**LIGHT, "density": 2000, "slump": 0.1}, None),
+        ({"slump": 0.2, "parts": {**LIGHT_PARTS, "cement": 320}}, "risky"),
+        ({"slump": 0.2, "parts": {**LIGHT_PARTS, "cement": 321}}, "fine"),
+    ],
+)  # fmt: skip
+def test_lightweight_concrete_needs_slump_and_cement(entries, verdict):
+    """No rule once knew that lightweight aggregate absorbs water under the pressure of the pump."""
+    found = {each.rule: each.verdict for each in blocking_rules(mix_of(entries).given, 0.125)}
+    assert found.get("lightweight aggregate") == verdict
+
+
 def verdicts(bore=0.125, **changes):
     mix = mix_of({key: value for key, value in (ORDINARY | changes).items() if value is not None})
     return {each.rule: each for each in blocking_rules(mix.given, bore)}

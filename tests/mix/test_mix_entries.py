@@ -278,3 +278,17 @@ def test_a_mix_that_leaves_much_air_points_to_moist_sand():
         PlausibilityWarning, match=r"if the sand was weighed moist, move its surface water to 'water' \(not"
     ):
         mix_of({"parts": parts, "slump": "180 mm", "sizes": "20 mm"})
+
+
+@pytest.mark.parametrize(
+    ("names", "more", "sizes"),
+    [
+        (["#67 stone"], {}, (0.00475, 0.019)), (["# 57 limestone", "#8 pea gravel"], {}, (0.00236, 0.025)),
+        (["#67 stone"], {"sizes": "10 mm"}, (0.004, 0.01)), (["gravel"], {}, None), (["#99 stone"], {}, None),
+        (["#67 stone"], {"sieve": {4: 0, 16: 1}}, None),
+    ],
+)  # fmt: skip
+def test_a_size_number_in_the_name_of_a_part_is_the_size_of_the_stones(names, more, sizes):
+    """A ticket that names its stone as '#67 stone' once left the largest stone unknown."""
+    parts = {"cement": 340, "water": 180, "sand": 790, **dict.fromkeys(names, 1040 / len(names))}
+    assert mix_of({"parts": parts, "slump": "120 mm", **more}).given.sizes == sizes

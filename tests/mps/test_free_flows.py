@@ -14,6 +14,7 @@ from warpcrete.core.errors import ConvergenceError, InstabilityError, SceneError
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.core.units import number
 from warpcrete.kernels.mps.structs import DENSITY
+from warpcrete.mps.free import forecast as forecasts
 from warpcrete.mps.free.display import SHOWN_DEPTH
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import surface, volume
@@ -289,3 +290,21 @@ def test_slump_by_the_command(tmp_path):
 
 def test_any_simulation_takes_a_slump():
     assert isinstance(Simulation(slump(), device="cpu"), FreeSimulation)
+
+
+def test_falling_concrete_passes_at_most_one_cell_per_step():
+    """Concrete falls from the height h of its surface, at up to sqrt(2 g h) = 1.4007 m/s, through cells of 10 mm."""
+    for gravity, limit in ((9.81, 0.01 / np.sqrt(2 * 9.81 * 0.1)), (1.0, 0.01 / np.sqrt(2 * 0.1))):
+        vessel(gravity=gravity, step_error=0.0, time_step=0.999 * limit)
+        with pytest.raises(SceneError, match=rf"time_step = .* falls at {0.01 / limit:.3g} m/s"):
+            vessel(gravity=gravity, step_error=0.0, time_step=1.001 * limit)
+
+
+@pytest.mark.parametrize("plate", [False, True])
+@pytest.mark.parametrize("walls", [False, True])
+def test_a_forecast_says_which_surfaces_slip(plate, walls, monkeypatch):
+    """The sides of the box and the walls inside it are two different settings."""
+    monkeypatch.setattr(forecasts, "flow_forecast", lambda simulated, course, features, probe, **more: features(None))
+    told = forecasts.forecast(vessel(plate_slips=plate, walls_slip=walls), None, "float32", None, None)
+    words = {False: "concrete sticks", True: "slip layer"}
+    assert (told["sides of the box"], told["walls"]) == (words[plate], words[walls])

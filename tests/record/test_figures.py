@@ -1,13 +1,19 @@
 """Tests of the plots of runs: legends, captions and sizes."""
 
 import re
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from warpcrete import scenes
 from warpcrete.core.drawing.style import legend_above, new_figure
+from warpcrete.mps.free.pictures import plot_free
+from warpcrete.studies.validation import figure as validation
 
 
 def test_a_legend_lists_curves_by_their_ends_with_and_without_error_bars():
@@ -54,3 +60,47 @@ def test_figures_of_the_package_have_the_standard_sizes():
         # Pictures of the aggregates of several runs have a panel of equal size for each run.
         lines = [line for line in lines if "len(many)" not in line]
         assert path.name in allowed or not lines, (path.name, lines)
+
+
+def test_figures_use_the_colours_of_the_style():
+    """Matplotlib's own colours have other meanings than those of the style."""
+    own = re.compile(r"""["']C(\d|\{)|["']k[-+.:xo]|color="k"|tab:""")
+    root = Path(__file__).parents[2]
+    for folder in ("warpcrete", "notebooks", "tests/bench"):
+        for path in sorted((root / folder).rglob("*.py")):
+            lines = [line for line in path.read_text(encoding="utf-8").splitlines() if own.search(line)]
+            assert not lines, (path.name, lines)
+
+
+def test_the_outline_of_a_mould_has_no_line_on_its_axis():
+    """The outline of a vessel about an axis is the polygon of one half, which is closed along the axis."""
+    scene = scenes.slump()
+    rising = np.linspace(0, 1, 3)
+    series = {"time": rising, "spread": rising, "top": rising}
+    run = SimpleNamespace(scene=scene, result={}, series=series, units={"spread": "m", "top": "m"})
+    shape = plot_free(run).axes[0]
+    mould = [line.get_xydata() for line in shape.lines if line.get_linestyle() == ":"]
+    assert len(mould) == 2 and all(np.nanmax(line[:, 1]) == 300 for line in mould)
+    for line in mould:
+        assert not any((start[0] == 0) and (end[0] == 0) for start, end in pairwise(line))
+
+
+@pytest.mark.parametrize(("low", "high"), [(5, 290), (100, 290)])
+def test_values_along_an_axis_of_the_validation_stand_apart(low, high):
+    """A panel of slumps ranges from 5 to 290 mm."""
+    band = [SimpleNamespace(value=1e-3 * each, low=0.5e-3 * each, high=2e-3 * each) for each in (low, high)]
+    cases = [
+        SimpleNamespace(
+            case=SimpleNamespace(kind="slump"), measured=each.value, band=each, simulated=False, held_out=False
+        )
+        for each in band
+    ]
+    drawing = validation.draw(
+        cases + [SimpleNamespace(**vars(each) | {"case": SimpleNamespace(kind="spread")}) for each in cases]
+    )
+    FigureCanvasAgg(drawing).draw()
+    for axes in drawing.axes:
+        ends = [label.get_window_extent() for label in axes.get_xticklabels() if label.get_text()]
+        shown = sorted((end.x0, end.x1) for end in ends if axes.bbox.x0 <= end.x0 + end.width / 2 <= axes.bbox.x1)
+        assert len(shown) >= 2
+        assert all(after[0] > before[1] + 10 for before, after in pairwise(shown)), shown

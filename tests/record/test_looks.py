@@ -426,3 +426,15 @@ def test_a_scale_may_begin_above_zero():
     """Viridis between 3 and 5: its ends, and its middle for 4."""
     values = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
     assert np.array_equal(palette_colours(values, 5.0, 3.0), palette_colours(np.array([0.0, 0.0, 0.5, 1.0, 1.0]), 1.0))
+
+
+@pytest.mark.parametrize("palette, low, high", [("viridis", "dark violet", "yellow"), ("concrete", "grey", "dark red")])
+def test_the_words_of_a_scale_name_the_colours_at_its_ends(palette, low, high):
+    """Dark violet has more blue than green, yellow little blue; grey has no colour, and dark red most of red."""
+    display: Any = SimpleNamespace(scale=lambda: ("speed [m/s]", 0.25, 2.0), palette=palette)
+    assert meaning(display) == f"Colours: speed [m/s] from 0.25 ({low}) to 2 and above ({high}), on {palette}."
+    lowest, highest = palette_colours(np.array([0.25, 2.0]), 2.0, 0.25, palette).astype(int)
+    if palette == "viridis":
+        assert lowest[2] > lowest[0] > lowest[1] + 50 and min(highest[:2]) > highest[2] + 150
+    else:
+        assert np.ptp(lowest) < 15 and highest[0] > 1.5 * max(highest[1:])

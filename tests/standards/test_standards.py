@@ -1,18 +1,20 @@
 """A standard test of one's own: a record in one file, whose scene is measured, ended and reported like the others."""
 
 import copy
+import inspect
 import pickle
 
 import numpy as np
 import pytest
 from test_free_flows import vessel
 
-from warpcrete import SceneError
+from warpcrete import SceneError, scenes
 from warpcrete.core.run.method import Quantity, report_of
 from warpcrete.core.units import number
 from warpcrete.methods import METHODS, method_of
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.standards import J_RING, TESTS, ClosedForm, Outcome, Specimen, StandardTest
+from warpcrete.theory.vessels import funnel_time
 
 
 @pytest.fixture
@@ -71,3 +73,21 @@ def test_a_closed_form_belongs_to_a_result(test):
     assert {form.quantity for form in test.forms} <= names
     assert test.outflow is None or (test.outflow.time in names and test.outflow.column in test.columns)
     assert set(test.curves or ()) <= set(test.columns)
+
+
+@pytest.mark.parametrize("law", [{}, {"flow_index": 0.7}, {"quadratic_viscosity": 2.0}])
+def test_the_time_of_a_funnel_by_theory_has_the_law_of_the_concrete(law, monkeypatch):
+    """The dimensions are those of EN 12350-9: an outlet of 65 x 75 mm, 515 mm at the top, heights of 150 and 450 mm."""
+    given = {"density": 2300.0, "viscosity": 30.0, "yield_stress": 20.0}
+    scene, arguments = scenes.funnel(concrete="own", **given, **law), inspect.signature(funnel_time)
+
+    def spy(*values, **named):
+        told.update(arguments.bind(*values, **named).arguments)
+        return 4.5
+
+    told = {}
+    monkeypatch.setattr("warpcrete.standards.funnel.funnel_time", spy)
+    assert method_of(scene).expected(scene)["funnel_time"] == 4.5
+    exact = arguments.bind((0.0325, 0.2575), (0.15, 0.6), 0.075, 30.0, 20.0, 2300.0, 9.81, flow_index=1.0,
+                           quadratic_viscosity=0.0).arguments | law  # fmt: skip
+    assert {name: pytest.approx(value, rel=1e-12) for name, value in exact.items()} == told

@@ -241,7 +241,9 @@ def _mix_section() -> Schema:
         "thickener": {"type": "boolean"},
         "layer": {"anyOf": [
             _object({**of_layer, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
-                     "from": {"enum": ["tribometer", "pipe"], "description": "origin of the constants"}}, "",
+                     "from": {"enum": ["tribometer", "pipe"], "description": "origin of the constants"},
+                     "gauges": {"enum": [measurements.CONTRADICTORY],
+                                "description": "gauges of the pipe, if they contradict each other"}}, "",
                     ["yield_stress", "viscosity"]),
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
                                                    for name in ("diameter", "length", "rise")}}, "",

@@ -422,3 +422,18 @@ def test_closed_forms_that_choose_the_start_share_the_scenes_of_their_targets(mo
     assert abs(start[0] - best) < 1 / START_CANDIDATES
     assert [target.held_out for target in closed_forms(here, start, {"tube": module})] == [False, False, True]
     assert made[START_CANDIDATES:] == [1.5e-3, 3e-3]
+
+
+def test_a_calibrated_concrete_states_only_what_its_scenes_share():
+    """Two tubes whose slip viscosities differ: the file of the concrete must not claim one of them."""
+    held = {"slip_yield": 10.0}
+    raw = task(("viscosity", "yield_stress"), *(
+        asked(tube(flow, ("viscosity", "yield_stress")), "pressure", 9000.0) for flow in (1e-3, 2e-3)
+    ))  # fmt: skip
+    for target, slip in zip(raw["targets"], (700.0, 900.0), strict=True):
+        target["parameters"] |= held | {"slip_viscosity": slip}
+    found = SimpleNamespace(task=task_of(raw, modules()), best={"viscosity": 33.0, "yield_stress": 44.0})
+    section = concrete_of(found, modules())["flow"]
+    assert "slip_viscosity" not in section
+    shared = {"density": 2350.0, "viscosity": 33.0, "yield_stress": 44.0, "slip_yield": 10.0}
+    assert section.items() >= shared.items()

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import kept
+import numpy as np
 import pytest
 from pumping import TINY
 
@@ -158,3 +159,25 @@ def test_a_worker_warms_up_once_and_stops_in_time(monkeypatch):
         )
     monkeypatch.setattr(trials, "warm_up", lambda simulation: (_ for _ in ()).throw(KeyboardInterrupt))
     assert done("a", "b") == ([None], [])
+
+
+def test_rebuilds_without_a_pipe_are_as_frequent_as_in_the_timed_steps(monkeypatch):
+    """7 rebuilds in the 100 timed steps are 70 in 1000; the 50 steps and 4 rebuilds before them do not count."""
+    stepper = SimpleNamespace(steps=50, time=0.0, dt=1.0, index=0, advance=lambda time: None, rebuild=lambda: None,
+                              lists=SimpleNamespace(builds=np.array([4])), skin=1e-3,
+                              batch=SimpleNamespace(planner=SimpleNamespace(rebuilds_on_device=False)))  # fmt: skip
+    copy = object.__new__(of_elements._ShortenedCopy)
+    copy.simulation = SimpleNamespace(measure=lambda: None, rows=[{"contacts": 3.0}])
+    copy.stepper, copy.spheres, copy.device = stepper, 12, None
+    copy.scene = SimpleNamespace(settle=None, bonds=None, pipe=None)
+
+    def timed():
+        stepper.steps += 100
+        stepper.lists.builds[0] += 7
+        return 2e-4
+
+    copy.step_time = timed
+    monkeypatch.setattr(of_elements, "median_time", lambda call, device: 2e-3)
+    monkeypatch.setattr(of_elements, "_memory", lambda simulation: {})
+    copy._time()
+    assert copy.builds(1000) == pytest.approx(70.0, rel=1e-12) and copy.step == 2e-4 and copy.contacts == 3

@@ -359,3 +359,18 @@ def test_runs_of_parts_are_used_again_if_they_are_the_same(tmp_path):
     assert found() == whole and found("0123") == whole and found("4567") is None
     simulation, checkpoint = part_simulation(scene, channel.check, None, "a", device="cpu", threads=1)
     assert checkpoint is None and len(simulation.recorders) == 1
+
+
+def test_a_part_whose_run_was_interrupted_gives_no_loss(monkeypatch):
+    """The line stops with its first unfinished run, and starts no further one."""
+    begun = []
+
+    def part_simulation(scene, *given, **settings):
+        run = SimpleNamespace(finished=False, result={})
+        return SimpleNamespace(begin=lambda checkpoint: begun.append(scene), run=lambda: run), None
+
+    monkeypatch.setattr(importlib.import_module("warpcrete.studies.lines.run"), "part_simulation", part_simulation)
+    line = line_of({"diameter": 0.1, "parts": [{"straight": 3}, {"bend": "up"}, {"straight": 2}]})
+    with pytest.raises(KeyboardInterrupt):
+        run_line(line, concrete_of("no1"), FLOW, simulate=True, device="cpu")
+    assert len(begun) == 1

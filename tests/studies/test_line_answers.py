@@ -20,10 +20,45 @@ from warpcrete.studies.lines.result import lines_of
 from warpcrete.studies.lines.run import run_line
 
 
-@pytest.mark.parametrize(("length", "jgj"), [(3.0, 2.0), (5.0, 2.0), (5.01, 2.004), (10.0, 4.0)])
-def test_a_hose_longer_than_that_of_the_rule_counts_in_proportion(length, jgj):
-    rows = pumped({"straight": 2}, {"hose": length}).practice()[1]
-    assert next(row for row in rows if row.rule == "JGJ/T 10").pressures["hose"] == pytest.approx(jgj * 1e5)
+@pytest.mark.parametrize(
+    ("length", "jsce", "jgj"),
+    [(1.5, 6.0, 1.0), (3.0, 12.0, 2.0), (5.0, 20.0, 2.0), (6.5, 20.0, 2.6), (8.0, 20.0, 3.2), (16.0, 40.0, 6.4)],
+)
+def test_hoses_of_other_lengths_than_in_a_rule_count_in_proportion(length, jsce, jgj):
+    """A hose of 1.5 m once counted as 20 m of level pipe by the rule of the JSCE, and as 2 bar by JGJ/T 10."""
+    rows = {row.rule: row for row in pumped({"straight": 2}, {"hose": length}).practice()[1]}
+    assert rows["JSCE"].pressures["hose"] == pytest.approx(jsce * METRE)
+    assert rows["JGJ/T 10"].pressures["hose"] == pytest.approx(jgj * 1e5)
+    for rule, shortest, longest in (("JSCE", 5, 8), ("JGJ/T 10", 3, 5)):
+        said = "a shorter or longer hose counts in proportion" in rows[rule].implies
+        assert said == (not shortest <= length <= longest)
+
+
+@pytest.mark.parametrize(
+    "part", [{"bend": {"to": "up"}}, {"reducer": {"to": "100 mm", "length": 2}}, {"hose": {"length": 6}}, {"valve": {}},
+             {"straight": {"length": 10}}]
+)  # fmt: skip
+@pytest.mark.parametrize("stated", [{"factor": 4}, {"equivalent": 30}])
+def test_rules_of_practice_use_the_friction_that_the_file_states(part, stated):
+    """They once used their own figures even if the file of the line stated the friction of a part."""
+    ((kind, entries),) = part.items()
+    found = pumped({"straight": 2}, {kind: entries | stated})
+    rows, loss = {row.rule: row for row in found.practice()[1]}, found.losses[1]
+    metres = (4 * loss.part.length) if "factor" in stated else 30
+    wanted = {"AIJ": metres * loss.straight / loss.part.length, "JSCE": metres * loss.straight / loss.part.length,
+              "JGJ/T 10": 5e3 * metres}  # fmt: skip
+    for rule, friction in wanted.items():
+        beside = 2 * (5e3 if rule == "JGJ/T 10" else METRE) if kind == "straight" else 0
+        assert rows[rule].pressures[kind] == pytest.approx(friction + loss.weight + beside), rule
+
+
+def test_rules_of_practice_say_which_parts_they_do_not_cover():
+    rows = {row.rule: row for row in pumped({"straight": 2}, {"valve": {}}, {"reducer": "100 mm"}).practice()[1]}
+    assert "valves count as straight pipe" in rows["AIJ"].implies and "valves count as" in rows["JSCE"].implies
+    assert "reducers count as straight pipe" in rows["JGJ/T 10"].implies
+    assert "28 bar for the pump itself" in rows["JGJ/T 10"].implies
+    stated = pumped({"straight": 2}, {"valve": {"equivalent": 3}}).practice()[1]
+    assert not any("count as straight pipe" in row.implies for row in stated)
 
 
 def test_power_volume_and_time_follow_from_pressure_and_bore():

@@ -1,6 +1,7 @@
 """Fit of the slip layer and of the factor of bends to pressures along a trial line."""
 
 import json
+import math
 import re
 from dataclasses import replace
 
@@ -119,8 +120,14 @@ def test_a_layer_without_yield_stress_stays_without():
     assert fit.constants[0].value == pytest.approx(speeds @ stresses / (speeds @ speeds), rel=1e-3)
     text = "\n".join(fit_lines(fit, plain))
     assert "slip yield 0 Pa (fitted without it, because the points would give a negative one)" in text
-    # The gauge has one error of 4 % at all flows, which is 19 Pa at the wall. The layer may have this yield stress.
-    assert fit.knows_yield and fit.yield_layers[1][1] == pytest.approx(0.04 * stresses.max(), rel=0.01)
+    # The gauge has one error of 4 % at all flows. The error of its readings is that of the scatter about a straight
+    # line, with one degree of freedom, and of three assumed readings with 1 %. The layer may have the yield stress of
+    # the error of the line's intercept with the axis. Measured difference: 5e-13.
+    rest = stresses - np.polyval(np.polyfit(speeds, stresses, 1), speeds)
+    variance = (3 * (0.01 * stresses.max()) ** 2 + rest @ rest) / 4
+    squares = variance * (1 / 3 + speeds.mean() ** 2 / np.sum((speeds - speeds.mean()) ** 2))
+    wanted = math.hypot(0.04 * stresses.max(), student_t(4) * math.sqrt(squares))
+    assert fit.knows_yield and fit.yield_layers[1][1] == pytest.approx(wanted, rel=1e-9)
 
 
 def test_a_fitted_factor_has_its_band_in_the_result():
@@ -302,8 +309,8 @@ def test_a_fit_pasted_into_any_file_of_a_concrete_gives_its_own_pressure(tmp_pat
     pattern = r"pressure at the pump ([0-9.]+) bar .*; ([0-9.]+) to ([0-9.]+) bar"
     own, later = ([float(x) for x in re.search(pattern, text).groups()] for text in (fitted, again))
     assert later[0] == pytest.approx(own[0], rel=2e-3)
-    # A pasted layer has the uncertainty at other flows, which is larger. Measured: 1.1 % at either end of the band.
-    assert 0.98 * own[1] < later[1] < 1.002 * own[1] and 0.998 * own[2] < later[2] < 1.02 * own[2]
+    # A pasted layer has the uncertainty at other flows, which is larger. Measured: 2.4 and 2.5 % at the ends.
+    assert 0.97 * own[1] < later[1] < 0.98 * own[1] and 1.02 * own[2] < later[2] < 1.03 * own[2]
 
 
 def test_the_text_of_a_fit_names_every_tap():
@@ -403,3 +410,30 @@ def test_pressures_that_grow_along_the_line_are_refused():
         else:
             with pytest.raises(SceneError, match=r"fit, line 3: pressure = 1110000\.0: must be below that of line 2"):
                 by_scatter(flat, TRUE, points)
+
+
+def test_the_table_of_a_fit_compares_each_pressure_with_the_fitted_line():
+    """The measured pressures are the given ones, and each deviation is fitted minus measured."""
+    points = taps((15, 45), (0, 1, 5), noise=3e4)
+    fit = by_scatter(LINE, GUESS, points)
+    lines = [x for x in fit_lines(fit, LINE) if x.startswith("| ")][1:]
+    assert len(lines) == len(points)
+    courses = {x.flow: line_by_theory(fit.line(LINE), fit.concrete(GUESS), x.flow).course(
+        lambda loss: loss.friction + loss.weight) for x in points}  # fmt: skip
+    for line, point in zip(lines, points, strict=True):
+        place, flow, measured, fitted, deviation = (float(cell) for cell in line.strip("| ").split(" | "))
+        exact = float(np.interp(point.place, *courses[point.flow])) / 1e5
+        assert (place, flow) == pytest.approx((point.place, 3600 * point.flow), rel=1e-3)
+        assert (measured, fitted) == pytest.approx((point.pressure / 1e5, exact), rel=1e-3)
+        assert deviation == pytest.approx(exact - point.pressure / 1e5, rel=0.06, abs=1e-4)  # It has two digits.
+
+
+def test_a_slump_alone_is_a_poor_source_of_the_layer_unless_the_layer_is_fitted(tmp_path):
+    taps_file = "place [m],pressure [bar],flow [m3/h]\n2,44,57\n43,31,57\n2,31,34\n43,23,34\n"
+    (tmp_path / "taps.csv").write_text(taps_file, encoding="utf-8")
+    call = ["line", "--slump", "150 mm", "--diameter", "125 mm", "--length", "107 m", "--flow", "40 m3/h"]
+    guessed, fitted = (CliRunner().invoke(cli, [*call, *more], catch_exceptions=False)
+                       for more in ((), ("--fit", str(tmp_path / "taps.csv"))))  # fmt: skip
+    remark = "a slump or spread alone says little about the slip layer"
+    assert guessed.exit_code == fitted.exit_code == 0
+    assert remark in guessed.output and remark not in fitted.output

@@ -13,7 +13,7 @@ from test_line_fit import KNOWN, LINE, PARTS, TRUE, taps
 
 from warpcrete import SceneError
 from warpcrete.cli.main import cli
-from warpcrete.mix.mix import read_mix
+from warpcrete.mix.mix import mix_of, read_mix
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.theory_line import line_by_theory
 
@@ -65,20 +65,18 @@ def test_the_written_concrete_and_factor_give_the_fitted_line(trial, sections):
     call = ["line", trial / "site.yaml", "--gauge", "0.1 bar"]
     said = run(*call, "--concrete", own, "--fit", trial / "taps.csv", "--out", trial / "fit")
     assert f"--concrete {trial / 'fit' / 'concrete.yaml'}" in said
-    bends = {}
-    if sections != SECTIONS["another law"]:  # The taps are those of a Bingham fluid, and give no factor with this law.
-        bends = yaml.safe_load((trial / "fit" / "bends.yaml").read_text(encoding="utf-8"))
-        assert f"bend_factor: {{factor: {bends['bend_factor']['factor']:g}, " in said and "bends.yaml" in said
+    bends = yaml.safe_load((trial / "fit" / "bends.yaml").read_text(encoding="utf-8"))
+    assert f"bend_factor: {{factor: {bends['bend_factor']['factor']:g}, " in said and "bends.yaml" in said
     site = yaml.safe_load((trial / "site.yaml").read_text(encoding="utf-8"))
     (trial / "site.yaml").write_text(yaml.safe_dump({**site, **bends}), encoding="utf-8")
     run("line", trial / "site.yaml", "--concrete", trial / "fit" / "concrete.yaml", "--out", trial / "again")
     first, second = record(trial / "fit"), record(trial / "again")
     assert second["pressure"]["value"] == pytest.approx(first["pressure"]["value"], rel=1e-4)
-    # The uncertainty in the file is the one that holds at other flows too, so the lower end of the band is lower, by
-    # 2.1 to 2.5 %. The upper end is up to 1.0 % lower, because a hose with less friction means a stiffer layer in the
-    # fit, or up to 0.3 % higher.
-    assert 0.97 < second["pressure_low"]["value"] / first["pressure_low"]["value"] <= 1
-    assert 0.99 < second["pressure_high"]["value"] / first["pressure_high"]["value"] < 1.005
+    # The uncertainty in the file is that in another line: it holds at other flows, and contains the error that the
+    # unknown friction of the hose causes in the layer. The lower end of the band is 3.5 % lower, and the upper end
+    # 1.4 % higher.
+    assert 0.96 < second["pressure_low"]["value"] / first["pressure_low"]["value"] < 0.97
+    assert 1.01 < second["pressure_high"]["value"] / first["pressure_high"]["value"] < 1.02
     mix = read_mix(trial / "fit" / "concrete.yaml")
     assert mix.name == "Own" and mix.source == f"slip layer fitted to {len(first['fit']['taps'])} pressures of site"
 
@@ -122,14 +120,62 @@ def test_a_factor_of_bends_whose_range_begins_at_zero_is_taken_to_another_line(t
     assert "factor of bends: not determined" in run(*call, "--fit", trial / "taps.csv", "--gauge", "0.6 bar")
 
 
-def test_a_layer_from_gauges_that_contradict_each_other_is_written_with_a_warning(trial):
+@pytest.mark.parametrize("pasted", [False, True], ids=["file", "pasted"])
+def test_a_layer_from_gauges_that_contradict_each_other_keeps_its_warning(trial, pasted):
+    """Answers for another line, made from the written file or the printed layer, once said "in about 95 % of cases"."""
     text = "part,pressure [bar],flow [m3/h]\n1,30,30\n2,29,30\n3,10,30\n"
     (trial / "taps.csv").write_text(text, encoding="utf-8")
     said = run("line", trial / "site.yaml", "--concrete", concrete(trial, mix=BULK), "--fit", trial / "taps.csv",
                "--out", trial / "fit")  # fmt: skip
     assert "WARNING: no slip layer explains all gauges" in said
     assert "concrete.yaml; do not use it before you have found out why the gauges contradict each other" in said
-    assert read_mix(trial / "fit" / "concrete.yaml").source.endswith("pressures of site, which contradict each other")
+    own = trial / "fit" / "concrete.yaml"
+    assert read_mix(own).source.endswith("pressures of site, which contradict each other")
+    if pasted:
+        layer = yaml.safe_load(next(x for x in said.splitlines() if x.startswith("    layer: {")))
+        own = concrete(trial, mix={**BULK, **layer})
+    again = run("line", trial / "site.yaml", "--concrete", own, "--out", trial / "again")
+    assert "95 %" not in again and ": the gauges of the trial line contradict each other" in again
+    assert "find out why the gauges of the trial line contradict each other, and fit the layer again" in again
+    assert "fitted to a trial line whose gauges contradict each other" in run("mix", own)
+    first, second = record(trial / "fit"), record(trial / "again")
+    for end, wider in (("low", -1), ("high", 1)):
+        assert wider * second[f"pressure_{end}"]["value"] >= wider * first[f"pressure_{end}"]["value"] * (
+            1 - 2e-3 * wider
+        )
+
+
+@pytest.mark.parametrize("entry", [{"gauges": "contradictory"}, {"gauges": "fine", "from": "pipe"}])
+def test_only_a_layer_of_a_pipe_may_have_contradictory_gauges(entry):
+    with pytest.raises(SceneError, match="mix layer: gauges"):
+        mix_of({**BULK, "layer": {"viscosity": 900, "yield_stress": 10, **entry}})
+
+
+@pytest.mark.parametrize("factors", [{}, {"viscosity_factor": 2.0}])
+@pytest.mark.parametrize("section", ["mix", "flow"])
+@pytest.mark.parametrize("laws", [{"flow_index": 0.8}, {"quadratic_viscosity": 30.0}], ids=["index", "quadratic"])
+def test_the_printed_layer_has_all_constants_of_its_law(trial, laws, section, factors):
+    """The printed layer once left out flow index and quadratic viscosity, so that a copy was another concrete."""
+    before = {"viscosity": 500, "yield_stress": 10, **laws, "from": "pipe", "uncertainty": "40 %"}
+    slip = {f"slip_{key}": value for key, value in laws.items()}
+    sections = {
+        "mix": {"mix": {**BULK, "layer": before}, "flow": factors},
+        "flow": {"flow": {**FLOW, **slip, **factors}},
+    }
+    own = concrete(trial, **sections[section])
+    call = ["line", trial / "site.yaml", "--concrete"]
+    said = run(*call, own, "--fit", trial / "taps.csv", "--out", trial / "fit")
+    entries = [x for x in said.splitlines() if x.startswith("    layer: {" if section == "mix" else "    slip_")]
+    pasted = yaml.safe_load("\n".join(entries))
+    layer = pasted["layer"] if section == "mix" else {key.removeprefix("slip_"): pasted[key] for key in slip}
+    assert {key: layer[key] for key in laws} == laws
+    changed = sections[section][section] if section == "mix" else {**FLOW, **factors}
+    changed = {key: value for key, value in changed.items() if key != "layer"} | pasted
+    concrete(trial, **{**sections[section], section: changed})
+    run(*call, own, "--out", trial / "again")
+    first, second = ({key: value for key, value in record(trial / each)["concrete"].items() if key != "name"}
+                     for each in ("fit", "again"))  # fmt: skip
+    assert second == pytest.approx(first, rel=1e-5)
 
 
 def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
@@ -137,7 +183,8 @@ def test_a_slump_alone_and_a_mix_with_a_file_of_points_are_written_whole(trial):
     options = ["--diameter", "125 mm", "--length", "158 m", "--flow", "30 m3/h", "--fit", trial / "taps.csv"]
     run("line", "--slump", "200 mm", "--stone", "16 mm", *options, "--out", trial / "one")
     mix = read_mix(trial / "one" / "concrete.yaml")
-    assert mix.given.slump == 0.2 and mix.given.largest == 0.016 and mix.band_origin == "fit"
+    assert mix.given.slump == 0.2 and mix.given.largest == 0.016
+    assert mix.band_origin == "contradicted"  # The gauges were read on a line with bends and a rise.
     run("line", "--slump", "7 in", *options, "--out", trial / "customary")
     assert "slump: 0.1778\n" in (trial / "customary" / "concrete.yaml").read_text(encoding="utf-8")
     (trial / "points.csv").write_text("rate [1/s],stress [Pa]\n5,380\n10,680\n20,1280\n", encoding="utf-8")

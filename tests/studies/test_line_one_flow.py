@@ -43,7 +43,7 @@ def test_the_band_at_other_flows_covers_the_pressures_of_unknown_layers(flows):
 
 
 def test_one_flow_leaves_the_band_at_this_flow_and_widens_it_at_others():
-    one, two = (fit_line(KNOWN, TRUE, taps(flows=flows), known(TRUE, 2)) for flows in ((30,), (20, 30)))
+    one, two = (fit_line(KNOWN, TRUE, taps(flows=flows), known(TRUE, 2)) for flows in ((30,), (15, 45)))
     assert two.knows_yield and not one.knows_yield
     assert one.later_uncertainty > two.later_uncertainty and one.later_uncertainty > 1.1 * one.uncertainty
 
@@ -52,11 +52,11 @@ def test_one_flow_leaves_the_band_at_this_flow_and_widens_it_at_others():
         return line_by_theory(KNOWN, one.concrete(TRUE), flow / 3600, variants=ends, fit=one).band().factor
 
     assert factor(30, False) == pytest.approx(factor(30, True), rel=1e-6)
-    for flow, ratio in ((15, 2.04), (60, 1.47)):
+    for flow, ratio in ((15, 1.754), (60, 1.327)):
         assert factor(flow, False) - 1 == pytest.approx(ratio * (factor(flow, True) - 1), rel=0.01)
     text = "\n".join(fit_lines(one, KNOWN))
     assert "All gauges were read at 30 m3/h; at another flow the band is wider, because" in text
-    assert f"uncertainty: {100 * one.later_uncertainty:.3g} %, from: pipe" in text
+    assert f"uncertainty: {100 * one.later_uncertainty:.4g} %, from: pipe" in text
     assert "All gauges" not in "\n".join(fit_lines(two, KNOWN))
 
 

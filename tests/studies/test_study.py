@@ -261,3 +261,28 @@ def test_a_study_without_cases_or_settings_is_none(tmp_path):
         (tmp_path / "study.json").write_text(json.dumps(record), encoding="utf-8")
         with pytest.raises(RunFolderError, match="is not the record of a study"):
             resume_study(tmp_path, pipe_module)
+
+
+@pytest.mark.parametrize("name", ["contact", "wall_contact"])
+def test_parameters_of_a_contact_law_can_be_varied(name):
+    """A study knows the parameters of a law as soon as an option names it, whatever the words of the option."""
+    option = name.replace("_", "-")
+    found = parameter_values(pipe_module, {option: ["lubrication"], f"{option}-viscosity": ["3", "5.5"]})
+    assert found == {name: ["lubrication"], f"{name}_viscosity": [3.0, 5.5]}
+    with pytest.raises(click.UsageError, match=f"--{option}-viscosity: is not a parameter of this scene"):
+        parameter_values(pipe_module, {f"{option}-viscosity": ["3"]})
+
+
+def test_a_study_of_a_file_that_has_changed_is_not_continued(tmp_path, monkeypatch):
+    """The record of a study names the files that its scenes read, with fingerprints of their contents."""
+    line = tmp_path / "line.yaml"
+    line.write_text("diameter: 100 mm\nparts: [{straight: 0.4}, {bend: up}, {straight: 0.4}]\n", encoding="utf-8")
+    study, module = importlib.import_module("warpcrete.studies.study"), importlib.import_module("warpcrete.scenes.part")
+    monkeypatch.setattr(study, "_continue", lambda *given: "continued")
+    folder, base = tmp_path / "study", {"line": str(line)}
+    assert run_study("part", module, {"flow": [1e-3, 2e-3]}, base=base, out=folder, device="cpu") == "continued"
+    assert list(json.loads((folder / "study.json").read_text(encoding="utf-8"))["files"]) == [str(line)]
+    assert resume_study(folder, module) == "continued"
+    line.write_text(line.read_text(encoding="utf-8").replace("0.4", "0.5"), encoding="utf-8")
+    with pytest.raises(RunFolderError, match="which has changed"):
+        resume_study(folder, module)

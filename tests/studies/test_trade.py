@@ -22,9 +22,8 @@ from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 channel, pipe, slump = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe", "slump"))
 COARSE = dict(spacing=0.02)
-PIPE = dict(
-    diameter=0.08, length=0.1, travel=0.02, ramp=0.01, settle=0.05, size_min=8e-3, size_max=16e-3, sample_interval=0.002
-)
+PIPE = dict(diameter=0.08, length=0.1, travel=0.02, ramp=0.01, settle=0.05, size_min=8e-3, size_max=16e-3,
+            sample_interval=0.002, solid_fraction=0.55)  # fmt: skip
 
 
 VARIANTS = {"twice the flow": {"flow": 3e-3}, "concrete no2": {"concrete": "no2"}}

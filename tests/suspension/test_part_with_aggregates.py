@@ -10,6 +10,8 @@ import warpcrete
 from warpcrete import scenes
 from warpcrete.core.run.method import report_of
 from warpcrete.core.units import number
+from warpcrete.kernels.mps.grid.cells import INSIDE, LIQUID
+from warpcrete.kernels.suspension.entering import entering_kernels
 from warpcrete.methods import method_of
 from warpcrete.mps.part.layout import Frame, bore_distance
 from warpcrete.mps.part.scene import PartScene
@@ -241,3 +243,30 @@ def test_clumps_enter_and_leave_like_spheres(device):
     assert np.all(depth[free] > 0.98 * parts.radius[free])
     assert np.all(bore_distance(scene)(centres[free]) > 0.97 * parts.radius[free])
     assert abs(simulation.measured()["outflow_error"]) < 1e-3
+
+
+def test_only_cut_cells_whose_faces_all_move_with_aggregates_are_marked(device):
+    """One cell of liquid alone; `part` is the open part of one of its faces, and `owned` of six faces have owners."""
+    flow = begun(device).flow
+    counts = np.array(flow.state.layout.room.cells)
+    slots = int(np.prod(counts + 2))
+    across = np.array([1, counts[0] + 2, (counts[0] + 2) * (counts[1] + 2)])
+    cell = int((counts // 2 + 1) @ across)
+    faces = [cell + side * int(across[axis]) + axis * slots for axis in range(3) for side in range(2)]
+
+    def fill(array, rest, special, places):
+        values = np.full(array.shape[0], rest, array.numpy().dtype)
+        values[places] = special
+        array.assign(values)
+
+    mesh, cover, geometry = flow.mesh, flow.aggregates.cover, flow.geometry
+    flow.flags.zero_()  # Kernels do nothing while the flags say that the run has halted.
+    fill(mesh.liquid, 0, 1, [cell])
+    fill(mesh.kind, int(INSIDE), int(LIQUID), faces)
+    relax = flow.stage(entering_kernels(flow.scalar, flow.state.layout.kind, flow.aggregates.kind).relax, slots)
+    for part, owned, marked in ((0.5, 6, [cell]), (0.5, 5, []), (1.0, 6, []), (1.0, 5, [])):
+        fill(geometry.part, 1.0, part, faces[2:3])
+        fill(cover.owner, 0, 1, faces[:owned])
+        cover.shared.zero_()
+        relax()
+        assert np.flatnonzero(cover.shared.numpy()).tolist() == marked

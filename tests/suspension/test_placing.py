@@ -81,3 +81,18 @@ def test_spheres_that_do_not_fit_have_no_places():
     assert places(0.62, 4)[0] is None
     low, high, distance = cube(0.9)
     assert random_places(np.array([RADIUS]), low, high, distance, np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.37, -0.11])
+def test_places_keep_off_a_wall_wherever_the_repeated_space_begins(begin):
+    """A disc across the space, at a quarter of the period, is a wall; a shift of all places would cross it."""
+    low, high = np.array([-0.04, -0.04, begin]), np.array([0.04, 0.04, begin + 0.12])
+    radii = np.full(12, RADIUS)
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        along = (x[:, 2] - begin - 0.03 + 0.06) % 0.12 - 0.06
+        return np.minimum((high - np.abs(x))[:, :2].min(1), np.abs(along) - 0.002)
+
+    x = random_places(radii, low, high, distance, np.random.default_rng(2), periodic=True)
+    assert x is not None and np.all((x[:, 2] >= low[2]) & (x[:, 2] < high[2]))
+    assert np.all(distance(x) >= RADIUS) and gaps(x, radii, 0.12).min() > 0

@@ -215,3 +215,18 @@ def test_the_starting_time_of_a_newtonian_flow_is_that_of_theory():
     """The slowest part of Szymanski's solution falls by exp(-5.783 nu t / R2)."""
     scene = scenes.stretch(**PIPE | {"aggregate_density": 2200.0, "gradient": 2e4})
     assert scene.starting_time == pytest.approx(np.log(50) * 2200 * 0.04**2 / (5.783 * 20), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rates", "steady"),
+    [
+        ([0.2, 0.5, 0.7, 0.999, 1.0], True),  # The last quarter of the time counts, which is the last two rows.
+        ([1.0, 1.0, 1.0, 0.97, 1.0], False),
+        ([-0.2, -0.5, -0.7, -0.999, -1.0], True),
+        ([1.0, 1.0, 1.0, 1.03, 1.0], False),
+    ],
+)
+def test_a_stretch_is_steady_if_its_flow_hardly_changes_in_the_last_quarter(rates, steady):
+    simulation = stretch("cpu", gradient=2e4)
+    simulation._rows = [{"time": float(time), "flow": rate} for time, rate in enumerate(rates)]
+    assert simulation.ended_early() is False and simulation.steady is steady

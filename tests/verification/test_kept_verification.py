@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import kept
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.scene.bodies import placed_bodies
@@ -18,6 +19,7 @@ from warpcrete.verification import (
     Case,
     Row,
     assemblies,
+    contacts,
     extremes,
     flow_extremes,
     spreading,
@@ -299,7 +301,10 @@ def test_the_figure_of_the_verification_is_kept():
     curves = {
         "oblique impact": {"angle": x, "tangential": x / 100, "spin": -10 * x},
         "oblique impact, normalised": {name: [x / 6, x / 7, x / 8, x / 9] for name in ("speed", "angle")},
-        "stability limit": {"linear": np.geomspace(1, 1e9, len(stability.FRACTIONS)), "layer": [np.inf] * 15},
+        "stability limit": {
+            "linear": np.geomspace(1, 1e9, len(stability.FRACTIONS)),
+            "lubrication layer, spheres": [np.inf] * 15,
+        },
     }
     results = []
     for name, own in curves.items():
@@ -307,7 +312,13 @@ def test_the_figure_of_the_verification_is_kept():
         case.curves.update({label: np.array(each) for label, each in own.items()})
         rows = [Row("a", 1.001, 1.0, 0.01), Row("b", 1.1, 1.0, 0.01), Row("c", 1.0, 1.0, 0.0), Row("d", 2.0, 2.0, 0.1)]
         results.append((case, rows))
-    kept.compare("verified-figure", {"all": kept.drawn(draw(results)), "one": kept.drawn(draw(results[:1]))})
+    whole = draw(results)
+    FigureCanvasAgg(whole).draw()
+    for axes in whole.axes:
+        for text in (axes.title, axes.xaxis.label):
+            ends = text.get_window_extent()
+            assert ends.x0 >= 0 and ends.x1 <= whole.bbox.width, text
+    kept.compare("verified-figure", {"all": kept.drawn(whole), "one": kept.drawn(draw(results[:1]))})
 
 
 def test_starts_from_rest_are_kept(monkeypatch):
@@ -324,3 +335,10 @@ def test_the_nearest_particles_are_found_whatever_their_order(dimensions):
     state = SimpleNamespace(particles=particles, layout=SimpleNamespace(spacing=0.25))
     apart = np.linalg.norm(x[:, None] - x[None], axis=2)[np.triu_indices(60, 1)]
     assert flow_extremes._closest(SimpleNamespace(state=state)) == pytest.approx(apart.min() / 0.25, rel=1e-12)
+
+
+def test_a_spin_in_the_wrong_direction_is_not_taken_for_the_right_one():
+    """The cases of rolling compare the velocity along x and the spin about y with theory, both with their signs."""
+    arrays = {"velocity": [[-1.5, 2.0, 3.0]], "spin": [[4.0, -5.0, 6.0]]}
+    bodies = SimpleNamespace(**{k: SimpleNamespace(numpy=lambda v=v: np.array(v)) for k, v in arrays.items()})
+    assert contacts._speed_and_spin(SimpleNamespace(state=SimpleNamespace(bodies=bodies))) == (-1.5, -5.0)

@@ -291,8 +291,11 @@ def _other_layers(line: PipeLine, given: LineInputs) -> list[str]:
         stresses, viscosities = given.mix.factors
         concrete = replace(given.concrete, slip_viscosity=viscosities * eta.value, slip_yield=stresses * tau.value)
         pressure = line_by_theory(line, concrete, given.flow).pressure
-        found += ["", f"another estimate of the slip layer, {concrete.slip_viscosity:.3g} Pa s/m from {eta.way}, would "
-                  f"give {pressure / 1e5:.3g} bar; a measured layer decides"]  # fmt: skip
+        found += [
+            "",
+            f"another estimate of the slip layer, {concrete.slip_viscosity:.3g} Pa s/m from {eta.way}, would "
+            f"give {pressure / 1e5:.3g} bar{beside(line.customary, 'psi', pressure)}; a measured layer decides",
+        ]
     return found
 
 

@@ -50,8 +50,8 @@ class LineInputs:
     @property
     def factors(self) -> tuple[float, float]:
         """Factors on yield stresses and on viscosities that the concrete's file states for its age or temperature."""
-        if self.mix is not None or self.name == "own":
-            return (1.0, 1.0) if self.mix is None else self.mix.factors
+        if self.mix is not None:
+            return self.mix.factors
         stated = flow_amounts(named(self.name))
         return stated.get("yield_factor", 1.0), stated.get("viscosity_factor", 1.0)
 
@@ -65,7 +65,7 @@ class LineInputs:
         """The concrete's flow properties: a yield stress fluid with a slip layer."""
         if self.guessed and self.mix is not None:
             return self.mix.concrete
-        return replace(concrete_of(self.name), name=named(self.name).name if self.name != "own" else self.name)
+        return replace(concrete_of(self.name), name=named(self.name).name)
 
 
 def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:

@@ -33,7 +33,8 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
     """
     many = runs if isinstance(runs, Mapping) else {"": runs}
     run = next(iter(many.values()))
-    figure = new_figure(run.scene.caption if len(many) == 1 else run.scene.name)
+    captions = {each.scene.caption for each in many.values()}
+    figure = new_figure(run.scene.caption if len(captions) == 1 else run.scene.name)
     axes = figure.add_subplot()
     for (name, each), colour in zip(many.items(), itertools.cycle(SERIES)):
         axes.plot(each.series["travel"], each.series["pressure"] / 1e3, label=name or "this run", color=rgb(colour))
@@ -49,10 +50,12 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
                 published.plateau / 1e3, color=rgb(MEASURED), linestyle=":", label=f"plateau, {published.source}"
             )
         if published.peak is not None and published.peak_travel is not None:
-            axes.plot(published.peak_travel, published.peak / 1e3, "k+", markersize=10,
+            axes.plot(published.peak_travel, published.peak / 1e3, "+", color=rgb(MEASURED), markersize=10,
                       label=f"peak, {published.source}")  # fmt: skip
         elif published.peak is not None:
-            axes.axhline(published.peak / 1e3, color="k", linestyle="--", label=f"maximum, {published.source}")
+            axes.axhline(
+                published.peak / 1e3, color=rgb(MEASURED), linestyle="--", label=f"maximum, {published.source}"
+            )
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, longest))
     if len(axes.lines) > 1:
         legend_above(axes)
@@ -141,7 +144,8 @@ def plot_strokes(run: ElementRun) -> Any:
                       transform=axes.get_xaxis_transform())  # fmt: skip
     for stroke, each in enumerate(strokes_of(run.scene.pipe, run.series["time"])):
         top = int(np.flatnonzero(each.moving)[np.argmax(pressure[each.moving])])
-        axes.plot(time[top], pressure[top], "k+", markersize=10, label=None if stroke else "peak of a stroke")
+        axes.plot(time[top], pressure[top], "+", color=rgb(SECOND), markersize=11, markeredgewidth=2,
+                  label=None if stroke else "peak of a stroke")  # fmt: skip
     rest = run.scene.rest
     if rest is not None and rest.at < time[-1]:
         stood = f"{rest.duration:g} s at rest, yield stress grown by {rest.gained:.4g} Pa"

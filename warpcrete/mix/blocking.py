@@ -59,6 +59,12 @@ SLUMPS = (0.05, 0.10, 0.16)
 expected without a plasticizer."""
 LARGEST_SPREAD = 0.795
 """Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
+LIGHTWEIGHT = 2000.0
+"""Density [kg/m3] below which concrete counts as lightweight (EN 206, which states it for oven-dry concrete)."""
+LIGHTWEIGHT_SLUMP, LIGHTWEIGHT_CEMENT = 0.18, 320.0
+"""Slump [m] and mass of cement in a cubic metre [kg/m3] up to which lightweight concrete must be examined before it is
+pumped high or far (Japanese check list). Lightweight aggregate absorbs water under pressure, and the concrete
+stiffens."""
 TAPER_RUN = 5.0
 """Minimum length of straight pipe behind a reducer [m], in which stones and mortar mix again (JGJ/T 10)."""
 
@@ -66,6 +72,7 @@ ACI = "ACI 304.2R"
 SOCIETY = "Concrete Society: 3.5 to 4 times the stone"
 SHEN = "403 flows through coils, W. Shen"
 JGJ = "JGJ/T 10"
+CHECK_LIST = "Japanese check list, http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-044.htm"
 BLEEDING = "Browne & Bamforth 1977; Kaplan, de Larrard & Sedran 2005"
 
 
@@ -110,6 +117,7 @@ def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: flo
     found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix)]
     if mix is not None:
         found += [powder(mix), paste(mix), sand_share(mix), fine_sand(mix), bleeding(mix), slump(mix)]
+        found += lightweight(mix)
     return found
 
 
@@ -277,6 +285,26 @@ def slump(mix: MixEntries) -> RuleVerdict:
         return RuleVerdict(name, "risky", words, "reach this slump with a superplasticizer, not with water, and state "
                            "it in parts", source)  # fmt: skip
     return RuleVerdict(name, "fine", words, "", source)
+
+
+def lightweight(mix: MixEntries) -> Iterator[RuleVerdict]:
+    """Yield a verdict on lightweight concrete, whose aggregate absorbs water under the pressure of the pump.
+
+    Other concrete gets no verdict.
+    """
+    if mix.density >= LIGHTWEIGHT:
+        return
+    name, slump_limit = "lightweight aggregate", f"more than {1e3 * LIGHTWEIGHT_SLUMP:g} mm"
+    words, good = f"density {mix.density:.4g} kg/m3", True
+    if mix.slump is not None and mix.spread is None:
+        words += f"; slump {1e3 * mix.slump:g} mm, {slump_limit} is safe"
+        good = mix.slump > LIGHTWEIGHT_SLUMP + 1e-9
+    if mix.parts:
+        cement = powder_mass(mix.parts)
+        words += f"; {cement:.4g} kg/m3 of cement and other powder, more than {LIGHTWEIGHT_CEMENT:g} is safe"
+        good = good and cement > LIGHTWEIGHT_CEMENT
+    change = "soak the aggregate before mixing, raise the slump with a plasticizer, or add cement, and test the pumping"
+    yield RuleVerdict(name, "fine" if good else "risky", words, "" if good else change, CHECK_LIST)
 
 
 def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:

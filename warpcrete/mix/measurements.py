@@ -19,6 +19,8 @@ other than Bingham's."""
 LARGEST_UNCERTAINTY = 0.9
 """Largest relative uncertainty of a measured constant. Its band extends by this fraction of the value to both
 sides. The band of a layer from a pipe extends by a factor instead, and may have any width."""
+CONTRADICTORY = "contradictory"
+"""Value of the entry `gauges` of a slip layer that was fitted to a trial line whose gauges contradict each other."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
@@ -55,6 +57,9 @@ class Layer:
     pipe: bool = False
     """True if the constants of the slip layer were fitted to pressures of a pipe, False if a tribometer measured
     them."""
+    contradicted: bool = False
+    """True if the slip layer was fitted to pressures of a pipe whose gauges contradict each other, so that no slip
+    layer explains all of them."""
 
     @property
     def is_of_this_delivery(self) -> bool:
@@ -126,12 +131,16 @@ def read_layer(given: Any, folder: Path) -> Layer:
         return Layer(tribometer_points=read_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
     source = given.get("from", "tribometer")
     one_of("mix layer: from", source, ("tribometer", "pipe"))
-    own = {key: value for key, value in given.items() if key != "from"}
+    if "gauges" in given:
+        one_of("mix layer: gauges", given["gauges"], (CONTRADICTORY,))
+        if source != "pipe":
+            refuse("mix layer: gauges", given["gauges"], "belongs to a layer 'from: pipe'", "add 'from: pipe'")
+    own = {key: value for key, value in given.items() if key not in ("from", "gauges")}
     constants = read_constants("layer", own, LAYER_UNITS, math.inf if source == "pipe" else LARGEST_UNCERTAINTY)
     if not set(UNITS) <= set(constants.values):
         problem = "must have 'yield_stress' and 'viscosity', or 'points', or 'tribometer'"
         refuse("mix layer", dict(given), problem, "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
-    return Layer(constants, pipe=source == "pipe")
+    return Layer(constants, pipe=source == "pipe", contradicted="gauges" in given)
 
 
 def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:

@@ -45,6 +45,10 @@ UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_vi
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
 WEIGHING = 0.01
 """Relative uncertainty of a density that the mix states."""
+GAUGES_CONTRADICT = (
+    "the slip layer was fitted to a trial line whose gauges contradict each other; find out why before you use it"
+)
+"""Remark on a slip layer that was fitted to gauges that no slip layer explains."""
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
@@ -141,11 +145,14 @@ class Mix:
 
     @property
     def band_origin(self) -> str:
-        """Origin of the uncertainty band of the slip viscosity: 'fit', 'paste' or 'other'.
+        """Origin of the uncertainty band of the slip viscosity: 'fit', 'contradicted', 'paste' or 'other'.
 
-        A band of a fit to a trial line contains the pressures in 95 % of cases. A band that follows from the
-        composition of the paste contains the measured values of nine of ten concretes.
+        A band of a fit to a trial line contains the pressures in 95 % of cases. If the gauges of the trial line
+        contradict each other, the origin is 'contradicted', and nobody knows how often the band contains the pressures.
+        A band that follows from the composition of the paste contains the measured values of nine of ten concretes.
         """
+        if self.given.layer.contradicted:
+            return "contradicted"
         if self.given.layer.is_of_this_delivery:
             return "fit"
         return "paste" if self["slip viscosity"].way.endswith(OF_PASTE) else "other"
@@ -293,6 +300,8 @@ def mix_of(
     others = tuple(pair for pair in others if pair[0].way != ASSUMPTION)
     remarks += [f"another estimate of the slip viscosity: {each.span} from {each.way}" for each, _ in others]
     figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
+    if told.layer.contradicted:
+        remarks.append(GAUGES_CONTRADICT)
     if told.sieve is None and told.sizes is None:
         remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks), others)

@@ -22,7 +22,7 @@ from .ingredients import (
     water_mass,
 )
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
-from .stones import read_shape, read_sieve, read_sizes
+from .stones import SIZE_NUMBERS, read_shape, read_sieve, read_sizes
 
 T = TypeVar("T")
 PACKING = 0.57
@@ -99,7 +99,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         share=share,
         aggregate_density=heavy,
         sieve=_entry(given, "sieve", read_sieve),
-        sizes=_entry(given, "sizes", read_sizes),
+        sizes=_entry(given, "sizes", read_sizes) or _named_sizes(given, masses),
         shape=_entry(given, "shape", read_shape),
         concrete=_entry(given, "concrete", lambda found: read_constants("concrete", found, CONCRETE_UNITS))
         or Measured(),
@@ -118,6 +118,19 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         voids=_number(given, "voids"),
         fine_sand=_number(given, "fine_sand"),
     )
+
+
+def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple[float, float] | None:
+    """Return the sizes of the stones [m] that the names of the parts state by a number of ASTM C33, as in '#67 stone'.
+
+    The result is None if the mix has a sieve curve, or if no part has such a name. Of several sizes, the result reaches
+    from the smallest to the largest.
+    """
+    if "sieve" in given:
+        return None
+    numbers = (found for name in masses for found in re.findall(r"#\s*\d+", name))
+    sizes = [SIZE_NUMBERS[number] for each in numbers if (number := each.replace(" ", "")) in SIZE_NUMBERS]
+    return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
 
 def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:

@@ -90,10 +90,10 @@ def _stability(axes, curves) -> None:
     axes.axvline(0.8, color="0.6", linestyle="--")
     axes.set(
         xscale="log",
-        xlabel="time step over the estimate of the stable step [1], dashed: default",
+        xlabel="time step over the estimated stable step [1]\n(dashed: default)",
         xlim=(0.57, 8.4),
         ylim=(-0.7, len(order) - 0.3),
-        title="Time steps at which the energy grows (crosses) or does not (dots)",
+        title="Energy grows (crosses) or does not (dots)",
     )
     axes.set_yticks(range(len(order)), labels=order)
     axes.set_xticks([0.6, 0.8, 1, 1.4, 2, 3, 4, 6, 8], labels=["0.6", "0.8", "1", "1.4", "2", "3", "4", "6", "8"])
@@ -103,6 +103,6 @@ def _stability(axes, curves) -> None:
 CURVES = (
     ("oblique impact", _oblique, 3.3),
     ("oblique impact, normalised", _normalised, 3.5),
-    ("stability limit", _stability, 3.2),
+    ("stability limit", _stability, 3.4),
 )
 """Cases with a plot of their own: name, function that draws the plot, and height of the plot [inch]."""

@@ -64,7 +64,7 @@ def _rows(name: str, scene: FluidScene, device: str, precision: str) -> list[Row
     """Run a sheared flow; compare its wall stress, velocity profile and balance of forces with theory."""
     result = FluidSimulation(scene, device=device, precision=precision).run().result
     return [
-        Row(f"{name}: wall's stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],
+        Row(f"{name}: wall stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],
             SHEARED["wall"], "Pa"),
         Row(f"{name}: profile, rms over mean", result["profile_error"], 0.0, SHEARED["profile"], scale=1.0),
         Row(f"{name}: balance of forces", result["force_balance_error"], 0.0, SHEARED["balance"], scale=1.0),

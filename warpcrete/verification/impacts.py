@@ -147,7 +147,7 @@ def restitution(device, precision) -> list[Row]:
                 ours.append(velocity[0, 2] / 3.9)
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
-        rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
+        rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f} (worst of 5)", ours[worst], wanted[worst], 2e-3))
         # With a restitution of e = 0 the spheres never separate. Their velocity is therefore read after a fixed time:
         # three (Hertz-Mindlin) or four (linear) durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
@@ -205,9 +205,7 @@ def oblique(device, precision) -> list[Row]:
     # The tangential impulse of friction changes velocity and spin in a fixed ratio, from which the exact spin follows.
     # The tolerance allows for the overlap, which shortens the lever arm of friction by 0.3 %.
     exact = -2.5 * (velocities[:, 0] - velocity[:, 0]) / radius
-    rows.append(
-        _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
-    )
+    rows.append(_largest_error("test 4: final angular velocity, exact", turning, exact, 4e-3, "rad/s"))
     # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n. Here
     # v_n and v_t are the normal and tangential velocities before the impact, mu is the coefficient of friction and e
     # the coefficient of restitution.
@@ -240,7 +238,7 @@ def normalised(device, precision) -> list[Row]:
             found.append(surface if name.startswith("surface") else -radius * spin[:, 1] / unit)
         NORMALISED.curves[name] = (published[:, 0], found[0], published[:, 1], found[1])
         worst = int(np.argmax(np.abs(found[0] - published[:, 1])))
-        label = f"test 5: rebound {name}, the worst of {len(published)} (at {published[worst, 0]:.2f})"
+        label = f"test 5: rebound {name} (worst of {len(published)}, at {published[worst, 0]:.2f})"
         span = float(np.ptp(published[:, 1]))
         rows.append(Row(label, found[0][worst], published[worst, 1], 0.012, scale=span))
         slip = published[:, 0] > 9
@@ -311,7 +309,7 @@ def spinning(device, precision) -> list[Row]:
 
 def _largest_error(label: str, ours: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> Row:
     place = int(np.argmax(np.abs(ours - expected) / np.abs(expected)))
-    return Row(f"{label}, the worst of {len(ours)}", float(ours[place]), float(expected[place]), tolerance, unit)
+    return Row(f"{label} (worst of {len(ours)})", float(ours[place]), float(expected[place]), tolerance, unit)
 
 
 OBLIQUE = Case("oblique impact", f"{SOURCE}, test 4, digitised curves", oblique, "impacts")

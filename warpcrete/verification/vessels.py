@@ -24,6 +24,8 @@ INNER, OUTER, TURNS = 0.05, 0.1, 1.0
 """Radii of the inner and outer cylinder [m], and angular velocity of the inner cylinder [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
 """Radius of the round pipe [m], and mean velocity of the flow in it [m/s]."""
+COUETTE_ERROR = "error of the velocity, rms, over the speed of the wall"
+"""Name of the quantity that the cases of flows between two cylinders compare."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ def cylinders(device: str, precision: str) -> list[Row]:
     for cells, allowed in ((22, 0.011), (44, 0.004), (88, 0.0015)):
         flow = between_cylinders(device, precision, cells)
         flow.take(200)
-        name = f"{INNER / flow.state.layout.spacing:.0f} cells across the gap: velocity, rms over the wall's"
+        name = f"{INNER / flow.state.layout.spacing:.0f} cells across the gap: {COUETTE_ERROR}"
         found.append(Row(name, couette_error(flow), 0.0, allowed, scale=1.0))
     return found
 
@@ -130,7 +132,7 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
             flow.take(300)
             words = [f"{layer:g} Pa s/m" if layer < NO_SLIP_VISCOSITY else "sticks" for layer in layers]
             across = INNER / flow.state.layout.spacing
-            name = f"inner {words[0]}, outer {words[1]}, {across:.0f} cells: velocity, rms over the wall's"
+            name = f"inner {words[0]}, outer {words[1]}, {across:.0f} cells: {COUETTE_ERROR}"
             found.append(Row(name, couette_error(flow, layers), 0.0, allowed, scale=1.0))
     return found
 

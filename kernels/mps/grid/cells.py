@@ -239,6 +239,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in each cell in this step [Pa], shape (slots,).
+        # Change of the pressure in each cell in the last step [Pa], shape (slots,); empty if the grid is always full.
+        pressure_change: wp.array(dtype=scalar)
 
         # Potential whose gradient, like that of a pressure, moves particles out of crowded regions [Pa], shape
         # (slots,).

@@ -68,16 +68,18 @@ def face_functions(scalar, of: GridKind):
 
 
 @functools.cache
-def gather_kernel(scalar, serial: bool, of: GridKind):
-    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
+def particle_functions(scalar, of: GridKind):
+    """Build `from_particles` for a CPU and `at_all_faces` for a GPU, which average the velocities of particles.
+
+    The weights of the particles fall linearly to zero at a distance of one cell from the centre of a face.
+    """
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole, vec = t.whole, t.vec
     Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
+    Particles, Fields = structs.Particles, structs.Fields
     f = grid_functions(scalar, of)
-    kind_of, needed = face_functions(scalar, of)
     around, block = 2 * 3**last, 3**dims
     columns = column_functions(scalar, dims, of.periodic)
     add_velocity, pair = columns.add_velocity, columns.pair
@@ -107,10 +109,7 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.func
     def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
-        """Return the weighted mean velocity of the particles around a face, or `before` if there are none.
-
-        The weights fall linearly to zero at a distance of one cell from the centre of the face.
-        """
+        """Return the weighted mean velocity of the particles around a face, or `before` if there are none."""
         place = f.face_middle(g, c, axis)
         length = scalar(g.n[last]) * g.width[last]
         sums = pair()
@@ -130,7 +129,7 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
     def at_all_faces(g: Grid, particles: Particles, mesh: Fields, c: whole):
         """Return sums over particles at the lower faces of a cell: of weights, and of weighted velocities.
 
-        The weights are those of `from_particles`. A GPU reads every particle only once for all faces of a cell.
+        Every particle is read only once for all faces of the cell, which saves a GPU a third of the time.
         """
         totals = vec()
         sums = vec()
@@ -166,6 +165,21 @@ def gather_kernel(scalar, serial: bool, of: GridKind):
                             totals[axis] = totals[axis] + weights[axis]
                             sums[axis] = sums[axis] + weights[axis] * own
         return totals, sums
+
+    return from_particles, at_all_faces
+
+
+@functools.cache
+def gather_kernel(scalar, serial: bool, of: GridKind):
+    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
+    dims, last = of.dimensions, of.dimensions - 1
+    vec = mps_types(scalar, dims).vec
+    Grid = grid_parameters_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
+    f = grid_functions(scalar, of)
+    kind_of, needed = face_functions(scalar, of)
+    from_particles, at_all_faces = particle_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(

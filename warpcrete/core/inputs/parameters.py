@@ -174,7 +174,7 @@ class Field:
     common: bool = True
     """True if the short help of the command shows the parameter."""
 
-    @property
+    @functools.cached_property
     def unit(self) -> str:
         """Unit from the brackets in the help text, with a leading space; empty if there is none."""
         found = re.search(r"\[([^\]]+)\]", self.help)

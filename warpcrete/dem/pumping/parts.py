@@ -35,6 +35,7 @@ from .parameters import COARSENINGS, UPRIGHT, WIDEST_STONE, ConcreteDefaults, co
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ALONE = Needs("line", lambda line: line is None, "is left out")
+IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
 
 
 def _is_given(value: Any) -> bool:
@@ -66,8 +67,8 @@ class CourseParameters:
     straight: Annotated[
         float, "Length of the straight stretch before the bend or taper, and of the one behind it [m]", Above(), ALONE
     ] = 0.3
-    elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above(), ALONE] = 0.25
-    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE] = 90.0
+    elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above(), ALONE, IN_BENDS] = 0.25
+    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE, IN_BENDS] = 90.0
     outlet_diameter: Annotated[
         float | None,
         "Diameter to which the pipe narrows or widens: a straight pipe in its "

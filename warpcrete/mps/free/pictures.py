@@ -26,6 +26,9 @@ def plot_free(run: Run) -> Any:
             place, base, height = -np.r_[place[::-1], -place], np.r_[base[::-1], base], np.r_[height[::-1], height]
         shape.fill_between(place, base, base + height, color="0.75", label=f"after {run.series['time'][-1]:.3g} s")
     corners = 1e3 * np.clip(np.array([*scene.outline, scene.outline[0]]), 0.0, [scene.width, scene.height])
+    # The edge on the axis of symmetry is no part of the vessel.
+    along_axis = (corners[1:, 0] == 0) & (corners[:-1, 0] == 0) & scene.about_axis
+    corners = np.insert(corners, np.flatnonzero(along_axis) + 1, np.nan, axis=0)
     for side in (1, -1) if scene.about_axis else (1,):
         shape.plot(
             side * corners[:, 0],

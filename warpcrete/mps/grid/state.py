@@ -20,6 +20,8 @@ PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
 """Names of the arrays on which the next step depends: those of the particles (PARTICLE_ARRAYS), and those on cells,
 faces and edges (MESH_ARRAYS)."""
+SURFACE_ARRAYS = ("pressure_change",)
+"""Names of further arrays of the struct `Fields` on which the next step depends if the concrete has a free surface."""
 STRUCTURE_ARRAYS = ("gained", "layer")
 """Names of further arrays of the struct `Fields` on which the next step depends if the concrete is thixotropic."""
 FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
@@ -30,7 +32,7 @@ PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_posit
 GPU_LISTS = ("sorted_position", "sorted_mass")
 """Names of the arrays in PARTICLE_LISTS that are empty on a CPU, which uses the array `columns` of the struct `Fields`
 instead."""
-SLOT_BYTES = {2: 4 * 277, 3: 4 * 557}
+SLOT_BYTES = {2: 4 * 278, 3: 4 * 558}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
 by number of axes."""
 COLUMN_BYTES = {2: 4 * 54, 3: 4 * 96}
@@ -69,7 +71,8 @@ class GridState:
 
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
-        self.mesh_arrays = MESH_ARRAYS
+        self.has_surface = not (layout.periodic or layout.full)
+        self.mesh_arrays = MESH_ARRAYS + (SURFACE_ARRAYS if self.has_surface else ())
         self.shape, self.count = layout.shape, len(layout.fluid)
         self.slots = int(np.prod(self.shape))
         self.structs = grid_structs(self.scalar, layout.axes)
@@ -86,7 +89,7 @@ class GridState:
         clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST_STEP_RATIO if scene.step_error else 1.0)
         # Mark the cells that are full at all times with 1: the open cells of a full pipe. All other cells get 0.
         full = np.zeros(self.shape, np.int32)
-        if layout.periodic or layout.full:
+        if not self.has_surface:
             inner = (slice(1, -1),) * layout.axes
             full[inner] = layout.solid[inner] == NONE
         full = full.ravel()
@@ -143,7 +146,7 @@ class GridState:
             return self.count
         if name == "reserved_places":
             return 1
-        if name in STRUCTURE_ARRAYS:
+        if name in STRUCTURE_ARRAYS or (name in SURFACE_ARRAYS and not self.has_surface):
             return 0
         pushed = self.layout.axes**2 if self.layout.kind.cut else 0
         many = (

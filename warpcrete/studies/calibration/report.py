@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import RUN, WIDTH, legend_above, new_figure, rgb
+from ...core.drawing.style import RUN, SECOND, WIDTH, legend_above, new_figure, rgb
 from ...core.inputs.parameters import Field, declared_fields
 from ...core.inputs.yaml_files import yaml_text
 from ...core.run.files import atomic_file, write_json
@@ -175,11 +175,12 @@ def draw(found: Calibration, modules: Mapping[str, Any]) -> Any:
             if row == column:
                 here.hist(samples[:, column], bins=_bins(across), color="0.6")
                 here.axvline(found.best[across.name], color=rgb(RUN), label="likeliest")
-                here.plot(trials[:, column], np.zeros(len(trials)), "k|", clip_on=False, label="trials")
+                here.plot(trials[:, column], np.zeros(len(trials)), "|", color=rgb(SECOND), clip_on=False,
+                          label="trials")  # fmt: skip
                 here.set_yticks([])
             else:
                 here.hist2d(samples[:, column], samples[:, row], bins=[_bins(across), _bins(up)], cmap="Greys")
-                here.plot(trials[:, column], trials[:, row], "k.", ms=3)
+                here.plot(trials[:, column], trials[:, row], ".", color=rgb(SECOND), ms=4)
                 here.plot(found.best[across.name], found.best[up.name], "x", color=rgb(RUN), ms=8, mew=2)
                 here.set(ylim=(up.low, up.high), yscale="log" if up.log else "linear",
                          ylabel=titles[row] if column == 0 else "")  # fmt: skip

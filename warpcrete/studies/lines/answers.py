@@ -99,17 +99,25 @@ def beside(shown: bool, unit: str, *values: float) -> str:
     return f" ({' to '.join(f'{value / CUSTOMARY_SIZES[unit]:.4g}' for value in values)} {unit})" if shown else ""
 
 
-def band_sentences(band: Band, advise: Callable[[str], str] = lambda cause: ADVICE.get(cause, "")) -> list[str]:
+def band_text(band: Band, customary: bool) -> str:
+    """Return both ends of a band of pressures [Pa] as text in bar, and also in psi if `customary` is true."""
+    return f"{band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar{beside(customary, 'psi', band.low, band.high)}"
+
+
+def band_sentences(
+    band: Band, advise: Callable[[str], str] = lambda cause: ADVICE.get(cause, ""), customary: bool = False
+) -> list[str]:
     """Return sentences on how much each cause contributes to a pressure's uncertainty band, the largest cause first.
 
-    The band is in Pa. `advise` returns advice on how to reduce the uncertainty from a cause, or an empty text.
+    The band is in Pa. `advise` returns advice on how to reduce the uncertainty from a cause, or an empty text. If
+    `customary` is true, the band is also given in psi.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []
     for place, (cause, share) in enumerate(shares):
         if place and share < LEAST_SHARE:
             break
-        span = "" if place else f" of the band of {band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
+        span = "" if place else f" of the band of {band_text(band, customary)}"
         advice = advise(cause)
         found.append(
             f"{100 * share:.0f} %{span} {'of it comes' if place else 'comes'} from the {cause}"

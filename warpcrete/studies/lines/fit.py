@@ -12,10 +12,11 @@ import numpy as np
 from ...core.errors import SceneError, refuse
 from ...geometry.line_entries import FACTORS
 from ...geometry.pipe_line import PipeLine
+from ...mps.common.mixes import LAW_DEFAULTS
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
 from .fit_band import of_layer, with_expected, with_gauges, with_known
-from .fit_flows import known_yields, with_yields
+from .fit_flows import known_yields, with_later_use, with_yields
 from .fittings import MODEL_ERRORS
 from .line_fit import NO_YIELD, FittedConstant, LineFit
 from .losses import GRAVITY
@@ -48,9 +49,13 @@ ITERATIONS = 50
 GAUGE = 0.04
 """Default error of a gauge, divided by the largest measured pressure. The largest permissible error of a gauge of class
 2.5 is 2.5 % of the end of its scale (EN 837-1), and this end is assumed at 1.6 times the largest pressure."""
-ENOUGH = 3
-"""Smallest number of measured pressures beyond the number of fitted constants, for which their scatter about the fit
-adds to the error of the gauges. Fewer pressures may agree, or contradict each other, by chance."""
+READING = 0.25
+"""Assumed standard deviation of single readings of a gauge, divided by the error limit of the gauge. It is the error
+that differs from reading to reading, for example because the pressure pulsates. With the default limit of 4 %, it is
+1 % of the largest pressure."""
+ASSUMED_READINGS = 3
+"""Weight of the assumed scatter of readings (:data:`READING`) beside their measured scatter, as a number of readings.
+Few readings may agree, or contradict each other, by chance."""
 
 
 def fit_line(
@@ -77,7 +82,8 @@ def fit_line(
     all gauges, the band is widened until it contains them (:func:`.with_gauges`).
 
     `gauge` is the error limit of a gauge [Pa], by default 4 % of the largest pressure. All readings of a gauge have the
-    same error. The scatter of the pressures about the fit adds to it if there are enough pressures, or if `gauge` is 0.
+    same error. The scatter of its readings about this error adds to it (:func:`_squares`). If `gauge` is 0, all
+    deviations from the fit count as scatter.
 
     `yields` is the range of the layer's yield stress that the mix states [Pa]. The band at other flows follows from the
     error of the fitted yield stress, or from this range if the yield stress was not fitted (:func:`.with_yields`).
@@ -106,7 +112,7 @@ def fit_line(
     if prior is not None:
         fit = with_known(fit, line, concrete, prior)
     fit = with_expected(with_gauges(fit, line, concrete), line, concrete, prior)
-    return with_yields(fit, line, concrete, yields)
+    return with_later_use(with_yields(fit, line, concrete, yields), line, concrete)
 
 
 def _is_better_than_published(factor: FittedConstant) -> bool:
@@ -175,7 +181,7 @@ def _fitted(
     _check_result(found, free, concrete)
     fitted = model.pressures(found)
     slopes = model.sensitivities(found, free)
-    squares = _squares(fitted - measured, taps, len(free), gauge)
+    squares = _squares(fitted - measured, slopes, taps, gauge)
     covariance = _covariance(slopes, squares)
     widths = dict(zip(free, np.sqrt(np.diag(covariance)), strict=True))
     constants = []
@@ -189,24 +195,39 @@ def _fitted(
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = metre_model(line, concrete, taps)
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
-    wide = math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights))
-    wide /= float(pipe.pressures(found)[0])
-    fit = LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide, wide, gauge)
+    with_friction = covariance[np.ix_(layer, layer)] @ weights
+    square, friction = float(weights @ with_friction), float(pipe.pressures(found)[0])
+    wide = math.sqrt(square) / friction
+    slope, deviation = None, 0.0
+    if 1 in free and square > 0:
+        slope = friction * float(with_friction[1]) / square
+        deviation = math.sqrt(max(float(covariance[1, 1]) - float(with_friction[1]) ** 2 / square, 0.0))
+    slip = {key: getattr(concrete, f"slip_{key}") for key in ("flow_index", "quadratic_viscosity")}
+    laws = {key: value for key, value in slip.items() if value != LAW_DEFAULTS[key]}
+    fit = LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide, wide, gauge, laws=laws,
+                  yield_slope=slope, yield_deviation=deviation)  # fmt: skip
     return of_layer(fit, line, concrete)
 
 
-def _squares(off: np.ndarray, taps: Sequence[Tap], fitted: int, gauge: float) -> np.ndarray:
+def _squares(off: np.ndarray, slopes: np.ndarray, taps: Sequence[Tap], gauge: float) -> np.ndarray:
     """Return the covariance matrix of measured pressures [Pa2], with 95 % error limits as standard deviations.
 
     The matrix has the shape (taps, taps), with one row for each measured pressure. `off` holds the deviations of the
-    pressures from the fit [Pa], and `fitted` is the number of fitted constants. The error `gauge` [Pa] is common to all
-    pressures at one place. The scatter of the pressures about the fit is independent.
+    pressures from the fit [Pa], and `slopes` the derivatives of the pressures with respect to the fitted constants,
+    shape (taps, constants).
+
+    The error `gauge` [Pa] is common to all pressures at one place. A further error of each reading is independent. It
+    follows from the scatter of the pressures about a fit in which each gauge has an error of its own, so that the
+    common errors do not count twice. The assumed scatter of readings counts as :data:`ASSUMED_READINGS` further ones.
     """
-    places, count = np.array([tap.place for tap in taps]), len(taps) - fitted
-    squares = gauge**2 * (places[:, None] == places)
-    if count >= ENOUGH or gauge == 0:
-        squares = squares + student_t(count) ** 2 * float(off @ off) / count * np.eye(len(taps))
-    return squares
+    places = np.array([tap.place for tap in taps])
+    same = (places[:, None] == places).astype(float)
+    known = ASSUMED_READINGS if gauge > 0 else 0
+    explained = np.hstack([slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300), same]) if gauge > 0 else slopes
+    count = len(taps) - int(np.linalg.matrix_rank(explained, tol=DEPENDENT * np.sqrt(len(taps))))
+    rest = off - explained @ np.linalg.pinv(explained, rcond=DEPENDENT) @ off
+    variance = (known * (READING * gauge) ** 2 + float(rest @ rest)) / (known + count)
+    return gauge**2 * same + student_t(known + count) ** 2 * variance * np.eye(len(taps))
 
 
 def _covariance(slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
@@ -226,7 +247,7 @@ def _yield_error(model: TapModel, measured: np.ndarray, start: np.ndarray, free:
     off = model.pressures(found) - measured
     off -= slopes @ np.linalg.lstsq(slopes, off, rcond=None)[0]
     own = list(free).index(1)
-    return math.sqrt(float(_covariance(slopes, _squares(off, model.taps, len(free), gauge))[own, own]))
+    return math.sqrt(float(_covariance(slopes, _squares(off, slopes, model.taps, gauge))[own, own]))
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:

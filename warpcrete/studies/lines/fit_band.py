@@ -61,7 +61,9 @@ def with_known(fit: LineFit, line: PipeLine, concrete: Concrete, prior: tuple[Co
                      reason=each.reason if each.fitted or share == 0 or each.value == 0 else SCALED)
              for each in fit.constants[:2]]  # fmt: skip
     fit = replace(fit, constants=(*layer, *fit.constants[2:]), friction_uncertainty=math.expm1(wide * narrower),
-                  prior_share=share, surprise=None if low <= ratio * before <= high else ratio)  # fmt: skip
+                  prior_share=share, surprise=None if low <= ratio * before <= high else ratio,
+                  yield_slope=None if fit.yield_slope is None else factor * fit.yield_slope,
+                  yield_deviation=factor * fit.yield_deviation)  # fmt: skip
     fit = of_layer(fit, line, concrete)
     return replace(fit, pressures=tuple(_at_taps(fit, line, concrete)(1.0).tolist()))
 
@@ -130,6 +132,7 @@ def with_gauges(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
     layer = [replace(each, low=max(each.value - wider * (each.value - each.low), 0.0),
                      high=each.value + wider * (each.high - each.value)) for each in fit.constants[:2]]  # fmt: skip
     return replace(fit, constants=(*layer, *fit.constants[2:]), uncertainty=uncertainty,
+                   yield_deviation=wider * fit.yield_deviation,
                    contradiction=None if explained else _contradiction(fit, line, concrete))  # fmt: skip
 
 

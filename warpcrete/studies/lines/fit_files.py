@@ -31,17 +31,7 @@ def fitted_concrete(
     origin = f"slip layer fitted to {len(fit.taps)} pressures of {line}"
     origin += "" if fit.contradiction is None else ", which contradict each other"
     found: dict[str, Any] = {"name": concrete.name, "source": origin}
-    own = fit.concrete(concrete)
-    yields, viscous = (1.0, 1.0) if mix is None else mix.factors
-    layer: dict[str, Any] = {
-        "viscosity": f"{own.slip_viscosity / viscous:.6g} Pa s/m",
-        "yield_stress": f"{own.slip_yield / yields:.6g} Pa",
-        "uncertainty": f"{max(100 * fit.later_uncertainty, 0.1):.4g} %",
-        "from": "pipe",
-    }
-    for key in ("flow_index", "quadratic_viscosity"):
-        if getattr(own, f"slip_{key}") != LAW_DEFAULTS[key]:
-            layer[key] = getattr(own, f"slip_{key}") / (viscous if key == "quadratic_viscosity" else 1.0)
+    layer = fit.layer_entry((1.0, 1.0) if mix is None else mix.factors)
     section = None if source is None else source.mix
     if mix is None:
         entries = _plain_entries(concrete)
@@ -67,16 +57,15 @@ def write_fit(
     The other arguments are those of :func:`fitted_concrete`.
     """
     _write(folder / CONCRETE_FILE, fitted_concrete(fit, concrete, mix, source, line))
+    warning = "; do not use it before you have found out why the gauges contradict each other"
     said = [f"the fitted layer for another line: --concrete {folder / CONCRETE_FILE}"]
-    if fit.contradiction is not None:
-        said[0] += "; do not use it before you have found out why the gauges contradict each other"
     if fit.bend_factor is not None:
         factor = fit.constants[2]
         entry = {"factor": f"{factor.value:.4g}", "low": f"{factor.low:.4g}", "high": f"{factor.high:.4g}"}
         _write(folder / BENDS_FILE, {"bend_factor": {key: float(value) for key, value in entry.items()}})
         said.append(f"the fitted factor of bends: copy the entry 'bend_factor' of {folder / BENDS_FILE} into the file "
                     "of the other line")  # fmt: skip
-    return said
+    return said if fit.contradiction is None else [f"{line}{warning}" for line in said]
 
 
 def _write(path: Path, contents: Mapping[str, Any]) -> None:

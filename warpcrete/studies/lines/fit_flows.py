@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.pipe_line import PipeLine
+from ...geometry.pipe_line import Part, PipeLine
 from ...theory.pipe import Concrete
 from .fit_band import elasticity, layer_deviation
-from .line_fit import LineFit
-from .losses import GRAVITY
+from .fittings import range_of, uncertain_kinds
+from .line_fit import FittedConstant, LineFit
+from .losses import GRAVITY, straight_friction
 from .tap_model import TapModel
 
 SHIPPED_YIELDS = (0.0, 251.0)
@@ -48,33 +49,111 @@ def with_yields(fit: LineFit, line: PipeLine, concrete: Concrete, yields: tuple[
     """Return a fit with two further slip layers, which the measured pressures do not distinguish from the fitted one.
 
     The layers have the smallest and the largest possible yield stress, and the same mean friction behind the gauges as
-    the fitted layer. The range of the yield stress is its error band if the pressures determine it, and otherwise the
-    range from before the measurement, of :func:`known_yields`. The viscosity of the layers is at least `THINNEST`.
+    the fitted layer. The range of the yield stress is that of `yield_deviation` if the pressures determine it, and
+    otherwise the range from before the measurement, of :func:`known_yields`. The viscosity of the layers is at least
+    `THINNEST`.
 
-    The uncertainty of the layer for later use contains the friction of these layers at the flows `OTHER_FLOWS`.
+    The layers at the ends of the band of the friction (`layer_ends`) have the yield stress that goes with this friction
+    according to the errors of the fit.
+
+    If the pressures do not determine the yield stress, the band of the fitted viscosity contains that of these layers.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)
     wanted = friction(eta, tau)
     own = fit.constants[1]
     low, high = (own.low, own.high) if fit.knows_yield else known_yields(concrete, yields)
+    if fit.yield_slope is not None:
+        low, high = max(tau - fit.yield_deviation, 0.0), tau + fit.yield_deviation
     low, high = min(low, tau), max(min(high, concrete.yield_stress), tau)
     thinnest = min(eta, THINNEST)
     if friction(thinnest, high) > wanted:
         high = _root((tau, high), lambda stress: friction(thinnest, stress) < wanted)
 
-    def layer(stress: float) -> tuple[float, float]:
-        return _root((0.1 * thinnest, THICKEST), lambda x: friction(x, stress) < wanted), stress
+    def layer(stress: float, pressure: float) -> tuple[float, float]:
+        return _root((0.1 * thinnest, THICKEST), lambda x: friction(x, stress) < pressure), stress
 
-    fit = replace(fit, yield_layers=(layer(low), layer(high)))
-    alone = math.log1p(fit.uncertainty)
+    layers, ends = (layer(low, wanted), layer(high, wanted)), []
+    for factor in (1 / (1 + fit.uncertainty), 1 + fit.uncertainty):
+        pressure, stress = friction(factor * eta, factor * tau), factor * tau
+        if fit.yield_slope is not None:
+            stress = tau + fit.yield_slope * math.log(pressure / wanted)
+            stress = min(max(stress, 0.0), max(concrete.yield_stress, tau))
+            if friction(thinnest, stress) > pressure:
+                stress = _root((0.0, stress), lambda x, goal=pressure: friction(thinnest, x) < goal)
+        ends.append(layer(stress, pressure) if fit.yield_slope is not None else (factor * eta, stress))
+    if not own.fitted:
+        viscosity = _wider(fit.constants[0], *(each for each, _ in layers))
+        fit = replace(fit, constants=(viscosity, *fit.constants[1:]))
+    return replace(fit, yield_layers=layers, layer_ends=tuple(ends))
+
+
+def with_later_use(fit: LineFit, line: PipeLine, concrete: Concrete) -> LineFit:
+    """Return a fit with the uncertainty of its layer in another line, which is larger than that in the trial line.
+
+    The uncertainty contains the friction of both pairs of layers of :func:`with_yields` at the flows `OTHER_FLOWS`. It
+    also contains the error that the fittings of the trial line cause in the fitted layer, because another line has
+    other fittings. The bands of the layer's constants contain this error as well.
+    """
+    eta, tau = (each.value for each in fit.constants[:2])
+    fittings = _deviation_by_fittings(fit, line, concrete)
+    alone = math.hypot(math.log1p(fit.uncertainty), fittings)
     wide = alone
     for ratio in OTHER_FLOWS:
         there = _friction_behind_gauges(fit, line, concrete, ratio)
-        off = max(abs(math.log(there(*end) / there(eta, tau))) for end in fit.yield_layers)
-        # The later uncertainty is one of the layer, so express the deviation of the friction as one of the layer.
-        wide = max(wide, math.hypot(alone, layer_deviation(off, elasticity(there, eta, tau))))
-    return replace(fit, later_uncertainty=math.expm1(wide))
+        # The later uncertainty is one of the layer, so express the deviations of the friction as those of the layer.
+        power = elasticity(there, eta, tau)
+        offs = [layer_deviation(max(abs(math.log(there(*end) / there(eta, tau))) for end in pair), power)
+                for pair in (fit.layer_ends, fit.yield_layers)]  # fmt: skip
+        wide = max(wide, math.hypot(*offs, fittings))
+    factor = math.exp(fittings)
+    layer = [_wider(each, each.value / factor, each.value * factor) for each in fit.constants[:2]]
+    return replace(fit, constants=(*layer, *fit.constants[2:]), later_uncertainty=math.expm1(wide))
+
+
+def _wider(constant: FittedConstant, *values: float) -> FittedConstant:
+    """Return a fitted constant whose band also contains the effect of a further, independent cause of error.
+
+    `values` are those of the constant at both ends of the band of this cause. The deviations are added in squares.
+    """
+    own = constant.value
+    below, above = (max(0.0, *(sign * (each - own) for each in values)) for sign in (-1, 1))
+    low = max(own - math.hypot(own - constant.low, below), 0.0)
+    return replace(constant, low=low, high=own + math.hypot(constant.high - own, above))
+
+
+def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> float:
+    """Return the logarithm of the factor by which errors of the fittings may change the fitted layer.
+
+    If the fittings of one kind have a larger friction than assumed, the same gauges give a layer with less resistance.
+    The effects of both ends of their range are averaged in squares, because only one of them can occur. The effects of
+    several kinds are added in squares. Bends are left out if their factor was fitted, because the errors
+    of the fit contain their effect.
+    """
+    eta, tau = (each.value for each in fit.constants[:2])
+    friction = _friction_behind_gauges(fit, line, concrete)
+    wanted, power = friction(eta, tau), elasticity(friction, eta, tau)
+    flow, found = float(np.mean([tap.flow for tap in fit.taps])), 0.0
+    for kind in uncertain_kinds(line.parts):
+        if kind == "bend" and fit.bend_factor is not None:
+            continue
+        squares = 0.0
+        for end in (0, 1):
+            changed = [_at_end(part, end, straight_friction(part, fit.concrete(concrete), flow))
+                       if part.kind == kind else part for part in line.parts]  # fmt: skip
+            there = _friction_behind_gauges(fit, replace(line, parts=tuple(changed)), concrete)(eta, tau)
+            squares += 0.5 * math.log(wanted / there) ** 2
+        found = math.hypot(found, layer_deviation(math.sqrt(squares), power))
+    return found
+
+
+def _at_end(part: Part, end: int, straight: float) -> Part:
+    """Return a part with the friction at the lower (`end` 0) or upper (`end` 1) end of its range.
+
+    `straight` is the friction of a straight pipe with the length and bores of the part [Pa].
+    """
+    ends = range_of(part, straight)
+    return part if ends is None else replace(part, factor=ends[end])
 
 
 def _friction_behind_gauges(

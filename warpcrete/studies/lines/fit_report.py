@@ -38,7 +38,8 @@ def fit_lines(fit: LineFit, line: PipeLine, factors: tuple[float, float] = (1.0,
         f"- {_meaning(fit)}",
         *([f"- {_open_yield(fit, line.customary)}"] if not fit.knows_yield else []),
         *([_surprise(fit.surprise)] if fit.surprise is not None else []),
-        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
+        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar{beside(line.customary, 'psi', fit.scatter)} "
+        "about the fit; the largest deviation is "
         f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar"
         f"{beside(line.customary, 'psi', measured[worst])} "
         f"(line {fit.taps[worst].row})",
@@ -77,15 +78,13 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
     The factors on yield stresses and viscosities in this file will multiply the entries, which are therefore divided by
     them.
     """
-    tau, eta = (each.value / factor for each, factor in zip((fit.constants[1], fit.constants[0]), factors, strict=True))
     before = "" if factors == (1.0, 1.0) else ", divided by the factors that it states"
     if mix:
         return [
             f"Write into the section `mix` of the concrete's file{before} (for this delivery; without `uncertainty`, "
             "the band is 30 %, that of other deliveries), or let --out FOLDER write the whole file:",
             "",
-            f"    layer: {{viscosity: {eta:.4g} Pa s/m, yield_stress: {tau:.4g} Pa, "
-            f"uncertainty: {max(100 * fit.later_uncertainty, 0.1):.3g} %, from: pipe}}",
+            f"    layer: {{{', '.join(f'{key}: {value}' for key, value in fit.layer_entry(factors).items())}}}",
         ]
     own = max(fit.later_uncertainty, 0.001)
     others = (
@@ -95,8 +94,9 @@ def _layer_entries(fit: LineFit, factors: tuple[float, float], mix: bool) -> lis
         f"Write into the section `flow` of the concrete's file{before}, and add --layer-factor {1 + own:.4g}{others}; "
         "or let --out FOLDER write the whole file:",
         "",
-        f"    slip_viscosity: {eta:.4g} Pa s/m",
-        f"    slip_yield: {tau:.4g} Pa",
+        f"    slip_viscosity: {fit.constants[0].value / factors[1]:.6g} Pa s/m",
+        f"    slip_yield: {fit.constants[1].value / factors[0]:.6g} Pa",
+        *(f"    slip_{key}: {value:g}" for key, value in fit.law_entries(factors[1]).items()),
     ]
 
 

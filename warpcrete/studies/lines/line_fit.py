@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
+from ...mix.measurements import CONTRADICTORY
 from ...theory.pipe import Concrete
 from .losses import with_layer_factor
 from .taps import Tap, is_free
@@ -95,14 +96,26 @@ class LineFit:
     contradiction: Contradiction | None = None
     """Contradiction between the gauges; None if one slip layer explains them all."""
 
+    yield_slope: float | None = None
+    """Change of the fitted yield stress of the slip layer if the friction changes by its error, divided by the change
+    of the friction's logarithm [Pa]. An error of a gauge, for example, changes the yield stress and hardly the
+    viscosity. The value is None if the yield stress was not fitted; both constants then change by one factor."""
+    yield_deviation: float = 0.0
+    """Error limit of the fitted yield stress of the slip layer if the friction at the mean flow has no error [Pa]."""
+    layer_ends: tuple[tuple[float, float], ...] = ()
+    """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers at the lower and the upper end of the band of the
+    friction."""
     yield_layers: tuple[tuple[float, float], ...] = ()
     """Viscosity [Pa s/m] and yield stress [Pa] of the two slip layers with the smallest and the largest yield stress
     that the measured pressures do not distinguish from the fitted layer."""
     later_uncertainty: float = 0.0
-    """Uncertainty u of the slip layer's resistance at 0.5 to 2 times the measured flows, for a layer that is used
-    later."""
+    """Uncertainty u of the slip layer's resistance if the layer is used in another line, at 0.5 to 2 times the measured
+    flows. It contains the errors that the fittings of the trial line cause in the layer."""
     expected: float = 1.0
     """Fitted friction of straight pipe, divided by the friction that was expected before the measurement."""
+    laws: Mapping[str, float] = field(default_factory=dict)
+    """Flow index and quadratic viscosity [Pa s2/m2] of the slip layer, as `flow_index` and `quadratic_viscosity`. A
+    constant that the layer's flow law does not have is left out. A fit does not change these constants."""
     outside: tuple[str, ...] = ()
     """Names of the fitted constants that lie outside the band that the mix, or the assumed layer, gave them."""
 
@@ -133,6 +146,27 @@ class LineFit:
         """Return a copy of a concrete that has the fitted slip layer."""
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
+    def layer_entry(self, factors: tuple[float, float] = (1.0, 1.0)) -> dict[str, Any]:
+        """Return the fitted slip layer as the entry `layer` in the section `mix` of a concrete's file.
+
+        `factors` are those on yield stresses and on viscosities in this file. They multiply the entries when the file
+        is read, so the entries are divided by them here.
+        """
+        yields, viscous = factors
+        found: dict[str, Any] = {
+            "viscosity": f"{self.constants[0].value / viscous:.6g} Pa s/m",
+            "yield_stress": f"{self.constants[1].value / yields:.6g} Pa",
+            **self.law_entries(viscous),
+            "uncertainty": f"{max(100 * self.later_uncertainty, 0.1):.4g} %",
+            "from": "pipe",
+        }
+        return found if self.contradiction is None else found | {"gauges": CONTRADICTORY}
+
+    def law_entries(self, viscous: float) -> dict[str, float]:
+        """Return `laws` as entries for a concrete's file whose factor on viscosities is `viscous`."""
+        divisors = {"quadratic_viscosity": viscous}
+        return {key: float(f"{value / divisors.get(key, 1.0):.9g}") for key, value in self.laws.items()}
+
     def variants(
         self, concrete: Concrete, before: Mapping[str, tuple[Concrete, Concrete]] | None = None
     ) -> dict[str, tuple[Concrete, Concrete]]:
@@ -146,6 +180,11 @@ class LineFit:
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
+        if self.layer_ends:
+            low, high = (
+                replace(end, slip_viscosity=eta, slip_yield=tau)
+                for end, (eta, tau) in zip((low, high), self.layer_ends, strict=True)
+            )
         found = {"slip layer": (low, high)}
         if self.yield_layers:
             thick, thin = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.yield_layers)
@@ -173,6 +212,7 @@ class LineFit:
         return {
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
                           for x in self.constants},
+            "laws": dict(self.laws),
             "uncertainty": self.uncertainty,
             "later_uncertainty": self.later_uncertainty,
             "open_yield": None if self.knows_yield else [quantity(tau, "Pa") for _, tau in self.yield_layers],

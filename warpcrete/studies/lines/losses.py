@@ -1,6 +1,7 @@
 """Friction of the parts of a pump line by closed forms, and its dependence on the slip layer."""
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from ...theory.pipe import Concrete, Line, steady
 __all__ = [
     "Part",
     "PipeLine",
+    "course_of",
     "friction",
     "line_of",
     "read_line",
@@ -59,6 +61,19 @@ def _friction_per_metre(concrete: Concrete, diameter: float, outlet: float, flow
         return per_metre(diameter)
     bores = diameter + (PLACES + 1) / 2 * (outlet - diameter)
     return float(WEIGHTS @ [per_metre(each) for each in bores.tolist()]) / 2
+
+
+def course_of(losses: Sequence[float]) -> list[float]:
+    """Return the pressures at the start of a line and at the ends of its parts [Pa], which are parts + 1 numbers.
+
+    `losses` holds the pressure loss of each part [Pa], in the order from the start of the line to its end. The pressure
+    at the end is zero. It never falls below zero: where concrete runs down faster than it is pumped, the column breaks
+    and transmits no tension.
+    """
+    found = [0.0]
+    for loss in reversed(losses):
+        found.append(max(found[-1] + loss, 0.0))
+    return found[::-1]
 
 
 def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:

@@ -6,7 +6,7 @@ losses themselves, which depend neither on the concrete nor on the flow.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from ...core.inputs.amounts import PSI
 from ...geometry.pipe_line import Part
 from .fittings import AIJ, JGJ, JSCE
+from .losses import course_of
 
 GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "hose": "hoses", "valve": "valves",
           "bore": "bores"}  # fmt: skip
@@ -21,18 +22,25 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction of a kind of part divided by that of a straight pipe of the same length, by a rule of the Architectural
 Institute of Japan (AIJ). Kinds that are not listed have the factor 1."""
+AIJ_OTHERS, JSCE_OTHERS, JGJ_OTHERS = ("valve", "bore"), ("valve", "bore"), ("reducer", "bore")
+"""Kinds of parts that the rules of the AIJ, the JSCE and JGJ/T 10 do not cover."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 """Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
 diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
 includes the weight of the concrete."""
-JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
-"""Rule of the JSCE: lengths of level pipe [m] with the same friction as a bend of 90 degrees, a reducer, and a hose of
-5 to 8 m. JSCE_HOSE_LENGTH is the greatest length of such a hose [m]; a longer one counts in proportion."""
+JSCE_BEND, JSCE_REDUCER = 6.0, 3.0
+"""Rule of the JSCE: lengths of level pipe [m] with the same friction as a bend of 90 degrees, and as a reducer."""
+JSCE_HOSE, JSCE_HOSE_LENGTHS = 20.0, (5.0, 8.0)
+"""Rule of the JSCE for a hose: a metre of a hose of the length L [m] counts as 20 / L metres of level pipe, for L from
+5 to 8 m. Every such hose therefore counts as JSCE_HOSE metres. JSCE_HOSE_LENGTHS holds the two ends of this range."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
-JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
-"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10).
-JGJ_HOSE_LENGTH is the greatest length of such a hose [m]; a longer one counts in proportion."""
+JGJ_BEND, JGJ_VALVE = 0.1e6, 0.8e6
+"""Pressure loss of a bend of 90 degrees and of a stop valve [Pa] (JGJ/T 10)."""
+JGJ_HOSE, JGJ_HOSE_LENGTHS = 0.2e6, (3.0, 5.0)
+"""Pressure loss of a rubber hose [Pa], and the ends of the range of lengths [m] for which JGJ/T 10 states it."""
+OTHER_HOSES = "a shorter or longer hose counts in proportion to its length, which the rule does not cover"
+"""Words on hoses whose length is outside the range for which a rule of practice states their loss."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +64,23 @@ def _level(part: Part) -> float:
     return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
 
 
-def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implies: str, source: str) -> PracticeRow:
-    """Return the pressure of a pump line by a rule of practice from the pressure `loss` of each part [Pa].
+def _hose(length: float, lengths: tuple[float, float]) -> float:
+    """Return the number of hoses of a rule of practice that have the same loss as one hose with the given `length` [m].
 
-    The losses are added from the end of the line, and the pressure never falls below zero, because falling concrete
-    transmits no tension.
+    A hose counts as one if its length is between the two `lengths` of the rule [m]. The loss of a shorter hose is that
+    of the shortest hose of the rule, in proportion to its length, and the loss of a longer one that of the longest.
     """
+    shortest, longest = lengths
+    return max(min(1.0, length / shortest), length / longest)
+
+
+def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implies: str, source: str) -> PracticeRow:
+    """Return the pressure of a pump line by a rule of practice from the pressure `loss` of each part [Pa]."""
     found: dict[str, float] = {}
-    pressure = 0.0
-    for part in reversed(parts):
-        own = loss(part)
+    losses = [loss(part) for part in parts]
+    for part, own in zip(parts, losses, strict=True):
         found[part.kind] = found.get(part.kind, 0.0) + own
-        pressure = max(pressure + own, 0.0)
-    return PracticeRow(rule, found, pressure, implies, source)
+    return PracticeRow(rule, found, course_of(losses)[0], implies, source)
 
 
 def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
@@ -76,46 +88,74 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
 
     `straight` maps the number of each part of the line to the friction [Pa] of a straight pipe with the length and
     bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m].
+
+    If the line's file states the friction of a part, as `factor` or `equivalent`, each rule uses this friction instead
+    of its own figure: the rule's friction of straight pipe, multiplied by the factor. The weight is added.
     """
 
     def per_metre(part: Part) -> float:
         return straight[part.number] / part.length
 
     def aij(part: Part) -> float:
-        return AIJ_FACTORS.get(part.kind, 1.0) * straight[part.number] + weight * part.rise
+        factor = AIJ_FACTORS.get(part.kind, 1.0) if part.factor is None else part.factor
+        return factor * straight[part.number] + weight * part.rise
 
     def jsce(part: Part) -> float:
         rise = float(np.interp(part.diameter, *JSCE_RISE)) * max(part.rise, 0.0)
+        if part.factor is not None:
+            return part.factor * straight[part.number] + weight * part.rise
         if part.kind == "bend":
             return per_metre(part) * JSCE_BEND * part.angle / 90
         if part.kind == "reducer":
             return per_metre(part) * JSCE_REDUCER
         if part.kind == "hose":
-            return per_metre(part) * JSCE_HOSE * max(1.0, part.length / JSCE_HOSE_LENGTH)
+            return per_metre(part) * JSCE_HOSE * _hose(part.length, JSCE_HOSE_LENGTHS)
         return per_metre(part) * (rise + _level(part) if part.rise >= 0 else part.length)
 
     def jgj(part: Part) -> float:
+        if part.factor is not None:
+            return part.factor * JGJ_LEVEL * part.length + weight * part.rise
         if part.kind == "bend":
             return JGJ_BEND * part.angle / 90
         if part.kind == "hose":
-            return JGJ_HOSE * max(1.0, part.length / JGJ_HOSE_LENGTH)
+            return JGJ_HOSE * _hose(part.length, JGJ_HOSE_LENGTHS)
         if part.kind == "valve":
             return JGJ_VALVE
         return JGJ_LEVEL * (_level(part) if part.rise >= 0 else part.length) + JGJ_RISE * max(part.rise, 0.0)
+
+    others = [part for part in parts if part.factor is None]
+    kinds = {part.kind for part in others}
+
+    def hoses(lengths: tuple[float, float]) -> str:
+        outside = any(part.kind == "hose" and not lengths[0] <= part.length <= lengths[1] for part in others)
+        return f"; {OTHER_HOSES}" if outside else ""
 
     longest = max(parts, key=lambda part: part.length if part.kind == "straight" else 0.0)
     metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
     return [
         _row("AIJ", parts, aij,
                     "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
-                    f"this result, {metre / 1e3:.3g} kPa/m in the longest part", AIJ),
+                    f"this result, {metre / 1e3:.3g} kPa/m in the longest part{_as_straight(kinds, AIJ_OTHERS)}", AIJ),
         _row("JSCE", parts, jsce,
                     f"a metre of rise counts as {counted:.3g} m of level pipe, or {counted * metre / 1e3:.3g} "
-                    f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa", JSCE),
+                    f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa; the rise of bends, "
+                    f"reducers and hoses does not count, and falling pipe counts as level{hoses(JSCE_HOSE_LENGTHS)}"
+                    f"{_as_straight(kinds, JSCE_OTHERS)}", JSCE),
         _row("JGJ/T 10", parts, jgj,
                     f"{JGJ_LEVEL / 1e3:g} kPa/m level and {JGJ_RISE / 1e3:g} kPa/m of rise, whatever the concrete "
-                    "and the flow", JGJ),
+                    "and the flow; without the rule's 1 bar for each coupling and its 28 bar for the pump itself"
+                    f"{hoses(JGJ_HOSE_LENGTHS)}{_as_straight(kinds, JGJ_OTHERS)}", JGJ),
     ]  # fmt: skip
+
+
+def _as_straight(kinds: Collection[str], others: Sequence[str]) -> str:
+    """Return words on the kinds of parts in a line that a rule does not cover, which count as straight pipe.
+
+    `kinds` are those of the parts whose friction the line's file does not state, and `others` those that the rule does
+    not cover.
+    """
+    found = [GROUPS[kind] for kind in others if kind in kinds]
+    return f"; {' and '.join(found)} count as straight pipe, because the rule does not cover them" if found else ""
 
 
 def practice_lines(ours: PracticeRow, rows: list[PracticeRow], customary: bool = False) -> list[str]:

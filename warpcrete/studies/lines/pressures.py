@@ -13,7 +13,7 @@ from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .fittings import MODEL_ERRORS, range_of, uncertain_kinds
 from .line_fit import LineFit
-from .losses import friction, straight_friction, with_layer_factor
+from .losses import course_of, friction, straight_friction, with_layer_factor
 
 P = TypeVar("P", bound="LinePressures")
 
@@ -210,14 +210,10 @@ class LinePressures:
         """Return the positions of the line's start and of the ends of its parts [m], and the pressures there [Pa].
 
         Both results have the shape (parts + 1,). The function `of` gives the pressure loss of a part from its
-        :class:`Loss`. The pressure never falls below zero: where concrete runs down faster than it is pumped, the
-        column breaks and transmits no tension.
+        :class:`Loss`. The pressure never falls below zero (:func:`.course_of`).
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
-        found = [0.0]
-        for loss in reversed(self.losses):
-            found.append(max(found[-1] + of(loss), 0.0))
-        return places, np.array(found[::-1])
+        return places, np.array(course_of([of(loss) for loss in self.losses]))
 
     def _variants(self) -> Mapping[str, tuple[Concrete, Concrete]]:
         if self.variants is not None:

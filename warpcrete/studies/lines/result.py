@@ -27,6 +27,7 @@ from .answers import (
     PumpMargin,
     RestartMargin,
     band_sentences,
+    band_text,
     beside,
     motor_power,
     pressure_text,
@@ -41,12 +42,14 @@ from .pressures import LinePressures, Stop
 from .taps import is_free
 
 COVERAGE = {"paste": " in about nine of ten cases", "fit": " in about 95 % of cases",
-            "other": ", a range without a known probability"}  # fmt: skip
+            "other": ", a range without a known probability",
+            "contradicted": ", a range without a known probability: the gauges of the trial line contradict each other",
+            }  # fmt: skip
 """Words on how often the uncertainty band of a line's pressure contains the measured pressure. The key is 'paste' if
 the slip layer, and so the band, follows from the composition of the paste, and 'fit' if the layer was fitted to a trial
-line with this concrete, now or earlier; otherwise it is 'other'. For slip layers
-that follow from the paste, `warpcrete validate` finds 94 % of the measured concretes in straight pipe inside the band,
-and two of only three measured whole lines."""
+line with this concrete, now or earlier. It is 'contradicted' if the gauges of an earlier trial line contradict each
+other, and otherwise 'other'. For slip layers that follow from the paste, `warpcrete validate` finds 94 % of the
+measured concretes in straight pipe inside the band, and two of only three measured whole lines."""
 HALVINGS = 12
 """Number of bisection steps in the search for the longest stop, or the fastest growth of the yield stress, after which
 a pump restarts the line."""
@@ -68,8 +71,8 @@ class LineResult(LinePressures):
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Plausibility checks that simulations failed, with what they found; the keys are the names of the run folders."""
     band_origin: str = ""
-    """Origin of the uncertainty band of the slip layer: 'paste' if it follows from the composition of the paste,
-    otherwise 'other'. The text is empty if the user chose the width of the band."""
+    """Origin of the uncertainty band of the slip layer, a key of :data:`COVERAGE`. The text is empty if the user chose
+    the width of the band."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -206,7 +209,8 @@ class LineResult(LinePressures):
 
     def band_sentences(self) -> list[str]:
         """Return sentences on the causes of the pressure's uncertainty, with advice on how to reduce it."""
-        return band_sentences(self.band(), lambda cause: self._advice(cause, lambda each: each.band()))
+        customary = self.line.customary
+        return band_sentences(self.band(), lambda cause: self._advice(cause, lambda each: each.band()), customary)
 
     def restart_sentences(self) -> list[str]:
         """Return sentences on the causes of the uncertainty of the pressure that restarts the line at full flow."""
@@ -214,7 +218,7 @@ class LineResult(LinePressures):
         def full(each: LineResult) -> Band:
             return each.restart(each.flow)
 
-        return band_sentences(full(self), lambda cause: self._advice(cause, full))
+        return band_sentences(full(self), lambda cause: self._advice(cause, full), self.line.customary)
 
     def _advice(self, cause: str, band_of: Callable[[LineResult], Band]) -> str:
         """Return advice on how to reduce the uncertainty from a cause, with the band of the pressure that would result.
@@ -225,6 +229,8 @@ class LineResult(LinePressures):
         """
         if self.fit is not None and cause in ("slip layer", "bends"):
             return ""
+        if self.band_origin == "contradicted" and cause == "slip layer":
+            return "find out why the gauges of the trial line contradict each other, and fit the layer again"
         if self.band_origin == "fit" and cause == "slip layer":
             return ADVICE[FITTED_YIELD]
         if cause == "bends" and not any(is_free(part) for part in self.line.parts):
@@ -235,7 +241,7 @@ class LineResult(LinePressures):
         for each in MEASUREMENTS[cause]:
             then = band_of(self.measured(cause, each.factors))
             if then.high - then.low < WORTHWHILE * (now.high - now.low):
-                found.append(f"{each.advice}, which would give {then.low / 1e5:.3g} to {then.high / 1e5:.3g} bar")
+                found.append(f"{each.advice}, which would give {band_text(then, self.line.customary)}")
         return ", or ".join(found)
 
     def remarks(self) -> list[str]:

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from ...geometry.pipe_line import Part, PipeLine
 from ...theory.pipe import Concrete
 from .fittings import library_factor
-from .losses import GRAVITY, straight_friction
+from .losses import GRAVITY, course_of, straight_friction
 from .taps import Tap, is_free
 
 
@@ -17,78 +16,53 @@ class TapModel:
     """Pressures at the taps (places of gauges) as functions of slip viscosity, slip yield stress and bend factor."""
 
     def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap], bends: bool = True) -> None:
-        self.concrete, self.taps, self.bends = concrete, taps, bends
-        self.falling = line.parts if any(part.rise < 0 for part in line.parts) else ()
-        """Parts of a pump line in which concrete falls somewhere, and may separate; empty if it falls nowhere."""
-        starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
-        self.kinds: dict[tuple[Any, ...], Part] = {}
+        self.parts, self.concrete, self.taps, self.bends = line.parts, concrete, taps, bends
+        self.kinds: dict[tuple[float, float, float], Part] = {}
         """For each kind of part, the first part of the pump line that is of this kind. A kind is a combination of bore,
         outlet and slip layer. The friction per metre of the first part is calculated once and holds for all parts of
         the kind."""
-        self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`. A tap is the place
-        of a gauge.
-
-        The first length is that of straight pipe with the same friction as all parts whose factor is known. The second
-        length is that of the bends whose factor is fitted.
-        """
+        for part in line.parts:
+            self.kinds.setdefault(_kind(part), part)
+        starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
+        self.places: list[tuple[int, float]] = []
+        """Place of each tap: the index of the part in which the tap sits, and the fraction of this part that lies
+        between the tap and the end of the part."""
         self.rises: list[float] = []
+        """Height of the end of the line above each tap [m]."""
         for tap in taps:
-            own: dict[tuple[Any, ...], list[float]] = {}
-            rise = 0.0
-            for part, start in zip(line.parts, starts, strict=False):
-                share = float(np.clip((start + part.length - tap.place) / part.length, 0.0, 1.0))
-                kind = (part.diameter, part.outlet, part.layer)
-                self.kinds.setdefault(kind, part)
-                metres = own.setdefault(kind, [0.0, 0.0])
-                metres[bends and is_free(part)] += share * self._equivalent(part)
-                rise += share * part.rise
-            self.metres.append(own)
-            self.rises.append(rise)
+            own = min(int(np.searchsorted(starts, tap.place, side="right")) - 1, len(line.parts) - 1)
+            share = float(np.clip((starts[own + 1] - tap.place) / line.parts[own].length, 0.0, 1.0))
+            self.places.append((own, share))
+            self.rises.append(share * line.parts[own].rise + sum(part.rise for part in line.parts[own + 1 :]))
 
     def pressures(self, constants: np.ndarray) -> np.ndarray:
         """Return the pressures at the taps (places of gauges) [Pa] for given constants, shape (taps,).
 
         The constants are the slip viscosity [Pa s/m], the slip yield stress [Pa] and the factor of bends.
         """
-        concrete = replace(self.concrete, slip_viscosity=float(constants[0]), slip_yield=float(constants[1]))
+        courses = {flow: self._course(flow, constants) for flow in {tap.flow for tap in self.taps}}
         found = []
-        for tap, metres, rise in zip(self.taps, self.metres, self.rises, strict=True):
-            if self.falling:
-                found.append(self._falling_pressure(tap, concrete, float(constants[2])))
-                continue
-            total = concrete.density * GRAVITY * rise
-            for kind, (plain, bends) in metres.items():
-                part = self.kinds[kind]
-                total += straight_friction(part, concrete, tap.flow) / part.length * (plain + constants[2] * bends)
-            found.append(total)
+        for tap, (own, share) in zip(self.taps, self.places, strict=True):
+            losses, course = courses[tap.flow]
+            found.append(max(course[own + 1] + share * losses[own], 0.0))
         return np.array(found)
 
-    def _equivalent(self, part: Part) -> float:
-        """Return the length of straight pipe with the friction of a part [m].
+    def _course(self, flow: float, constants: np.ndarray) -> tuple[list[float], list[float]]:
+        """Return the pressure loss of each part at a `flow` [m3/s], and the pressures at the ends of the parts [Pa].
 
-        A bend whose factor is fitted counts as straight pipe, because the fit multiplies its friction by the factor.
-        All other parts have the same friction as in the calculation of a line without a fit.
+        The pressures include that at the start of the line. A bend whose factor is fitted has the friction of straight
+        pipe, multiplied by the third of the `constants`. All other parts have the same friction as in the calculation
+        of a line without a fit.
         """
-        weight = 1.0 if self.bends and is_free(part) else library_factor(part)
-        return part.length * part.relative * weight
-
-    def _falling_pressure(self, tap: Tap, concrete: Concrete, factor: float) -> float:
-        """Return the pressure at a tap of a line in which concrete may separate [Pa].
-
-        The losses are added from the end of the line to the tap, and the pressure never falls below zero, as in
-        :meth:`.LinePressures.course`. `factor` is the fitted factor of bends.
-        """
-        found, end = 0.0, sum(part.length for part in self.falling)
-        for part in reversed(self.falling):
-            share = min((end - tap.place) / part.length, 1.0)
-            if share <= 0:
-                break
-            metre = straight_friction(part, concrete, tap.flow) / part.length
-            friction = metre * self._equivalent(part) * (factor if self.bends and is_free(part) else 1.0)
-            found = max(found + share * (friction + concrete.density * GRAVITY * part.rise), 0.0)
-            end -= part.length
-        return found
+        eta, tau, factor = (float(each) for each in constants)
+        concrete = replace(self.concrete, slip_viscosity=eta, slip_yield=tau)
+        metre = {kind: straight_friction(part, concrete, flow) / part.length for kind, part in self.kinds.items()}
+        losses = []
+        for part in self.parts:
+            weight = factor if self.bends and is_free(part) else library_factor(part)
+            friction = metre[_kind(part)] * part.length * part.relative * weight
+            losses.append(friction + concrete.density * GRAVITY * part.rise)
+        return losses, course_of(losses)
 
     def sensitivities(self, constants: np.ndarray, free: Sequence[int]) -> np.ndarray:
         """Return the derivatives of the pressures at the taps (places of gauges) with respect to some constants.
@@ -102,6 +76,11 @@ class TapModel:
             moved[place] += steps[place]
             columns.append((self.pressures(moved) - here) / steps[place])
         return np.array(columns).T
+
+
+def _kind(part: Part) -> tuple[float, float, float]:
+    """Return the properties of a part on which its friction per metre of straight pipe depends."""
+    return part.diameter, part.outlet, part.layer
 
 
 def metre_model(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> TapModel:

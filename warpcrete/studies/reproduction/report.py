@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ...core.drawing.style import new_figure
+from ...core.drawing.style import MEASURED, SERIES, new_figure, open_frame, rgb
 from ...core.run.files import atomic_file, write_json
 from ...core.units import number
+from ...scenes import modules
 from .papers import (
     CONCRETES,
     OPEN_ASSUMPTIONS,
@@ -222,8 +223,8 @@ def _verdict(errors: list[float], count: int) -> str:
 def draw(found: Reproduction) -> Any:
     """Return a figure with a panel for each parameter; lines are simulated pressures, crosses those in the paper."""
     panels_down = -(-(len(ZHAN) + 1) // 2)  # The last panel holds the legend.
-    figure = new_figure("", *[2.8] * panels_down)
-    panels = figure.subplots(panels_down, 2).ravel()
+    figure = new_figure("unit D (bend to vertical); titles state claims of Zhan et al. (2019)", *[2.8] * panels_down)
+    panels, fields = figure.subplots(panels_down, 2).ravel(), modules()["pipe"].scene.fields({})
     for row, axes in zip(ZHAN, panels):
         for number_of, name in enumerate([*CONCRETES, *OPEN_ASSUMPTIONS]):
             each = pressures(found, row, name)
@@ -231,18 +232,22 @@ def draw(found: Reproduction) -> Any:
             scatter = np.array([np.std(values, ddof=1) if len(values) > 1 else 0.0 for values in each]) / 1e3
             if np.any(np.isfinite(means)):
                 axes.errorbar(row.places, means, yerr=scatter, fmt="o-" if name in CONCRETES else "s--", ms=4,
-                              capsize=3, color=f"C{number_of}", label=name)  # fmt: skip
+                              capsize=3, color=rgb(SERIES[number_of]), label=name)  # fmt: skip
         if row.printed:
-            axes.plot(list(row.printed), [value / 1e3 for value in row.printed.values()], "kx", ms=8, label="paper")
+            printed = [value / 1e3 for value in row.printed.values()]
+            axes.plot(list(row.printed), printed, "x", color=rgb(MEASURED), ms=8, label="paper")
         if row.parameter == "hydration_modulus":
             axes.set_xscale("log")
         axes.set_title(textwrap.fill(row.claim, 30), fontsize="medium")
-        axes.set(xlabel=row.parameter, ylabel="largest pressure [kPa]")
+        unit = fields[row.parameter].unit.strip()
+        axes.set(xlabel=f"{row.name} [{unit}]" if unit else row.name, ylabel="largest pressure [kPa]")
         axes.set_ylim(bottom=0)
+        axes.set_visible(axes.has_data())
+        open_frame(axes)
     lines = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
     for axes in panels[len(ZHAN) :]:
         axes.set_axis_off()
-    panels[-1].legend(lines.values(), lines.keys(), loc="center")
+    panels[-1].legend(lines.values(), lines.keys(), loc="center", frameon=False)
     return figure
 
 

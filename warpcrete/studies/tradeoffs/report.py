@@ -1,10 +1,11 @@
 """Output files of a trade-off study: tables, numbers and a figure."""
 
 import csv
+import itertools
 import math
 from typing import Any
 
-from ...core.drawing.style import legend_above, new_figure, open_frame
+from ...core.drawing.style import RUN, SERIES, legend_above, new_figure, open_frame, rgb
 from ...core.run.files import atomic_file, write_json
 from ...core.units import shown
 from .fronts import Error, front
@@ -182,7 +183,10 @@ def _number(value: float) -> str:
 
 
 FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
-MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
+STYLES = tuple(zip("osv^<>h", map(rgb, SERIES[1:])))
+"""Marker and colour of the settings that vary one accuracy parameter, in the order of the parameters."""
+FRONT = "0.5"
+"""Colour of the Pareto front and of the settings that vary several parameters, to which most of the front belongs."""
 RIGHT = 0.88  # position along the plot from which labels stand left of their points
 NEAR = 0.07  # labels closer than this fraction of the plot (vertically; twice as much horizontally) would overlap
 
@@ -197,16 +201,18 @@ def draw(trade: Trade) -> Any:
 
     figure = new_figure(f"{trade.scene_name}: {', '.join(each.title for each in trade.quantities)}", 4.8)
     axes = figure.subplots()
-    origins = [GIVEN, *(knob.name for knob in trade.knobs), COMBINED, REFERENCE]
-    for k, origin in enumerate(origins):
+    shown = {GIVEN: ("*", rgb(RUN))}
+    shown |= {knob.name: style for knob, style in zip(trade.knobs, itertools.cycle(STYLES))}
+    shown |= {COMBINED: ("D", FRONT), REFERENCE: ("P", rgb(RUN))}
+    for origin, (marker, colour) in shown.items():
         mine = [(p, p.worst) for p in trade.measured if p.origin == origin and p.worst is not None]
         if mine:
-            _series(axes, origin, mine, MARKERS.get(origin, "osv^<>hX"[k % 8]), f"C{k % 10}")
+            _series(axes, origin, mine, marker, colour)
     if any(p.suspect for p in trade.measured if p.worst is not None):
         axes.plot([], [], "o", color="0.4", markerfacecolor="white", markersize=6, label="hollow: a check failed")
     best = [(p.cost, 100 * max(p.worst.size, FLOOR)) for p in on_front(trade) if p.worst is not None]
     if best:
-        axes.plot(*zip(*best), color="0.5", drawstyle="steps-post", zorder=0, label="front")
+        axes.plot(*zip(*best), color=FRONT, drawstyle="steps-post", zorder=0, label="front")
     sizes = [max(p.worst.size, FLOOR) for p in trade.measured if p.worst is not None]
     bottom = 60 * min(sizes)
     reference = None if trade.reference is None else trade.reference.worst
@@ -226,7 +232,7 @@ def draw(trade: Trade) -> Any:
     return figure
 
 
-def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: str) -> None:
+def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: Any) -> None:
     """Draw a group of settings, such as those that vary one accuracy parameter, with their confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
@@ -253,7 +259,7 @@ def _name_levels(axes: Any, trade: Trade) -> None:
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()
     for point in trade.measured:
-        if point.origin in MARKERS or point.worst is None:
+        if point.origin in (GIVEN, COMBINED, REFERENCE) or point.worst is None:
             continue
         at = (point.cost, 100 * max(point.worst.size, FLOOR))
         x, y = into_figure.transform(at)

@@ -12,6 +12,8 @@ COLUMNS = 2
 """Number of panels in a row of the figure."""
 TITLE = 28
 """Number of characters that fit into a line of the title of a panel."""
+MOST_LABELLED = 100
+"""Ratio of the largest to the smallest value of an axis above which the axis labels powers of ten only."""
 STYLES = (
     (False, False, {"marker": "o", "color": rgb(SECOND), "markerfacecolor": "white", "label": "others, with band"}),
     (True, False, {"marker": "o", "color": rgb(SECOND), "label": "held out, with band"}),
@@ -63,7 +65,7 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
                       markersize=5, **style)  # fmt: skip
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < MOST_LABELLED * low else (1.0,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     shown = "" if unit == "1" else f" [{unit}]"
