@@ -32,9 +32,9 @@ FITTED = {
 }
 """Groups of cases, by kind, from which constants or rules of the program were taken. These groups are therefore never
 held out. Most of them were used before any groups were held out. The last two groups on blocking led to the rule on
-lightweight aggregate: one was a missed blockage, the other is the source of the rule. The constants are the height of the centre of a heap, ends of the bands of yield
-stresses from a slump and from a rheometer, the range of the friction of bends, the factor of a viscosity-modifying
-admixture, and limits of rules against blocking."""
+lightweight aggregate: one was a missed blockage, the other is the source of the rule. The constants are the height of
+the centre of a heap, ends of the bands of yield stresses from a slump and from a rheometer, the range of the friction
+of bends, the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
 
 ADDED = {
     "funnel": ("efnarc-2005",),
