@@ -160,13 +160,13 @@ ENTRIES = (
           " pipe and two bends. The colour of an aggregate is the largest contact force on it.",
           f"warpcrete study pipe --unit A B C D {PIPE} --travel 0.02 --settle 0.3 --usd --out OUT", units),
     Entry("chains", "Force chains in a bend",
-          "This picture shows the contact forces between the aggregates in a bend, drawn as lines. The dark "
-          "disc is the piston, and the forces are largest near it. The short lines at the top lie in the plug "
+          "This picture shows the contact forces between the aggregates in a bend, drawn as lines. The dark disc "
+          "is the piston, and the forces are largest near the piston. The short lines at the top lie in the plug "
           "of balls at the front of the concrete.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", chains),
     Entry("viewer", "The same bend in the viewer",
-          "This picture shows the recording of the bend in the Rerun viewer, with bodies, a cut, force chains "
-          "and curves over time, which share one timeline.",
+          "This picture shows the recording of the bend in the viewer Rerun: the aggregates, a cut through the "
+          "bend, the force chains, and curves of results. All of them share one time axis.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.15 --network --paraview --out OUT", viewer),
     Entry("blocked", "A blocked reducer",
           "This picture shows stones of 14 to 18 mm in a pipe that narrows from 80 to 36 mm. The dark stones "
@@ -176,8 +176,8 @@ ENTRIES = (
           "    --colour speed --out OUT",
           usd(direction=(0.3, -1.0, 0.25), cut=True)),
     Entry("worn", "A worn bend",
-          "This picture shows the wear of the wall of a bend. The colour is the depth that sliding stones have "
-          "worn off.",
+          "This picture shows how deep the wall of a bend is worn. The colour is the depth that sliding stones "
+          "have removed from the wall.",
           f"warpcrete run pipe --unit D {PIPE} --travel 0.3 --wear --out OUT",
           usd(direction=(-0.55, -1.0, 0.1), only_walls=True)),
     Entry("slump", "Slump test",
@@ -186,70 +186,75 @@ ENTRIES = (
           f"warpcrete run slump {CONCRETE} 500 --spacing 0.01 --duration 1 --out OUT",
           usd(time=0.5, direction=(0.25, -1.0, 0.35), opacity=0.18)),
     Entry("heap", "Shape after the slump test",
-          "The upper diagram shows the shape of concrete at rest after a slump test, and the closed form of a "
-          "heap. The lower one shows its spread and its highest point over time.",
+          "The upper diagram shows the shape of concrete at rest after a slump test, and the shape of a heap by a "
+          "closed form (a formula of theory). The lower diagram shows the spread and the highest point of the "
+          "concrete over time.",
           f"warpcrete run slump {CONCRETE} 200 --spacing 0.01 --out OUT", image("flow.png")),
     Entry("jring", "J-ring test",
-          "This picture shows grains that spread through the ring of bars of a J-ring test. The colour is their"
-          " speed.",
+          "This picture shows grains that spread through the ring of bars of a J-ring test. The colour of a "
+          "grain is its speed.",
           "warpcrete run jring-dem --size-min 0.016 --size-max 0.022 --duration 1 --lift-time 0.5 --colour speed "
           "--out OUT", usd(time=0.4, direction=(0.2, -1.0, 0.55), opacity=0.2)),
     Entry("lbox", "L-box test",
-          "This picture shows concrete that flows through two bars into an L-box while the gate opens.",
+          "This picture shows concrete in an L-box test. While the gate opens, the concrete flows past two "
+          "bars into the long, low part of the box.",
           "warpcrete run lbox --concrete own --density 2300 --viscosity 20 --yield-stress 30 --bars 2 \\\n"
           "    --bar-diameter 0.02 --spacing 0.0125 --duration 0.5 --out OUT",
           usd(direction=(0.45, -1.0, 0.35), opacity=0.2)),
     Entry("funnel", "V-funnel test",
-          "This picture shows concrete that flows out of a V-funnel. It is sheared most at the outlet.",
+          "This picture shows concrete that flows out of a V-funnel. The concrete is sheared most at the outlet.",
           "warpcrete run funnel --concrete own --density 2300 --viscosity 20 --yield-stress 20 --spacing 0.015 \\\n"
           "    --duration 1 --out OUT", usd(direction=(0.3, -1.0, 0.15))),
     Entry("line", "Pressure along a line",
-          "This picture shows the pressure along the line of the Shanghai Tower, by theory, with its likely "
-          "range, the share that the weight causes, and the pressure that was recorded at the pump.",
+          "This picture shows the pressure along the line of the Shanghai Tower by theory, with its likely "
+          "range. It also shows the part of the pressure that the weight of the concrete causes, and the "
+          "pressure that was recorded at the pump.",
           "warpcrete line shanghai-tower --theory --out OUT", image("line.png")),
     Entry("trade", "Error against time",
-          "This picture shows error and computing time for different settings of the program. Each point is a "
-          "setting. The line joins the settings that no other setting beats in both. A hollow marker means that"
-          " the run failed a check.",
+          "This picture shows the error and the computing time of a simulated flow in a channel with different "
+          "settings. Each point is one choice of settings. The line joins the points for which no other point "
+          "has both a smaller error and a shorter time. A hollow marker means that the run failed a check.",
           "warpcrete trade channel --budget 40s --out OUT", image("trade.png")),
     Entry("posterior", "What measurements determine",
-          "This picture shows which slip layers agree with the wall stresses that were measured at two flows. "
-          "The two histograms show how likely each viscosity (top) and each yield stress (right) of the layer "
-          "is. The map shows how likely both are together: only a narrow band is likely.",
+          "The wall stress of a concrete was measured at two flows. This picture shows which slip layers agree "
+          "with these stresses. The two histograms show how likely each viscosity (top) and each yield stress "
+          "(right) of the slip layer is. The map shows how likely a pair of viscosity and yield stress is: only "
+          "a narrow band of pairs is likely.",
           "warpcrete calibrate notebooks/targets/two_flows.yaml --trials 14 --out OUT",
           image("calibration.png")),
     Entry("migration", "Migration of stones",
           "This picture shows how the share of aggregate in the concrete of a channel changes, in percentage "
           "points since the start. The curves are for the front half, the rear half, the region near the axis "
-          "and the region near the wall. Each jump of a curve is one grain that crosses a border.",
+          "and the region near the wall. A curve jumps whenever a grain crosses the border of such a region.",
           MIGRATION, lambda folder: None),
     Entry("mortar", "Stones in mortar",
-          "This picture shows grains and mortar that flow through a channel. The grains are rigid, and the "
-          "mortar beside the wall is sheared.",
+          "This picture shows grains and mortar that flow through a channel. The grains are rigid, so only the "
+          "mortar is sheared, mainly beside the wall.",
           "warpcrete run channel --aggregates --spacing 0.005 --duration 0.05 --out OUT",
           image("flow.png")),
     Entry("validation", "Predicted against measured",
-          "This picture compares predicted values with measured ones, each with its likely range. Filled points"
-          " are measurements that are never used for a fit.",
+          "This picture compares predicted values with measured ones. The vertical bars are the likely ranges of "
+          "the predictions. Filled points are measurements that are never used for a fit.",
           "warpcrete validate --quick --out OUT", image("validation.png")),
     Entry("strokes", "Two strokes with a stop",
-          "This picture shows the pressure on a piston that stops and starts again.",
+          "This picture shows the pressure on the piston of a pump that makes two strokes with a stop between "
+          "them.",
           "warpcrete run pipe --unit horizontal --concrete no2 --diameter 0.1 --length 0.25 --ramp 0.02 \\\n"
           "    --strokes 2 --stroke 0.1 --pause 0.3 --out OUT", image("pressure.png")),
     Entry("clumps", "Clumps in a bend",
-          "This picture shows aggregates that are clumps, rigid bodies of several spheres, in a bend. It is "
-          "drawn from the USD scene of the run, which Blender can open as well.",
+          "This picture shows aggregates in a bend. Each aggregate is a clump, a rigid body of several spheres. "
+          "The picture is drawn from the scene of the run in the 3D format USD, which Blender can open as well.",
           "warpcrete run pipe --unit C --shapes reference --diameter 0.1 --length 0.25 --elbow-radius 0.25 \\\n"
           "    --size-min 0.012 --size-max 0.024 --travel 0.02 --settle 0.2 --colour size --out OUT",
           usd(direction=(0.35, -1.0, 0.3), cut=True)),
     Entry("lumps", "Hydrated lumps",
-          "This picture shows lumps of aggregates in a pipe after they were pushed. The aggregates of a lump "
-          "are joined by hydrated bonds, which are much stiffer than other bonds. The eight largest lumps have "
-          "colours of their own. All other aggregates are small and pale.",
+          "This picture shows lumps of aggregates in a pipe after a piston has pushed the concrete. The "
+          "aggregates of a lump are joined by hydrated bonds, which are much stiffer than other bonds. The eight "
+          "largest lumps have colours of their own. All other aggregates are drawn smaller and paler.",
           f"warpcrete run pipe --unit A {PIPE_A} --travel 0.05 --hydration 0.1 --network --paraview --out OUT", lumps),
     Entry("reducer", "Inside a reducer",
           "This picture shows the speed of the concrete in a reducer that is cut open. The concrete moves as a "
-          "plug, which becomes faster.",
+          "plug, which becomes faster because the reducer becomes narrower.",
           REDUCER, lambda folder: None),
     Entry("paraview", "A file for ParaView",
           "This picture shows concrete in a bend. The colour is the pressure without the part that the weight "
@@ -262,12 +267,14 @@ ENTRIES = (
           image("flow.png")),
     Entry("study", "A parameter study",
           "This picture shows slump and spread over the yield stress (top) and over the viscosity (bottom) of "
-          "the concrete. Each colour is a value of the other parameter. The two markers are slump and spread.",
+          "the concrete. In the upper diagram, each colour is a viscosity. In the lower diagram, each colour is "
+          "a yield stress. Circles are slumps, and squares are spreads.",
           "warpcrete study slump --concrete own --density 2300 --yield-stress 100 300 500 --viscosity 20 60 \\\n"
           "    --spacing 0.0125 --out OUT", image("study.png")),
     Entry("restart", "Pressure after a rest",
-          "This picture shows the pressure that starts 100 m of pipe again after a rest, by theory. The three "
-          "curves are for three rates at which the concrete stiffens at rest.",
+          "This picture shows the pressure that is needed to move the concrete in 100 m of pipe again after a "
+          "rest, by theory. The three curves are for three rates at which the yield stress of the concrete grows "
+          "at rest.",
           RESTART, lambda folder: None),
 )  # fmt: skip
 
