@@ -12,7 +12,7 @@ from warpcrete.suspension.stretch.scene import StretchScene
 @pytest.mark.parametrize("name", ["slump", "funnel", "lbox", "jring", "tube", "channel", "part", "pipe"])
 def test_the_defaults_of_a_suspension_fit_together(name):
     target = scenes.by_method(name, "suspension")
-    scene = scenes.modules()[target].scene(**scenes.suspended(name))
+    scene = scenes.modules()[target].scene(**scenes.suspended(name, bend=False))
     assert isinstance(scene, (SuspensionScene, PartSuspensionScene, StretchScene)) and scene.aggregate_fraction == 0.2
     assert scene.aggregate_diameters[0] == scene.aggregate_diameters[1] >= 0.99 * USUAL_CELLS * scene.spacing
 
@@ -20,7 +20,8 @@ def test_the_defaults_of_a_suspension_fit_together(name):
 def test_given_parameters_replace_those_of_the_method():
     words = ["run", "slump", "--precision=float32", "--method", "suspension", "--aggregate-fraction", "0.1"]
     assert by_method(words[1:]) == ["slump", "--precision=float32", "--aggregate-fraction", "0.1"]
-    assert by_method(["--quiet", "lbox", "--method=suspension"]) == ["--quiet", "lbox", "--aggregate-fraction", "0.2"]
+    added = ["--aggregate-fraction", "0.2", "--time-step", "0.1"]
+    assert by_method(["--quiet", "lbox", "--method=suspension"]) == ["--quiet", "lbox", *added]
 
 
 def test_a_pipe_becomes_a_part_of_the_same_unit():
