@@ -26,6 +26,7 @@ from warpcrete.geometry.lines import check_crossing, read_line
 from warpcrete.geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, bore_of
 from warpcrete.geometry.meshes import load
 from warpcrete.geometry.one_pipe import (
+    IN_BENDS,
     check_return,
     check_straight_ends,
     ends,
@@ -58,7 +59,6 @@ AGGREGATE_REMARKS = (
 suspension = {"aggregate_fraction": 0.2, "spacing": 0.005}
 """Values of parameters that the option `--method suspension` sets if the user does not set them."""
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
-IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
 MIN_LEG_DISTANCE = 3.0
 """Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
 belongs to both stretches."""

@@ -21,8 +21,8 @@ def block_kernel(scalar, serial: bool, of: GridKind, kind: BodyKind):
     The reduced matrix is P^T A P, with the viscous matrix A of all faces and the matrix P of rigid motions, see
     `bodies.py`. An aggregate has one block for its velocity and one for its spin. The inverses precondition the
     conjugate gradients, without the coupling of velocity and spin. The kernel also computes `resistance`, which the
-    preconditioner of the coupled solve needs. The tasks of the kernel work on the aggregates,
-    which :func:`share_of_body` distributes.
+    preconditioner of the coupled solve needs. The tasks of the kernel work on the aggregates, which
+    :func:`share_of_body` distributes.
     """
     t = mps_types(scalar, 3)
     vec, mat = t.vec, t.mat

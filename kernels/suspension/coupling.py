@@ -37,7 +37,7 @@ YIELDING = wp.constant(0.4)
 This part is the inflow times YIELDING / (D a^-1 D^T), where D maps face velocities to net inflows and a is the diagonal
 of the viscous matrix. The factor was chosen by the number of iterations in eight flows."""
 
-CARRIED = wp.constant(0.5)
+BODY_RESISTANCE = wp.constant(0.5)
 """Factor of the mean resistance of an aggregate's faces in the matrix of the preconditioner's pressure solve.
 
 With factors from 0.2 to 1, the coupled solve needs the same number of iterations."""
@@ -148,11 +148,12 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         A pressure gradient that changes slowly in space accelerates mortar, and drives it past aggregates and walls.
         The resistance of a face to this motion is its inertia plus a part of its viscous resistance. The viscous
         resistance is the diagonal of the viscous matrix without inertia, and `drag` is the part that counts. Faces that
-        move with an aggregate have CARRIED times the mean resistance of its faces instead, because the diagonal of the
-        viscous matrix is 0 within aggregates. A matrix with such faces would be so ill-conditioned in long time steps
-        that a pressure solve would need a hundred iterations. `yielding`
-        is YIELDING times the pressure per net inflow if the velocities of all other faces are fixed. It is 0 if all
-        faces of the cell move with aggregates, because the cell's pressure then has no effect.
+        move with an aggregate have BODY_RESISTANCE times the mean resistance of its faces instead, because their
+        viscous resistance is 0 inside the aggregate. A matrix with such faces would be so ill-conditioned in long time
+        steps that a pressure solve would need a hundred iterations.
+
+        `yielding` is YIELDING times the pressure per net inflow if the velocities of all other faces are fixed. It is 0
+        if all faces of the cell move with aggregates, because the cell's pressure then has no effect.
         """
         if flags[HALTED] != 0:
             return
@@ -171,7 +172,7 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                         inertia = g.density * mesh.volume[r] / scalar(mesh.clock[DT])
                         viscous = wp.max(matrix.diagonal[r] - inertia, scalar(0.0))
                         if cover.owner[r] != 0:
-                            viscous = scalar(CARRIED) * bodies.resistance[cover.owner[r] - 1]
+                            viscous = scalar(BODY_RESISTANCE) * bodies.resistance[cover.owner[r] - 1]
                         ease = area * area / (mesh.volume[r] * (scalar(1.0) + drag * viscous / inertia))
                         diagonal += ease
                         next = f.at(g, f.moved(c, axis, 2 * side - 1))

@@ -206,7 +206,7 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def is_cut(g: Grid, geometry: Geometry, number: wp.int32) -> wp.bool:
-        """Return whether a wall cuts a cell, which is the case if the open areas of two opposite faces differ."""
+        """Return whether a wall cuts a cell or closes one of its sides, so that open areas of opposite faces differ."""
         if wp.static(of.cut):
             c = places.cell(g, number)
             for axis in range(3):
@@ -220,8 +220,8 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
         """Find cells of which all faces but one move with the same aggregate, and mark the remaining face.
 
         Mortar is incompressible, so the remaining face has the aggregate's velocity anyway. This is not so if a wall
-        cuts the cell. The result is stored in `closing` and `closer`, because other tasks of this kernel still read
-        `claims` and `owner`.
+        cuts the cell or closes one of its sides. The result is stored in `closing` and `closer`, because other tasks of
+        this kernel still read `claims` and `owner`.
         """
         if flags[HALTED] != 0:
             return
@@ -262,9 +262,9 @@ def release_kernels(scalar, of: GridKind) -> SimpleNamespace:
         """Find the cells that would prevent two aggregates, or an aggregate and a wall, from moving apart.
 
         In such a cell, two faces move with different aggregates, or the centre of a face lies in two aggregates, or
-        each face moves with an aggregate or belongs to a wall. If a wall cuts the cell, the faces that move with the
-        aggregate let in more mortar than out, or less, so one free face is not enough either: two cells at the wall
-        that share their only free face would form a closed pocket.
+        each face moves with an aggregate or belongs to a wall. If a wall cuts the cell or closes one of its sides, the
+        faces that move with the aggregate let in more mortar than out, or less. One free face is then not enough
+        either, because two cells at the wall that share their only free face would form a closed pocket.
         """
         if flags[HALTED] != 0:
             return

@@ -32,6 +32,7 @@ def test_a_pipe_becomes_a_part_of_the_same_unit():
     assert all(getattr(pipe(), name) == values[name] for name in (*scenes.PIPE_AS_PART, "elbow_radius"))
     assert part(**scenes.suspended("pipe", bend=False)).unit == "vertical"
     assert "--elbow-radius" not in found
+    assert "--elbow-radius" not in by_method(["pipe", "--method", "suspension", "--out", "bend-run"])
     bend = by_method(["pipe", "--method", "suspension", "--unit=bend-to-vertical"])
     assert bend[bend.index("--elbow-radius") + 1] == "0.5"
 

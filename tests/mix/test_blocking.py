@@ -32,6 +32,8 @@ LIGHT_PARTS = {"lightweight coarse aggregate": 470, "sand": 800, "water": 180}
         ({**LIGHT, "density": 1999, "slump": 0.1}, "risky"), ({**LIGHT, "density": 2000, "slump": 0.1}, None),
         ({"slump": 0.2, "parts": {**LIGHT_PARTS, "cement": 320}}, "risky"),
         ({"slump": 0.2, "parts": {**LIGHT_PARTS, "cement": 321}}, "fine"),
+        ({"slump": 0.2, "parts": {**LIGHT_PARTS, "cement": 200, "fly ash": 130}}, "risky"),
+        ({**LIGHT, "concrete": {"yield_stress": 100, "viscosity": 30}}, "unknown"),
     ],
 )  # fmt: skip
 def test_lightweight_concrete_needs_slump_and_cement(entries, verdict):

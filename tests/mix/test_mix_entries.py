@@ -285,7 +285,7 @@ def test_a_mix_that_leaves_much_air_points_to_moist_sand():
     [
         (["#67 stone"], {}, (0.00475, 0.019)), (["# 57 limestone", "#8 pea gravel"], {}, (0.00236, 0.025)),
         (["#67 stone"], {"sizes": "10 mm"}, (0.004, 0.01)), (["gravel"], {}, None), (["#99 stone"], {}, None),
-        (["#67 stone"], {"sieve": {4: 0, 16: 1}}, None),
+        (["#67 stone"], {"sieve": {4: 0, 16: 1}}, None), (["gravel", "sand #8"], {}, None),
     ],
 )  # fmt: skip
 def test_a_size_number_in_the_name_of_a_part_is_the_size_of_the_stones(names, more, sizes):

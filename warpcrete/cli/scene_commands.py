@@ -53,7 +53,7 @@ def by_method(arguments: list[str]) -> list[str]:
     scenes, name = importlib.import_module("warpcrete.scenes"), left[place]
     left[place] = scenes.by_method(name, method)
     known = {word.partition("=")[0] for word in left}
-    bend = any(word.removeprefix("--unit=").startswith("bend") for word in left)
+    bend = "--unit=bend" in "=".join(left)
     values = scenes.suspended(name, bend) if method == "suspension" else {}
     words = {f"--{key.replace('_', '-')}": str(value) for key, value in values.items()}
     more = [text for flag, value in words.items() if flag not in known for text in (flag, value)]

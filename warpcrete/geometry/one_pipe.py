@@ -10,12 +10,16 @@ import numpy as np
 
 from ..core.errors import refuse
 from ..core.inputs.amounts import amount
+from ..core.inputs.parameters import Needs
 from ..core.inputs.text_files import errors_located_at
 from .axis import Axis, Line
 from .bores import Bores
 from .lines import line_file
 from .mesh_parts import WAYS, Way, bore_of
 from .pipe_line import PipeLine
+
+IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
+"""Rule for the dimensions of a bend, which have no effect if the unit of a part is straight."""
 
 MAX_LENGTH_RATIO = 10_000
 """Largest length of a simulated pipe divided by the pipe's diameter."""

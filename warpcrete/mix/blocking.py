@@ -13,7 +13,7 @@ from typing import Any
 from ..geometry.pipe_line import Part, PipeLine
 from .entries import MixEntries
 from .figures import short
-from .ingredients import powder_mass, water_mass
+from .ingredients import cement_mass, powder_mass, water_mass
 
 VERDICTS = ("fine", "unknown", "risky", "blocks")
 """Verdicts of a rule, from the best to the worst; 'unknown' means that the mix lacks an entry that the rule needs."""
@@ -296,12 +296,15 @@ def lightweight(mix: MixEntries) -> Iterator[RuleVerdict]:
         return
     name, slump_limit = "lightweight aggregate", f"more than {1e3 * LIGHTWEIGHT_SLUMP:g} mm"
     words, good = f"density {mix.density:.4g} kg/m3", True
+    if mix.slump is None and mix.spread is None and not mix.parts:
+        yield RuleVerdict(name, "unknown", words, "add slump or parts to the mix", CHECK_LIST)
+        return
     if mix.slump is not None and mix.spread is None:
         words += f"; slump {1e3 * mix.slump:g} mm, {slump_limit} is safe"
         good = mix.slump > LIGHTWEIGHT_SLUMP + 1e-9
     if mix.parts:
-        cement = powder_mass(mix.parts)
-        words += f"; {cement:.4g} kg/m3 of cement and other powder, more than {LIGHTWEIGHT_CEMENT:g} is safe"
+        cement = cement_mass(mix.parts)
+        words += f"; {cement:.4g} kg/m3 of cement, more than {LIGHTWEIGHT_CEMENT:g} is safe"
         good = good and cement > LIGHTWEIGHT_CEMENT
     change = "soak the aggregate before mixing, raise the slump with a plasticizer, or add cement, and test the pumping"
     yield RuleVerdict(name, "fine" if good else "risky", words, "" if good else change, CHECK_LIST)

@@ -47,6 +47,8 @@ LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer"
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer")  # fmt: skip
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
+CEMENTS = ("cement", "clinker", "cem", "opc", "type", "binder")
+"""Words in the names of ingredients that are cement."""
 GENERAL = ("type", "powder", "binder")
 """Words that tell only that an ingredient is powder. Another known word in its name, such as "limestone" in "limestone
 powder", says of which kind."""
@@ -102,6 +104,11 @@ def is_plasticizer(name: str) -> bool:
 def powder_mass(parts: Mapping[str, float]) -> float:
     """Return the mass of powder (cement, ash, slag, filler) among the ingredients [kg/m3]."""
     return sum(mass for name, mass in parts.items() if _noun(name) in POWDERS)
+
+
+def cement_mass(parts: Mapping[str, float]) -> float:
+    """Return the mass of cement among the ingredients [kg/m3]."""
+    return sum(mass for name, mass in parts.items() if _noun(name) in CEMENTS)
 
 
 def water_mass(parts: Mapping[str, float]) -> float:

@@ -128,7 +128,8 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
     """
     if "sieve" in given:
         return None
-    numbers = (found for name in masses for found in re.findall(r"#\s*\d+", name))
+    stones = (name for name in masses if not re.search(r"\b(sand|fine)", name, re.IGNORECASE))
+    numbers = (found for name in stones for found in re.findall(r"#\s*\d+", name))
     sizes = [SIZE_NUMBERS[number] for each in numbers if (number := each.replace(" ", "")) in SIZE_NUMBERS]
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 

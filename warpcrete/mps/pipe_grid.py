@@ -19,11 +19,12 @@ def pipe_cells(scene: FluidScene) -> tuple[int, int]:
     """Return the number of cells across a pipe and the number of cells along it.
 
     A whole number of cells fits across a channel, or into the radius of a tube. This number is chosen such that the
-    width of a cell is nearest to the scene's `spacing`.
+    width of a cell is nearest to the scene's `spacing`. A periodic grid needs three cells along the pipe, so that no
+    two neighbours of a cell are the same.
     """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))
-    return nx, max(2, round(scene.length * nx / across))
+    return nx, max(3, round(scene.length * nx / across))
 
 
 def pipe_layout(scene: FluidScene) -> GridLayout:

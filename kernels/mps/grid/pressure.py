@@ -12,6 +12,7 @@ from .cells import (
     CELLS_PER_SECOND,
     DT,
     FORCE,
+    LAST,
     LAST_FORCE,
     LIQUID,
     OPEN,
@@ -68,7 +69,11 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
             # Concrete has just reached this cell, so its last pressure change is not known.
             return scalar(0.0)
         viscous_number = mesh.in_cell[number] * scalar(mesh.clock[DT]) / (g.density * g.width[0] * g.width[0])
-        return scalar(CARRIED) * viscous_number / (viscous_number + scalar(STIFF)) * mesh.pressure_change[number]
+        part = scalar(CARRIED) * viscous_number / (viscous_number + scalar(STIFF))
+        if mesh.clock[DT] < mesh.clock[LAST]:
+            # The pressure changes less in a shorter step.
+            part *= scalar(mesh.clock[DT] / mesh.clock[LAST])
+        return part * mesh.pressure_change[number]
 
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(

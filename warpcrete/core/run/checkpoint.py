@@ -19,7 +19,7 @@ from ..narrowing import is_dict, is_host_array, is_numpy_number
 from .files import cannot_write, partial_of
 from .provenance import processor, versions
 
-FORMAT = 7
+FORMAT = 8
 
 
 class RunRecord(TypedDict):

@@ -19,7 +19,14 @@ from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import FACETS, Bores
 from ...geometry.lines import check_crossing, read_line
 from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of
-from ...geometry.one_pipe import check_return, check_straight_ends, ends, parameters_from_line, parameters_from_mesh
+from ...geometry.one_pipe import (
+    IN_BENDS,
+    check_return,
+    check_straight_ends,
+    ends,
+    parameters_from_line,
+    parameters_from_mesh,
+)
 from ...geometry.pipe_line import Part, PipeLine
 from ..laws import LawChoice, WallLawChoice
 from .parameter_groups import (
@@ -35,7 +42,6 @@ from .parameters import COARSENINGS, UPRIGHT, WIDEST_STONE, ConcreteDefaults, co
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ALONE = Needs("line", lambda line: line is None, "is left out")
-IN_BENDS = Needs("unit", lambda unit: unit.startswith("bend"), "is a bend", refused=False)
 
 
 def _is_given(value: Any) -> bool:

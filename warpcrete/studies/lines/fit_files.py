@@ -65,7 +65,7 @@ def write_fit(
         _write(folder / BENDS_FILE, {"bend_factor": {key: float(value) for key, value in entry.items()}})
         said.append(f"the fitted factor of bends: copy the entry 'bend_factor' of {folder / BENDS_FILE} into the file "
                     "of the other line")  # fmt: skip
-    return said if fit.contradiction is None else [f"{line}{warning}" for line in said]
+    return said if fit.contradiction is None else [f"{each}{warning}" for each in said]
 
 
 def _write(path: Path, contents: Mapping[str, Any]) -> None:

@@ -127,8 +127,8 @@ def _deviation_by_fittings(fit: LineFit, line: PipeLine, concrete: Concrete) -> 
 
     If the fittings of one kind have a larger friction than assumed, the same gauges give a layer with less resistance.
     The effects of both ends of their range are averaged in squares, because only one of them can occur. The effects of
-    several kinds are added in squares. Bends are left out if their factor was fitted, because the errors
-    of the fit contain their effect.
+    several kinds are added in squares. Bends are left out if their factor was fitted, because the errors of the fit
+    contain their effect.
     """
     eta, tau = (each.value for each in fit.constants[:2])
     friction = _friction_behind_gauges(fit, line, concrete)

@@ -179,12 +179,10 @@ class LineFit:
         the slip layer, because both together give the measured pressures.
         """
         own = self.concrete(concrete)
-        low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         if self.layer_ends:
-            low, high = (
-                replace(end, slip_viscosity=eta, slip_yield=tau)
-                for end, (eta, tau) in zip((low, high), self.layer_ends, strict=True)
-            )
+            low, high = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.layer_ends)
+        else:
+            low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         found = {"slip layer": (low, high)}
         if self.yield_layers:
             thick, thin = (replace(own, slip_viscosity=eta, slip_yield=tau) for eta, tau in self.yield_layers)

@@ -89,8 +89,9 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
     `straight` maps the number of each part of the line to the friction [Pa] of a straight pipe with the length and
     bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m].
 
-    If the line's file states the friction of a part, as `factor` or `equivalent`, each rule uses this friction instead
-    of its own figure: the rule's friction of straight pipe, multiplied by the factor. The weight is added.
+    If the line's file states the friction of a part, as `factor` or `equivalent`, or a fit has found it, each rule uses
+    this friction instead of its own figure: the rule's friction of straight pipe, multiplied by the factor. The weight
+    is added.
     """
 
     def per_metre(part: Part) -> float:
@@ -130,21 +131,24 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
         outside = any(part.kind == "hose" and not lengths[0] <= part.length <= lengths[1] for part in others)
         return f"; {OTHER_HOSES}" if outside else ""
 
+    stated = "; parts with a stated or fitted friction keep it" if len(others) < len(parts) else ""
     longest = max(parts, key=lambda part: part.length if part.kind == "straight" else 0.0)
     metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
     return [
         _row("AIJ", parts, aij,
                     "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
-                    f"this result, {metre / 1e3:.3g} kPa/m in the longest part{_as_straight(kinds, AIJ_OTHERS)}", AIJ),
+                    f"this result, {metre / 1e3:.3g} kPa/m in the longest part"
+                    f"{_as_straight(kinds, AIJ_OTHERS)}{stated}", AIJ),
         _row("JSCE", parts, jsce,
                     f"a metre of rise counts as {counted:.3g} m of level pipe, or {counted * metre / 1e3:.3g} "
                     f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa; the rise of bends, "
                     f"reducers and hoses does not count, and falling pipe counts as level{hoses(JSCE_HOSE_LENGTHS)}"
-                    f"{_as_straight(kinds, JSCE_OTHERS)}", JSCE),
+                    f"{_as_straight(kinds, JSCE_OTHERS)}{stated}", JSCE),
         _row("JGJ/T 10", parts, jgj,
                     f"{JGJ_LEVEL / 1e3:g} kPa/m level and {JGJ_RISE / 1e3:g} kPa/m of rise, whatever the concrete "
-                    "and the flow; without the rule's 1 bar for each coupling and its 28 bar for the pump itself"
-                    f"{hoses(JGJ_HOSE_LENGTHS)}{_as_straight(kinds, JGJ_OTHERS)}", JGJ),
+                    "and the flow; only the rise of straight pipe counts; without the rule's 1 bar for each coupling "
+                    "and its 28 bar for the pump itself"
+                    f"{hoses(JGJ_HOSE_LENGTHS)}{_as_straight(kinds, JGJ_OTHERS)}{stated}", JGJ),
     ]  # fmt: skip
 
 

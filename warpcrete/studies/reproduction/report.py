@@ -232,7 +232,7 @@ def draw(found: Reproduction) -> Any:
             scatter = np.array([np.std(values, ddof=1) if len(values) > 1 else 0.0 for values in each]) / 1e3
             if np.any(np.isfinite(means)):
                 axes.errorbar(row.places, means, yerr=scatter, fmt="o-" if name in CONCRETES else "s--", ms=4,
-                              capsize=3, color=rgb(SERIES[number_of]), label=name)  # fmt: skip
+                              capsize=3, color=rgb(SERIES[number_of % len(SERIES)]), label=name)  # fmt: skip
         if row.printed:
             printed = [value / 1e3 for value in row.printed.values()]
             axes.plot(list(row.printed), printed, "x", color=rgb(MEASURED), ms=8, label="paper")
