@@ -24,7 +24,7 @@ CONCRETES = {
     "stiffer": {"viscosity": 50.0, "yield_stress": 200.0, "slip_viscosity": 2000.0, "slip_yield": 40.0},
 }
 SIZES = {"slump": (6e-3, 9e-3), "funnel": (10e-3, 14e-3), "lbox": (8e-3, 12e-3)}
-"""Of grains [m]: smallest and largest."""
+"""Smallest and largest diameter of the grains [m]."""
 DURATION = {"slump": 6.0, "funnel": 30.0, "lbox": 8.0}
 OWN: dict[str, dict[str, float]] = {"slump": {"lift_time": 1.0}, "funnel": {}, "lbox": {}}
 SHOWN = {"slump": ("slump", "spread"), "funnel": ("funnel_time",), "lbox": ("passing_ratio",)}

@@ -40,7 +40,7 @@ def channel(job: tuple[dict, str | None]) -> tuple[dict, dict]:
 
 
 class Studies:
-    """What all studies share: the device, the folder, runs."""
+    """Device, folder and runs, which all studies share."""
 
     def __init__(self, device: str | None, folder: Path, fine: float, migration: float, seeds: int) -> None:
         self.device, self.folder, self.fine, self.migration_time = device, folder, fine, migration
@@ -361,7 +361,7 @@ def _scattered(values, digits: int = 2) -> str:
 
 
 def _standard_error(values) -> np.ndarray:
-    """Of the mean over the first axis."""
+    """Return the standard error of the mean over the first axis."""
     return np.std(values, axis=0, ddof=1) / np.sqrt(len(values))
 
 

@@ -1,4 +1,4 @@
-"""What flows on a grid are checked by, as tables and a figure.
+"""Checks of flows on a grid, as tables and a figure.
 
     python notebooks/grid_studies.py --device cpu --out studies
 
@@ -181,7 +181,7 @@ class GridStudies(Studies):
         self.write("box", head, rows, "2300 kg/m3, gate lifted in 0.5 s, 10 s at most; concrete sticks to the walls.")
 
     def parts(self) -> None:
-        """What a bend and a reducer lose beside straight pipe, for three concretes, over the spacing."""
+        """Measure the loss of a bend and of a reducer beside straight pipe, for three concretes, over the spacing."""
         own = {"concrete": "own", "density": 2350.0, "viscosity": 30.0, "yield_stress": 40.0}
         mixes = {
             "No. 1": {"concrete": "no1"},

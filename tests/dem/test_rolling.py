@@ -193,7 +193,7 @@ def crowd(count=5, law=LAW):
 
 @pytest.mark.thorough
 def test_a_heap_moves_the_same_in_half_and_full_lists():
-    """As a CPU and as a GPU steps: what is summed is the same in another order, and loses the same energy."""
+    """A sum in the order of a CPU and one in the order of a GPU lose the same energy."""
     found = []
     for gpu in (False, True):
         with divide_work_like_gpu() if gpu else nullcontext():

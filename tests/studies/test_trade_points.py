@@ -1,4 +1,4 @@
-"""What one setting of a trade-off study tells of its runs: cost, work, memory, failure and suspicious results."""
+"""Measures of one setting of a trade-off study: cost, work, memory, failure and suspicious results of its runs."""
 
 import math
 from itertools import permutations
