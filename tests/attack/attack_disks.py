@@ -19,7 +19,7 @@ from pathlib import Path
 from pumping import TINY
 
 SIZES = [16, 24, 32, 40, 48, 64, 80, 96, 112, 128, 160, 200, 256, 320, 400, 512, 700, 1000, 1600, 3000]
-"""Of the disks [KiB]."""
+"""Sizes of the disks [KiB]."""
 ROOM = "40m"
 BLOCK = 4096
 """Bytes that a disk has that is not full."""

@@ -24,7 +24,7 @@ class Attack:
     kind: str
     label: str
     words: str
-    """As typed behind the name of the command."""
+    """Arguments as a user types them after the name of the command."""
     says: str = ""
     """Expression that the answer holds."""
     files: dict[str, Content] = field(default_factory=dict)

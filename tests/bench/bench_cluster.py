@@ -33,7 +33,7 @@ def study(folder: Path, cases: int, arguments, *more: str) -> float:
 
 
 def hashes(folder: Path) -> list[str]:
-    """Of the cases' last states, in their order."""
+    """Return the hashes of the cases' last states, in the order of the cases."""
     found = sorted(folder.glob("**/result.json"))
     return [json.loads(path.read_text(encoding="utf-8"))["state_hash"] for path in found]
 

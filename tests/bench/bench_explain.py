@@ -1,4 +1,4 @@
-"""What `explain` foretells beside what runs take: wall time, steps, memory, of twelve scenes.
+"""Compare the predictions of `explain` with runs of twelve scenes: wall time, steps, memory.
 
 python tests/bench/bench_explain.py [--device cuda] [--only WORD]
 """

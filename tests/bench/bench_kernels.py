@@ -1,4 +1,4 @@
-"""What each kernel of a step, an estimate of the stable step and a rebuild takes on a GPU, one by one.
+"""Measure the time of each kernel of a step, of an estimate of the stable step and of a rebuild on a GPU, one by one.
 
     python tests/bench/bench_kernels.py --sizes 10000 100000 1000000 --kinds spheres clumps
     python tests/bench/bench_kernels.py --cases 24
@@ -32,7 +32,7 @@ REGISTERS = 4
 
 
 def registers(stage: Stage) -> int | str:
-    """Of a thread; unknown where the driver does not say."""
+    """Return the number of registers of a thread, or "-" if the driver does not tell it."""
     try:
         handle = stage.kernel.module.load(stage.device, stage.block).get_kernel_hooks(stage.kernel).forward
         found = ctypes.c_int()

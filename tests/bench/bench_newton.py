@@ -36,7 +36,7 @@ SECTORS = 36
 
 @dataclass
 class Outcome:
-    """What a run came to: lengths [m], times [s], speed [m/s]."""
+    """Results of a run: lengths [m], times [s], speed [m/s]."""
 
     particles: int
     slump: float

@@ -137,7 +137,7 @@ def tetrahedron() -> clumps.ClumpTemplate:
 
 @dataclass
 class Start:
-    """What every run of a case starts from."""
+    """Starting state of every run of a case."""
 
     scene: Scene
     case: dict

@@ -170,8 +170,11 @@ def timed(recorder):
 
 
 def recording_cost(arguments) -> None:
-    """What recorders cost a pumping run at 50 frames a simulated second: by how much it is longer with them than
-    without, run by turns, and of that the time inside their methods, for which the run is held."""
+    """Measure and print the cost of recorders for a pumping run at 50 frames a simulated second.
+
+    The cost is the extra time of a run with recorders over a run without recorders; the runs take turns. The table also
+    shows the time inside the recorders' methods, during which the run waits.
+    """
     from warpcrete import Simulation, scenes
     from warpcrete.record.rerun import RerunRecorder
     from warpcrete.record.usd import UsdRecorder

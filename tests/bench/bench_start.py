@@ -24,7 +24,7 @@ print("first step after", time.perf_counter() - begun)
 SMALL = "length=0.12, diameter=0.08, ramp=0.02, travel=0.002, settle=0.0, size_min=8e-3, size_max=16e-3"
 
 PLAIN = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-"""As a user has it: Python keeps what it made of the sources."""
+"""Environment as a user has it, in which Python keeps the bytecode that it compiles from the sources."""
 
 
 def timed(code: str, **environment: str) -> tuple[float, str]:

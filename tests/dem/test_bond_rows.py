@@ -61,7 +61,7 @@ def rows_of(state):
 
 
 def is_bond(value) -> bool:
-    """Of a value of `pair_history`."""
+    """Return whether a value of `pair_history` describes a bond."""
     return int(np.frombuffer(value[1], np.int32)[0]) > 0
 
 
@@ -193,7 +193,11 @@ def test_room_is_given_to_all_scenes_that_will_want_it_soon(device, way, packed)
 
 @WAYS
 def test_a_pair_that_is_let_go_of_bonds_again_without_load(device, way):
-    """As at t = 0, when bonds that healed while settling are let go of: those that do not touch then may later."""
+    """A pair whose loaded bond is released has no load after the lists are rebuilt.
+
+    A run releases bonds in this way at t = 0, if they healed during settling. Pairs that do not touch at t = 0 may bond
+    again later.
+    """
     with nullcontext() if device.startswith("cuda") else way():
         bonds = strong(healing=True)
         scene = two_spheres(gap=1e-6, velocity=(0.01, 0.0, 0.0), bonds=bonds, dt=1e-6)

@@ -234,7 +234,7 @@ def test_hydration_takes_the_fraction_asked_for(start):
 
 
 def test_another_seed_hydrates_other_bonds_of_the_same_packing(start):
-    """And the same seed the same ones."""
+    """The same seed hydrates the same bonds, and another seed hydrates other bonds."""
     found = []
     small = dict(length=0.08, diameter=0.06, ramp=0.0, travel=1e-3, settle=0.0, size_min=8e-3, size_max=12e-3)
     scene = scenes.pipe(hydration=0.3, hydration_modulus=1e5, plug="plate", **small)

@@ -93,7 +93,10 @@ def test_a_mesh_is_known_by_its_area_and_by_what_is_free(tmp_path, shape):
 
 
 def test_a_thick_wall_is_the_bore_in_it(tmp_path):
-    """What a wall of 5 mm has outside is no place for aggregates."""
+    """The outer surface of a closed wall 5 mm thick does not widen the bore.
+
+    Aggregates are packed only inside the bore.
+    """
     path = thick(tmp_path, [0.04, 0.03])
     scene: Any = scenes.part_dem(**SMALL | {"wall": path, "wall_scale": 1e-3, "size_min": 16e-3})
     thin: Any = scenes.part_dem(**SMALL | made(tmp_path, "cone"))

@@ -74,7 +74,7 @@ def test_collision_duration_gives_the_stiffness(start):
 
 @pytest.mark.parametrize("shape", ["spheres", "clumps"])
 def test_oblique_impact_conserves_momentum_and_angular_momentum(start, shape):
-    """Of two bodies of different sizes and densities, so that neither arms nor masses are alike."""
+    """Two bodies of different sizes and densities collide, so that their lever arms and their masses differ."""
     pair = clump("pair", np.array([[0.0, 0.0, 0.0], [0.0, 0.9, 0.2]]), np.array([0.6, 0.45]))
     turned = None if shape == "spheres" else [np.array([0.5, -0.1, 0.4, 0.76]) / np.linalg.norm([0.5, -0.1, 0.4, 0.76])]
     bodies = tuple(
@@ -345,8 +345,10 @@ def test_coincident_centres_part(start):
 
 @pytest.mark.parametrize("direction", [(1, 2, 3), (-3, 1, 0), (1, -1, 1)])
 def test_the_stable_step_of_an_oblique_contact_is_by_the_rows_of_its_matrix(start, direction):
-    """Of a sphere between two, without dashpots: shear that turns it governs, K = 2 k r^2 (1 - n n^T), by its largest
-    absolute row sum."""
+    """The stable step of a sphere between two others, without dashpots, follows from its rotational stiffness by shear.
+
+    That stiffness is K = 2 k r^2 (1 - n n^T). Its largest absolute row sum sets the step.
+    """
     steps = []
     for n in ((1.0, 0.0, 0.0), direction):
         n = np.array(n) / np.linalg.norm(n)

@@ -1,5 +1,7 @@
-"""What a GPU's lists must not miss: near links, long rows, far bonds, the smallest scenes; what else its steps and the
-host share."""
+"""Test that a GPU's lists miss nothing: near links, long rows, far bonds, the smallest scenes.
+
+Test also what else the steps on a GPU share with the host.
+"""
 
 from contextlib import nullcontext
 

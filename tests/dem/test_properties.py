@@ -136,8 +136,9 @@ def small_scenes(draw):
 
 
 def deepest(scene):
-    """By how much elastic energy may lie below that of bodies apart [J]: shells that pull hold some, P^2 / 2k each.
+    """Return by how much the elastic energy may lie below that of separate bodies [J].
 
+    Each shell that pulls lowers the energy by at most P^2 / 2k.
     With P = tension tau A and k = E A / (f L) that is (tension tau)^2 A f L / (2 E), most for the largest spheres.
     """
     law = scene.contact

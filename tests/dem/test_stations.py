@@ -1,4 +1,4 @@
-"""What stations along a pipe measure: stresses, velocities, losses, and how far the concrete fills it."""
+"""Test what stations along a pipe measure: stresses, velocities, losses, and how far the concrete fills the pipe."""
 
 import dataclasses
 import math
@@ -237,7 +237,10 @@ def test_a_scene_without_stations_has_no_code_or_memory_for_them(device):
 
 
 def test_the_front_is_looked_for_among_the_farthest():
-    """As among all, also where what lies far counts for nothing or for nearly all."""
+    """The search among the farthest bodies finds the same front as a search among all bodies.
+
+    This holds also where the far bodies have no volume or nearly all of the volume.
+    """
     rng = np.random.default_rng(3)
     s, plain = rng.random(500), rng.random(500) + 0.5
     for volume in (

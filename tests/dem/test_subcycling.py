@@ -336,7 +336,10 @@ def test_two_threads_move_the_same(monkeypatch):
 
 
 def test_full_lists_hold_both_copies_alike(device):
-    """As on a GPU: every pair stands twice, and both say the same after each step."""
+    """Full lists, which a GPU uses, hold every pair twice, and both copies hold the same bits after 80 steps.
+
+    The positions agree with those from half lists to 1e-12 m.
+    """
     ends = []
     for like_a_gpu in (False, True):
         with divide_work_like_gpu() if like_a_gpu else nullcontext():

@@ -62,7 +62,10 @@ def between_weight_and_silo(vertical: Run, horizontal: Run) -> tuple[float, floa
 
 @pytest.mark.thorough
 def test_small_upright_units_bear_weight_and_friction(device):
-    """What no value of ours enters: between a column without friction and one in a silo."""
+    """The end pressure of an upright unit lies between those of a column without friction and of a column in a silo.
+
+    Neither bound contains a stored reference value.
+    """
     for vertical, horizontal in zip(small_units(device, "vertical"), small_units(device, "horizontal"), strict=True):
         least, most = between_weight_and_silo(vertical, horizontal)
         assert least < figures(vertical)[1] < most

@@ -34,7 +34,11 @@ ALONE |= {
     if other not in (one, *ABOVE.get(one, ()))
 }
 ALONE |= {(f"kernels.{name}", package) for name in METHODS for package in ("core", "geometry")}
-"""What a package imports nothing of although that stands lower: methods know nothing of each other, kernels of all."""
+"""Pairs of a package and a lower package that it must not import.
+
+A method does not import the kernels of another method, except of the methods that `ABOVE` names for it. `geometry` does
+not import the kernels of any method. The kernels of a method import neither `core` nor `geometry`.
+"""
 
 
 def modules() -> dict[str, Path]:
