@@ -76,7 +76,10 @@ def start(device):
 
 
 def bonds_of(state) -> tuple[np.ndarray, np.ndarray]:
-    """Of every entry of the list the kind of its bond, or what it is instead, and its load, 0 where there is none."""
+    """Return the bond kind and the bond load of every entry of the pair list.
+
+    The kind is 0 without a bond and negative for a broken bond. The load is 0 where there is no bond.
+    """
     bond, load = state.pairs.bond.numpy(), state.pairs.load.numpy()
     return bond_kinds(bond), np.where(bond[:, None] > 0, load[bond_rows(np.maximum(bond, 0))], 0).astype(load.dtype)
 

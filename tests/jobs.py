@@ -1,4 +1,4 @@
-"""What worker processes are told to do in tests; each of them imports this file, so it imports little."""
+"""Functions that worker processes run in tests. Every worker imports this file, so this file imports little."""
 
 import os
 import time

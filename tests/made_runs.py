@@ -187,7 +187,7 @@ RUNS: dict[str, Callable[[], Made]] = {
     "pipe, plate": lambda: pumped("pipe", plug="plate"),
     "part-dem": lambda: pumped("part-dem"),
 }
-"""By the name of the scene, and of the variant of it."""
+"""Functions that make the sound runs, by the name of the scene and, after a comma, the name of the variant."""
 
 
 def scene_name(run: str) -> str:

@@ -1,4 +1,4 @@
-"""Whether the suite has run on a GPU with the code as it is: `python tests/source_hash.py` says so in a line."""
+"""Check whether the suite has run on a GPU with the present code. `python tests/source_hash.py` prints the verdict."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ def source_hash() -> str:
 
 
 def verdict() -> str:
-    """What the record says of the code as it is."""
+    """Return one line that states whether the record in `tests/gpu.json` belongs to the present code."""
     if not RECORD.is_file():
         return "GPU: no record in tests/gpu.json; the suite has not run on a GPU"
     record = json.loads(RECORD.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""What goes wrong outside the physics: failed checks, disks, folders, processes, a user's files; and what is said."""
+"""Failures outside the physics and their messages: failed checks, disks, folders, processes and a user's files."""
 
 import dataclasses
 import errno
@@ -334,7 +334,7 @@ class Broken(Recorder):
 
 
 def test_a_run_that_could_not_be_written_is_not_finished(tmp_path):
-    """So a study runs it again, and it can be resumed."""
+    """A study repeats a run that is not finished, and such a run can be resumed."""
     recorders = [TableRecorder(tmp_path / "run"), Broken()]
     path = tmp_path / "run" / "checkpoint.npz"
     simulation = Simulation(scenes.pipe(**TINY), device="cpu", recorders=recorders, checkpoint_path=path)

@@ -144,7 +144,7 @@ def test_a_run_that_never_began_leaves_an_empty_folder_empty(tmp_path):
 
 
 def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, undisturbed_folder):
-    """Whether the second begins or resumes; by command it is one line and exit code 2."""
+    """A second run is refused, whether it begins or resumes. The command does so in one line, with exit code 2."""
     monkeypatch.setattr(folders, "KILL_GRACE", 0.0)
     seen = []
 

@@ -115,7 +115,7 @@ def test_writes_of_several_arrays_come_in_their_order(device):
 
 
 def test_an_interruption_loses_nothing_that_was_to_be_sent(monkeypatch):
-    """What a run notes on the host goes to the device with the next launch, if not with this one."""
+    """Changes that a run notes on the host go to the device with the next launch if an interruption stops this one."""
     with divide_work_like_gpu():
         scene = two_spheres(gap=1e-4)
         model = build_model(scene, find_device("cpu"), "float32")

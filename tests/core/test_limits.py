@@ -1,4 +1,4 @@
-"""What is possible and what is usual: every parameter of every scene, options, files, and the words of messages."""
+"""Tests of possible and usual values: every parameter of every scene, options, files, and the words of messages."""
 
 import re
 import warnings
@@ -346,7 +346,7 @@ def test_the_command_says_it_in_one_line(words, tmp_path, monkeypatch):
 
 
 def test_a_long_text_is_no_amount():
-    """To look for a number in it would take the cube of its length."""
+    """A long text is refused: the time to find a number in a text grows with the cube of the length of the text."""
     for text in ("1" + " " * 2000 + "x\n", " " * 2000 + "1"):
         with pytest.raises(SceneError, match="must be a number with one of m, mm"):
             amount("diameter", text, "m")

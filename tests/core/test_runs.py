@@ -83,7 +83,7 @@ def test_what_is_no_run_folder_is_refused(ran, tmp_path):
 
 
 def test_a_run_whose_scene_cannot_be_made_again_comes_back(ran, tmp_path):
-    """As one whose mesh file has gone."""
+    """A run can be loaded although its scene cannot be made, for example because the scene's mesh file has gone."""
     moved = tmp_path / "moved"
     shutil.copytree(ran.folder, moved)
     record = json.loads((moved / "scene.json").read_text(encoding="utf-8"))

@@ -89,7 +89,10 @@ def test_a_bore_is_the_same_however_its_triangles_are_stored(tmp_path, open_tube
 
 
 def test_the_inner_surface_keeps_the_facets_of_the_bore_alone(tmp_path):
-    """Those of a thick tube are as many as an open one has, and a step inside the bore is one of its walls."""
+    """The bore of a thick tube has as many facets as an open tube.
+
+    A step inside the bore is one of the bore's walls.
+    """
     mesh = trimesh.load_mesh(bent(tmp_path / "thick.stl", STRAIGHT, wall=4e-3))
     surface = InnerSurface(mesh.vertices, mesh.faces, STRAIGHT, 0.05, "wall", "thick")
     assert len(surface.faces) == 2 * 64 * (1 + int(0.6 / 0.01)) and np.all(np.diff(surface.origin) > 0)

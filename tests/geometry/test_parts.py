@@ -30,7 +30,7 @@ def run(device, **given):
 
 
 def off(result, name):
-    """Of a gradient, from theory."""
+    """Return the relative deviation of a gradient from theory."""
     return number(result[f"{name}_gradient"]) / number(result[f"{name}_gradient_theory"]) - 1
 
 

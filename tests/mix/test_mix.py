@@ -119,7 +119,10 @@ def test_a_line_through_points_and_its_errors():
 
 
 def test_a_layer_from_points_of_a_pipe(tmp_path):
-    """Those that a known layer gives, with and without scatter: it comes back, inside its band."""
+    """The fit recovers the known slip layer from which the points are computed.
+
+    With scatter in the pressures, the known slip viscosity lies inside the fitted band.
+    """
     known = Concrete(name="known", density=2300, viscosity=40, yield_stress=60, slip_viscosity=640, slip_yield=30)
     line = Line(radius=0.0625, length=12.0, rise=0.25)
     flows = np.array([10, 20, 30, 40]) / 3600

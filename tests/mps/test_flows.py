@@ -101,7 +101,7 @@ def test_long_flow_keeps_volume_and_agreement(device, spacing):
 
 
 def test_a_channel_stays_even(device):
-    """What holds left of the middle holds right of it."""
+    """The flow left of the middle mirrors the flow right of it."""
     simulation = FluidSimulation(scenes.channel(spacing=10e-3, precision="float64"), device=device)
     simulation.run()
     x, v = simulation.state.particles.position.numpy(), simulation.state.particles.velocity.numpy()

@@ -36,7 +36,7 @@ def periodic(kind, **given):
 
 
 def wall_part_error(run):
-    """Of the pressure, its weight left out."""
+    """Return the relative error of the pressure against theory, after the concrete's weight is subtracted from both."""
     scene = run.scene
     weight = scene.concrete.density * scene.gravity * scene.length
     found, theory = run.result["pressure"]["value"], run.result["pressure_theory"]["value"]
@@ -105,7 +105,7 @@ def test_a_coarse_grid(kind):
 
 
 def test_a_fine_grid_in_single_precision(device):
-    """What rounding leaves of the divergence is more than a part of what there is, and must be enough."""
+    """The rounding error of the divergence exceeds the solver's tolerance. A solve must stop at the rounding error."""
     run = FluidSimulation(periodic("channel", spacing=1e-3, length=0.02, duration=0.06), device=device).run()
     assert run.finished and abs(run.result["wall_stress_error"]) < 1e-3
     assert run.series["pressure_iterations"][-5:].max() <= 2
@@ -154,7 +154,7 @@ def start_up(scene, times, cells=80, step=5e-5):
 
 @pytest.mark.parametrize("kind", SCENES)
 def test_start_up_follows_the_solution_in_one_dimension(device, kind):
-    """From a plug at the mean velocity, at any time from the twentieth step on."""
+    """The flow starts as a plug at the mean velocity. The flow follows the solution from the twentieth step on."""
     times = np.array([5e-4, 1e-3, 2e-3, 5e-3, 10e-3])
     given = STICKING | {"viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0}
     scene = periodic(kind, **given, gravity=0.0, duration=10e-3, sample_interval=5e-4, time_step=2.5e-5, spacing=2.5e-3)
@@ -199,7 +199,7 @@ def dense(flow, system):
 
 @pytest.mark.parametrize("kind", SCENES)
 def test_particles_keep_a_linear_flow(device, kind):
-    """What particles bring to the faces, and take from them, is a linear velocity field as it was."""
+    """A linear velocity field is unchanged by its transfer from the particles to the faces."""
     flow = grid_of(device, kind)
     x = flow.particles.position.numpy()
     shear = np.array([[0.3, 0.0], [-0.7, 0.0]])  # along a periodic pipe nothing may change

@@ -95,7 +95,10 @@ def test_pairs_within_a_grain_exchange_nothing_and_others_what_is_mortar(device)
 
 
 def test_a_grain_shears_the_mortar_between_wall_and_its_own_half_spacing(device):
-    """What the wall's stress moves a particle by, over that stress; nothing is sheared yet, so all is as viscous."""
+    """The compliance is the velocity difference that the wall stress causes, divided by that stress.
+
+    Before any shear, all particles have the same viscosity.
+    """
     flow = two_phase_flow(device)
     viscous_stages(flow)
     radius, spacing = flow.state.scene.radius, flow.state.layout.spacing

@@ -1,4 +1,4 @@
-"""What sections of vessels hold."""
+"""Tests of the areas and volumes of sections of vessels."""
 
 import math
 

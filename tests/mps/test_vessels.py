@@ -86,7 +86,7 @@ SLIPS = 2e5
 
 
 def full_of(paste):
-    """What a state reads of a scene."""
+    """Return the attributes of a scene that a state reads."""
     return SimpleNamespace(
         concrete=paste, gravity=0.0, time_step=1e-3, step_error=0.0, regularisation=1e4, tolerance=1e-3,
         maximum_iterations=100,
@@ -232,7 +232,7 @@ def test_nothing_rubs_beyond_an_open_side(device):
 
 
 def test_rates_of_shear_in_space_are_those_of_all_pairs(device):
-    """Of a linear flow: viscosity in cells and at edges is that of the whole rate."""
+    """In a linear flow, the viscosity in cells and at edges follows from all components of the shear rate."""
     simulation = FreeSimulation(
         tilted_vessel(depth=0.1, blocks=(), spacing=0.02, tolerance=1e-3,
                       concrete=Concrete(density=2000.0, viscosity=10.0, yield_stress=100.0, slip_viscosity=1e8,
@@ -288,7 +288,7 @@ def test_a_funnel_empties(device):
 
 
 def test_a_funnel_whose_sides_slip_empties_sooner(device):
-    """By the layer on slanted sides and on the one across: little clings to what is all but smooth."""
+    """Concrete slips on the slanted and the parallel sides. Nearly smooth walls retain little concrete."""
     small = {"spacing": 0.02, "cone_height": 0.2, "outlet_height": 0.1, "top_width": 0.3, "outlet_width": 0.09,
              "breadth": 0.12, "time_step": 4e-3}  # fmt: skip
     stiff = OWN | {"viscosity": 40.0, "yield_stress": 0.0, "slip_viscosity": 50.0, "slip_yield": 0.0}

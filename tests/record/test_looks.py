@@ -30,7 +30,7 @@ TUBE = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
 
 
 class StationArrays(Recorder):
-    """What displays show at every frame."""
+    """Recorder that keeps what displays show at every frame."""
 
     def __init__(self, *colourings):
         self.colourings, self.found, self.times = colourings, [], []
@@ -162,7 +162,11 @@ def test_a_recording_has_chains_profile_zero_and_legend(pumped):
 
 
 def test_a_profile_is_the_mean_velocity_of_rings(pumped):
-    """By the bodies themselves: along the vertical pipe, amid the concrete, by volume."""
+    """The expected mean is computed from the bodies.
+
+    This value is the mean velocity along the vertical pipe, weighted by volume, of the bodies in the middle of the
+    concrete.
+    """
     _, seen, run = pumped
     found = seen.found[-2]
     place, speed = found.profile
@@ -240,7 +244,10 @@ def test_stress_along_a_column_at_rest_is_what_stands_on_it(tmp_path):
 
 
 def test_stress_along_a_pipe_is_shown_where_rows_do_not_have_it(tmp_path):
-    """Of a column at rest likewise; it is measured for recordings only, and changes nothing."""
+    """The stress in a column at rest is shown too.
+
+    The stress is measured for recordings only. The measurement does not change the run.
+    """
     given = dict(concrete="zhan-table1", bonds=False, friction=0.0, wall_friction=0.0, modulus=1e6, settle=2.0,
                  unit="vertical", diameter=0.08, length=0.32, size_min=12e-3, size_max=20e-3, plug="plate",
                  plug_pressure=200.0, velocity=1e-3, travel=2e-5, ramp=0.0)  # fmt: skip
@@ -303,7 +310,10 @@ def test_a_cut_leaves_what_lies_behind_the_axis():
 
 
 def test_bars_of_colours_span_the_scale(monkeypatch):
-    """From its lower end, which need not be zero, to its upper one; of walls from zero."""
+    """A bar spans the scale from its lower end, which need not be zero, to its upper end.
+
+    A bar of walls starts at zero.
+    """
     monkeypatch.setattr("warpcrete.record.legend._png", lambda figure: figure)
     found: Any = legend(
         SimpleNamespace(scale=lambda: ("speed [m/s]", 0.23, 0.71), categories=lambda: {}, palette="concrete")
@@ -327,7 +337,7 @@ def test_things_have_a_legend_where_colours_tell_them_apart():
 
 
 def times(frames, end, step):
-    """Of frames of a run that is asked at every step."""
+    """Return the times of all frames of a run that checks at every step whether a frame is due."""
     found = []
     for k in range(1, round(end / step) + 1):
         if frames.due(k * step):

@@ -1,4 +1,4 @@
-"""What recordings and scenes hold, read back with the libraries that made them, against the state that was recorded."""
+"""Recordings and scenes are read back with the libraries that made them, and compared with the recorded state."""
 
 import sys
 

@@ -11,7 +11,7 @@ TIMES = {
     "funnel": {"funnel_time": ("screen", 0.5, 1.0, 0.1)},
     "lbox": {"t200": ("front", 0.2, 0.0, 0.5), "t400": ("front", 0.4, 0.0, 0.5)},
 }
-"""By test and quantity: the column, the value that it must pass, and its values at the start and the end."""
+"""Column, value that the column must pass, and the column's values at start and end, for each test and quantity."""
 
 
 @pytest.mark.parametrize("method", ["", "-dem"], ids=["flow", "elements"])

@@ -67,7 +67,7 @@ def by_closed_form(scatter):
 
 
 def truth_of(raw, values):
-    """What closed forms say of the targets of a task at some values."""
+    """Return the closed-form value of each target of a task at the given parameter values."""
     here = task_of(raw, modules())
     found = []
     for target in here.targets:
@@ -251,7 +251,10 @@ def test_values_that_contradict_one_another_are_refused():
 
 @pytest.mark.thorough
 def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path, whole_pictures):
-    """By the command, with real runs: interrupted after its first round, gone on with, and the concrete used."""
+    """The command calibrates with real runs and stops after its first round of 4 trials.
+
+    The calibration is then resumed up to 7 trials. The concrete that the calibration found is used in a scene.
+    """
     path = tmp_path / "targets.yaml"
     path.write_text(
         "vary: {slip_viscosity: [500, 2000]}\ntargets:\n"

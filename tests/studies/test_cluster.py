@@ -98,7 +98,7 @@ def test_a_lost_worker_loses_no_case(tmp_path):
 
 
 def test_a_case_that_was_cut_goes_on_from_its_checkpoint(tmp_path, monkeypatch):
-    """As a worker finds it that has the part of a lost one."""
+    """A worker that takes over the part of a lost worker finds such a case: unfinished, with a checkpoint."""
     case = cases_of(LONG, {}, seeded=True)[0]
     record = {"device": "cpu", "precision": "float32", "command": {"frames": 25.0, "checkpoint_every": 0.01}}
     path = tmp_path / case.name / "checkpoint.npz"

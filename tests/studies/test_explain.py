@@ -1,4 +1,4 @@
-"""What `explain` foretells, beside the state of a run that begins; no times, which benchmarks compare."""
+"""Compare the forecasts of `explain` with the state of a run that begins. Only benchmarks compare times."""
 
 import importlib
 import json

@@ -73,7 +73,10 @@ def test_a_line_goes_where_its_parts_lead():
 
 
 def test_sloping_bends_rise_as_geometry_says():
-    """By 30 degrees up, 2 m, then 120 degrees towards the right, of whose arc only the slope at its start rises."""
+    """The line bends 30 degrees up, runs 2 m straight, and bends 120 degrees to the right.
+
+    The second bend rises only by the component of its arc along the slope at its start.
+    """
     parts = [{"straight": 1}, {"bend": {"to": "up", "radius": 1, "angle": 30}}, {"straight": 2},
              {"bend": {"to": "right", "radius": 2, "angle": 120}}]  # fmt: skip
     line = line_of({"diameter": 0.1, "parts": parts})
@@ -119,7 +122,7 @@ def test_the_layer_of_a_hose_resists_by_its_factor_at_every_speed():
 
 @pytest.mark.parametrize(("angle", "simulated"), [(1.0, 5.0), (3.0, 5.0), (5.0, 5.0), (30.0, 30.0)])
 def test_a_slight_bend_loses_its_part_of_one_of_five_degrees(angle, simulated):
-    """What is simulated is no slighter than that, and its loss counts by the angle."""
+    """A bend of less than 5 degrees is simulated with 5 degrees. The loss is scaled by the ratio of the angles."""
     bend = Part(1, "bend", 0.125, 0.4 * math.radians(angle), 0.0, 0.125, radius=0.4, angle=angle)
     name, given = _scene_of_part(bend, SLIPPING, 0.01, 8)
     assert name == "part" and given["angle"] == simulated and given["elbow_radius"] == 0.4

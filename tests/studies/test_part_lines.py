@@ -93,7 +93,7 @@ def test_the_line_of_three_metres_is_the_unit_of_its_lengths(tmp_path):
 
 
 def test_each_part_gets_what_it_loses(tmp_path):
-    """Of a pressure that falls by 20 kPa/m, three times as fast in the bend, twice in the cone right behind it."""
+    """The pressure falls by 20 kPa/m in straights, 60 kPa/m in the bend, and 40 kPa/m in the cone after the bend."""
     parts = ("[{straight: 0.4}, {bend: {to: left, radius: 0.25}}, {reducer: {to: 0.08, length: 0.2}}, "
              "{straight: 0.2}, {straight: 0.3}]")  # fmt: skip
     scene = scenes.part(line=written(tmp_path, parts), **COARSE)
@@ -141,7 +141,10 @@ def test_bends_of_one_plane_are_computed_by_half(tmp_path):
 
 @pytest.mark.slow
 def test_a_line_in_two_planes_loses_what_its_parts_do(device, tmp_path):
-    """What is between is the coarse cells' error on straight friction, which the parts take from finer ones."""
+    """The whole line and its separate parts differ by the error of coarse cells in the friction of straight pipe.
+
+    For the separate parts, the friction of straight pipe is computed with finer cells.
+    """
     path = tmp_path / "site.yaml"
     path.write_text(TWO_PLANES, encoding="utf-8")
     whole = PartSimulation(scenes.part(line=str(path), spacing=0.125 / 8, time_step=3e-3), device=device).run()
@@ -158,7 +161,7 @@ def test_a_line_in_two_planes_loses_what_its_parts_do(device, tmp_path):
 
 
 def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
-    """And those that are given before them; a run's record repeats it."""
+    """A flow and a concrete given as parameters override those in the file. A run's record keeps the run's values."""
     given = {"diameter": 0.1, "more": "flow: 9 m3/h\nconcrete: no2\n"}
     path = written(tmp_path, "[{straight: 0.3}, {straight: 0.1}]", **given)
     out = str(tmp_path / "run")

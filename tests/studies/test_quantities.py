@@ -1,4 +1,4 @@
-"""What a run comes to: quantities of made-up series, pressures of pipelines by hand, tables and figures of studies."""
+"""Test results of runs: quantities of made-up series, pipeline pressures by hand, tables and figures of studies."""
 
 import csv
 import dataclasses

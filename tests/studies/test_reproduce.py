@@ -1,4 +1,4 @@
-"""What is said of a paper's claims, and a reproduction that is small enough to run."""
+"""Test the verdicts on a paper's claims, and run reproductions that are small enough for a test."""
 
 import json
 import math

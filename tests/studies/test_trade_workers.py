@@ -71,7 +71,7 @@ def alone(request, tmp_path_factory):
 
 
 def hashes(folder):
-    """Of the runs that are done, by their folders."""
+    """Return the state hash of each finished run by the name of the run's folder."""
     results = {
         path.parent.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("runs/*/result.json")
     }

@@ -45,7 +45,7 @@ def test_without_yield_stress_it_is_flow_of_a_core_in_an_annulus():
 
 
 def test_flow_is_the_integral_of_the_shear_rate():
-    """By quadrature, also where the inner zone yields before the outer does."""
+    """The flow equals a quadrature of the shear rate, also where the inner zone yields before the outer zone does."""
     for index in (-0.4, 0.4, 1.0):
         apart = Segregated(replace(CONCRETES["no1"], yield_stress=250.0), PIPE, 0.36, index)
         edges = np.concatenate([np.linspace(0, 0.5, 40001)[:-1], np.linspace(0.5, 1, 40001)]) * PIPE.radius
@@ -62,7 +62,7 @@ def test_flow_is_the_integral_of_the_shear_rate():
 
 @pytest.mark.parametrize("slip_viscosity", [800.0, 1e9])
 def test_aggregate_that_leaves_the_wall_lowers_the_pressure(slip_viscosity):
-    """As measured on a model concrete (Materials 13 (2020), PMC7084984)."""
+    """The pressure falls, as measured on a model concrete (Materials 13 (2020), PMC7084984)."""
     concrete = replace(CONCRETES["no3"], slip_viscosity=slip_viscosity)
     stresses = [Segregated(concrete, PIPE, 0.36, index).steady(8e-3).wall_stress for index in (-0.8, -0.5, 0.0, 0.5)]
     assert np.all(np.diff(stresses) > 0)
