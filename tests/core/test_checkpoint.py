@@ -233,7 +233,7 @@ def test_series_recording_and_usd_of_a_resumed_run_are_those_of_an_uncut_one(tmp
     cut = [*recorders(folder), Cut(checkpoint, 11, stop=True)]
     first = Simulation(scene, device="cpu", recorders=cut, checkpoint_path=checkpoint, checkpoint_every=0.0)
     assert not first.run().finished
-    # What a killed process might leave behind after its last checkpoint.
+    # A killed process may leave such rows behind after its last checkpoint.
     with (folder / "series.csv").open("a", encoding="utf-8") as file:
         file.write("1,2,3\n4,5")
     (folder / "run-0050.rrd").write_bytes(b"half a p")

@@ -357,7 +357,7 @@ def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
     ]
     with like_a_gpu(device):
         simulations = simulate(device, some)
-        # So few that each thread has several pairs, as in a large batch.
+        # Blocks are so small that each thread has several pairs, as in a large batch.
         monkeypatch.setattr(subcycling, "ROUND_BLOCK", 32)
         monkeypatch.setattr(
             subcycling, "round_blocks", lambda count, multiprocessors, concurrent_batches: 4 // concurrent_batches

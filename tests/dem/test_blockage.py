@@ -47,7 +47,7 @@ def test_a_closed_pipe_is_blocked_at_its_end(device):
     window = min(0.08, 0.24 / 5)
     assert run.series["travel"][-1] == pytest.approx(run["blocked_from_travel"] + window, abs=0.25 * window)
     assert run["blocked_pressure"] > 2 * run["blocked_pressure_before"]
-    # Of eight packings 0.34 to 0.70: where the last balls stand in the end's way they have void on one side.
+    # Measured with eight packings: 0.34 to 0.70. At the end of the pipe, the last balls have void on one side.
     assert run["blocked_chains"] >= 1 and 0.3 < run["blocked_solid_fraction"] < 0.9
     found = scenes.modules()["pipe"].check(run)
     assert [name for name, (passed, _) in found.items() if not passed] == ["not blocked"]

@@ -88,7 +88,7 @@ def test_bonds_keep_their_rows(device, way, stiff):
         state = simulation.state
         check_rows(state)
         rows, _ = rows_of(state)
-        # Of no more than are bonded, but for what arrays are given to grow.
+        # The lists hold only bonded pairs, and the room that arrays are given to grow.
         assert len(state.pairs.load) <= 1.25 * (rows.max() + 2) + 65
         simulation.stepper.advance(0.05)
         assert state.spheres.broken.numpy().sum() > 0

@@ -101,7 +101,7 @@ def test_walls_follow_the_law_or_one_of_their_own():
     assert any("contact HertzMindlin acts between aggregates and on the wall" in line for line in scenes.pipe(
         contact=HERTZ).remarks)  # fmt: skip
     assert not any("calibrated" in line for line in wall.remarks) and any("calibrated" in line for line in own.remarks)
-    # What holds a plug and a packing is as stiff as the law says.
+    # The bonds of the plug and the pressure of the packing follow from the stiffness of the law.
     assert scenes.pipe(contact=HERTZ).group_bonds["plug"].effective_modulus == 2e6
     assert scenes.pipe(contact=HERTZ, plug_pressure=1.0).fill.pressure == 2e3
 

@@ -154,7 +154,7 @@ def test_layers_of_the_plug():
 @pytest.mark.slow
 def test_a_thin_plug_tips_over_in_a_bend_and_the_usual_one_does_not(device):
     module = sys.modules["warpcrete.scenes.pipe"]
-    # As it is given, but for the travel: it tips while the concrete settles.
+    # The plug tips while the concrete settles. Only the travel differs from the given scene.
     bend = dict(unit="C", travel=0.02, ramp=0.01)
     thin, usual = (
         module.check(Simulation(scenes.pipe(**bend | more), device=device).run())["plug holds"]

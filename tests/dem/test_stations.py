@@ -179,11 +179,12 @@ def test_a_column_at_rest_bears_what_stands_on_it(device, wall):
     full = np.isfinite(found[:, 1])
     above = [200 + 9.81 * mass[z > place - scene.stations.origin].sum() / area for place in scene.stations.places[full]]
     assert full.sum() >= 3
-    # Of twelve packings 0.6 to 2.2 %: stones are counted by their centres.
+    # Measured with twelve packings: 0.6 to 2.2 %, because stones are counted by their centres.
     assert found[full, 1] == pytest.approx(above, rel=0.03)
     by_bodies = along(scene.stations, simulation)
     assert np.array_equal(np.isfinite(by_bodies[:, 0]), full)
-    # Of twelve packings 1.7 % along the pipe, and 8 % of the mean normal stress of one slice, 1.7 % of all together.
+    # Measured with twelve packings: 1.7 % along the pipe, 8 % for the mean normal stress of one slice, and 1.7 % for
+    # that of all slices together.
     assert by_bodies[full, 1] == pytest.approx(found[full, 1], rel=0.025)
     assert by_bodies[full, 0] == pytest.approx(found[full, 0], rel=0.12)
     assert by_bodies[full].sum(axis=0) == pytest.approx(found[full, :2].sum(axis=0), rel=0.025)

@@ -263,7 +263,7 @@ def test_what_a_stiff_bond_held_parts_at_the_first_look(device, way):
             place[np.argmax(place[:, 0]), 0] += 3e-4
             array.assign(place)
         stepper.take(1)
-        # Of a full list's two entries the twin holds none.
+        # A full list has two entries for each pair; the second one holds no history.
         own = broken & (pairs.other.numpy() >= 0) if stepper.batch.parallel else broken
         assert own.any() and np.all(pairs.history.numpy()[own] == 0)
 

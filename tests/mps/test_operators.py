@@ -258,7 +258,7 @@ def test_the_laplacian_is_exact_for_quadratics_on_the_lattice(device, dimensions
         assert laplacian[away] == pytest.approx(4, rel=1e-3)
     else:
         assert laplacian[away] == pytest.approx(6, rel=0.1) and laplacian[away].mean() == pytest.approx(6, rel=5e-3)
-    # What one gains the other loses.
+    # One cell gains what the other loses.
     pairs = {(a, b): c for a, b, c in rows}
     assert all(pairs[b, a] == pytest.approx(c, rel=1e-12) for (a, b), c in list(pairs.items())[::97])
 

@@ -281,8 +281,8 @@ def test_a_funnel_empties(device):
     run = FreeSimulation(scene, device=device).run()
     found, estimate = number(run.result["funnel_time"]), number(run.result["funnel_time_theory"])
     assert 0.8 * estimate < found < 1.5 * estimate
-    # What clings to the walls drains slowly: about (viscosity height / (density g time))^(1/2), 6 mm, on all of them;
-    # measured 42 % with these cells, 39 % with cells of 10 mm.
+    # Concrete that clings to the walls drains slowly. Its thickness is about (viscosity height / (density g
+    # time))^(1/2), 6 mm, on all walls. Measured share: 42 % with these cells, and 39 % with cells of 10 mm.
     assert run.result["remaining"] < 0.43 and abs(run.result["volume_error"]) < 0.04
     assert all(good for good, _ in modules()["funnel"].check(run).values())
 

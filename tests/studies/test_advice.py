@@ -148,7 +148,7 @@ def test_the_nearest_shipped_trade_is_taken():
     assert nearest_shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
     assert nearest_shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
     assert nearest_shipped("channel", channels, {"aggregates": True}, True).stem == "two-phases"
-    # By letters, too; a straight unit goes by a straight one, one without hydrated bonds by one without.
+    # Letters of units work as well. A straight unit uses the table of a straight unit without hydrated bonds.
     for unit, trade in zip("ABCD", ("pipe-vertical", "pipe-vertical", "pipe-bend", "pipe-bend"), strict=True):
         assert nearest_shipped("pipe", pipes, {"unit": unit}, True).stem == trade
     # Trades are of the default concrete.
@@ -176,7 +176,7 @@ def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
     assert done.returncode == 0 and "phases one phase" in done.stderr, done.stdout + done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text(encoding="utf-8"))["parameters"]
     assert made["aggregates"] is False and made["aggregate_fraction"] is None
-    # What is chosen by hand stays, and is said to be missing from the setting.
+    # A value that the user chose stays, and the output says that the setting lacks it.
     done = command("run", "channel", "--precision", "float32", "--accuracy", "5%", "--out", tmp_path / "s", *bare)
     setting = json.loads((SHIPPED / "channel.json").read_text(encoding="utf-8"))["promises"][2]["levels"]
     assert ("without precision float64" in done.stderr) is (setting.get("precision") == "float64")

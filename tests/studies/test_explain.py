@@ -64,7 +64,7 @@ def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
     run = Simulation(scene, device=device, threads=1).run()
     assert told.counts["particles"] == run.result["particles"] and told.steps == run.result["steps"]
     assert told.total_memory == pytest.approx(run.result["speed"]["memory"]["value"], rel=0.05)
-    # Of a flow with more particles a coarser copy says when it is steady: within two samples of 5 ms.
+    # For a flow with more particles, a coarser copy tells within two samples of 5 ms when the flow is steady.
     fine = explain(scenes.channel(spacing=2.5e-3), device=device, cache=False).forecast
     assert fine.steps == pytest.approx(Simulation(scenes.channel(spacing=2.5e-3), device=device).run().result["steps"],
                                        abs=20)  # fmt: skip

@@ -20,7 +20,7 @@ QUANTILES = {1: 12.706, 2: 4.303, 10: 2.228, 11: 2.201, 15: 2.131, 30: 2.042, 12
 
 
 def test_quantiles_of_student():
-    # Of published tables, to the digits that they have.
+    # Published tables have the same values, to their digits.
     for freedom, quantile in QUANTILES.items():
         assert student_quantile(freedom) == pytest.approx(quantile, abs=1.5e-3)
 

@@ -121,7 +121,7 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
     found = reproduce("zhan", out=tmp_path / "out", seeds=2, only=first.columns + first.rows, known=[first.folder])
     assert found.finished and len(found.results) == 8, "nothing is left to run"
     text = (found.folder / "reproduction.md").read_text(encoding="utf-8")
-    # Of two seeds: their mean and standard deviation in kPa.
+    # The table has the mean and the standard deviation of two seeds in kPa.
     assert "| yielding layer | 10.5 +- 0.71 / 10.5 +- 0.71 | 12.5 +- 0.71 / 12.5 +- 0.71 |" in text
     assert "| 0.10 | 0.10 |" in text and "as a yield stress of 357 Pa" in text
     assert resume_reproduction(found.folder).results == found.results

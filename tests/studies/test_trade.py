@@ -58,7 +58,7 @@ def test_a_trade_of_a_flow_goes_by_the_closed_form(flow_trade):
         errors = {e.quantity: e.shift for e in point.errors}
         assert errors == {name: result[f"{name}_error"] for name in ("pressure", "slip_velocity")}
         assert point.worst.size == max(map(abs, errors.values()))
-    # What is promised is measured, and what its knobs err by alone.
+    # Every promise was measured, and so was the error of each of its knobs alone.
     for promise in trade.promises:
         if promise.point is not None:
             assert trade.promised(promise.point) <= promise.target
@@ -227,7 +227,7 @@ def test_settings_for_an_accuracy(flow_trade):
     assert advice.changes["tolerated_error"] == 0.2 and "twice the flow" in advice.tried
     assert advice.promised == best[0.2] <= 0.2 and advice.outside == () and advice.quantities[0] == "pressure"
     assert advice.ratio == pytest.approx(promise.point.cost / flow_trade.given.cost)
-    # What somebody chose stays; where the scene is another one, that is said.
+    # A value that the user chose stays. The advice names parameters in which the scene differs from the trade.
     advice = advise(flow_trade.folder, "channel", channel, COARSE | dict(time_step=3e-4, flow=1e-3), 0.2)
     assert "time_step" not in advice.changes and set(advice.outside) == {
         "time_step 0.0003 instead of 0.0005",

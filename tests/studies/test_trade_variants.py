@@ -66,7 +66,7 @@ def test_promises_contain_the_own_error_of_the_reference(tmp_path):
     trade.judge()
     own = 10 * finest.full["spacing"]
     assert trade.reference_errors["slump"] == pytest.approx(own)
-    # To the error against the reference, or to what the knob alone changes, this error is added.
+    # This error is added to the error against the reference, or to the change by the knob alone.
     shift = (1 + 10 * coarse.full["spacing"]) / (1 + own) - 1
     assert trade.promised(coarse) == pytest.approx(shift + own)
     against = 1.01 * (1 + 10 * trade.given.full["spacing"]) / (1 + own) - 1

@@ -205,7 +205,7 @@ def test_what_a_budget_leaves_out_or_no_worker_came_back_with_may_run_later(tmp_
     trade.cluster, trade.budget = InAnyOrder(2, 0), 1.0
     points = ran(trade)
     fresh, slow = points[0.8], points[0.2]
-    # As given it takes 0.8 s; of the budget passes what the wall's clock says.
+    # The given setting takes 0.8 s. The budget counts wall time.
     assert sorted(fresh.results) == trade.seeds and trade.spent < 0.5
     assert slow.failure.startswith("not run: needs about") and not slow.results
     trade._store_outcome(fresh, 0, WorkerLost("its worker failed: KilledWorker"))

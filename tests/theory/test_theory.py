@@ -210,7 +210,7 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
 
 
 def test_a_restart_takes_what_the_structure_bears():
-    # By hand: a plug whose layer bears 20 Pa, after 600 s at 0.3 Pa/s, 10 m up a pipe of 0.1 m.
+    # Calculated by hand: a plug with 20 Pa on its layer, after 600 s at 0.3 Pa/s, 10 m up a pipe of 0.1 m.
     plug = Concrete(density=2400, viscosity=30, yield_stress=500, slip_viscosity=1000, slip_yield=20)
     line = Line(radius=0.05, length=10.0)
     least = restart(plug, line, 600.0, 0.3)
