@@ -33,9 +33,9 @@ def test_viscous_flow_hardly_depends_on_the_time_step():
 
 
 def test_heap_that_slows_down_hardly_depends_on_the_time_step():
-    # The measured difference is 4.9 %; it is 7.8 % if the pressure lags behind. Steps of 2 to 5 ms agree within 0.2 %.
+    # The measured difference is 4.0 %; it is 7.8 % if the pressure lags behind. Steps of 2 to 5 ms agree within 0.2 %.
     short, long = (spread(50.0, 10.0, 2.0, 5e-3, dt) for dt in (5e-3, 2e-2))
-    assert long == pytest.approx(short, rel=0.06)
+    assert long == pytest.approx(short, rel=0.05)
 
 
 @pytest.mark.parametrize("time_step", [2.5e-3, 2e-2])
