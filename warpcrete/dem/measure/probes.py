@@ -206,9 +206,7 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the kernels of a measurement together, as one recorded graph.
-
-    `what` is the name of the measurement.
+    """Launch the kernels of the measurement with the name `what` together, as one recorded graph.
 
     `make` returns the launches to record. It is called at the first launch, and again whenever the batch's arrays have
     changed.
