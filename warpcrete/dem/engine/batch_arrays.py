@@ -154,7 +154,7 @@ class JointArrays:
 
     @abstractmethod
     def invalidate_graphs(self) -> None:
-        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""
+        """Discard recorded launches, because arrays or the division of bodies among CPU threads have changed."""
 
     def _join_states(self) -> None:
         """Join the arrays of all states, replace the states' arrays by slices, and allocate the remaining arrays."""
