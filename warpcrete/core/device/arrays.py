@@ -49,34 +49,23 @@ if TYPE_CHECKING:
             """Return the values as a NumPy array: a view for an array on a CPU, a copy for an array on a GPU."""
             ...
 
-        def assign(self, src: ArrayLike | DeviceArray) -> None:
-            """Copy values from the host or from another array of the same shape."""
+        def assign(self, src: ArrayLike | DeviceArray) -> None: ...
 
-        def zero_(self) -> None:
-            """Set all values to zero."""
+        def zero_(self) -> None: ...
 
-        def fill_(self, value: object) -> None:
-            """Set all elements to one value."""
+        def fill_(self, value: object) -> None: ...
 
     def zeros(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
-    ) -> DeviceArray:
-        """Return a new array filled with zeros."""
-        ...
+    ) -> DeviceArray: ...
 
-    def ones(shape: Shape, dtype: type, *, device: wp.Device | str | None = None) -> DeviceArray:
-        """Return a new array filled with ones."""
-        ...
+    def ones(shape: Shape, dtype: type, *, device: wp.Device | str | None = None) -> DeviceArray: ...
 
     def empty(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
-    ) -> DeviceArray:
-        """Return a new array without initial values."""
-        ...
+    ) -> DeviceArray: ...
 
-    def clone(src: DeviceArray) -> DeviceArray:
-        """Return a copy of an array on the same device."""
-        ...
+    def clone(src: DeviceArray) -> DeviceArray: ...
 
     def copy_array(
         dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
@@ -86,9 +75,7 @@ if TYPE_CHECKING:
     def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
         """Compile the kernels of a module, or load them from the cache."""
 
-    def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray:
-        """Return a new array in which every element is `value`."""
-        ...
+    def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray: ...
 
     def launch_kernel(
         kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
@@ -128,42 +115,36 @@ class StructMember(Protocol):
     """Member of a struct type of Warp, with its type annotation, for example ``wp.array(dtype=...)``."""
 
     @property
-    def type(self) -> Any:
-        """Type annotation of a struct's member, such as ``wp.array(dtype=...)``."""
-        ...
+    def type(self) -> Any: ...
 
 
 class Struct(Protocol):
-    """Struct type that ``wp.struct`` makes from a class. Calling the type returns a struct with empty arrays."""
+    """Struct type that ``wp.struct`` makes from a class, with its members `vars` by name.
+
+    Calling the type returns a struct with empty arrays. `numpy_dtype` returns the NumPy element type for host arrays of
+    such structs.
+    """
 
     @property
-    def vars(self) -> Mapping[str, StructMember]:
-        """Members of the struct, by name."""
-        ...
+    def vars(self) -> Mapping[str, StructMember]: ...
 
     def __call__(self) -> Any: ...
 
-    def numpy_dtype(self) -> Any:
-        """Return the NumPy element type for host arrays of structs of this type."""
-        ...
+    def numpy_dtype(self) -> Any: ...
 
 
 class KernelArgument(Protocol):
     """Parameter of a kernel; `label` is its name."""
 
     @property
-    def label(self) -> str:
-        """Name of a kernel's parameter."""
-        ...
+    def label(self) -> str: ...
 
 
 class KernelCode(Protocol):
     """Code of a kernel as Warp has parsed it from Python; `args` holds the kernel's parameters."""
 
     @property
-    def args(self) -> Sequence[KernelArgument]:
-        """Parameters of the kernel, in order."""
-        ...
+    def args(self) -> Sequence[KernelArgument]: ...
 
 
 class KernelFunction(Protocol):
@@ -174,50 +155,39 @@ class KernelFunction(Protocol):
 
 
 class Kernel(Protocol):
-    """Kernel, as ``wp.kernel`` returns it."""
+    """Kernel, as ``wp.kernel`` returns it: its name `key`, its Python function `func` and its code `adj`."""
 
     @property
-    def key(self) -> str:
-        """Name of the kernel."""
-        ...
+    def key(self) -> str: ...
 
     @property
-    def func(self) -> KernelFunction:
-        """Python function of the kernel."""
-        ...
+    def func(self) -> KernelFunction: ...
 
     @property
-    def adj(self) -> KernelCode:
-        """Code of the kernel as Warp has parsed it from Python."""
-        ...
+    def adj(self) -> KernelCode: ...
 
     @property
-    def module(self) -> KernelModule:
-        """Module of Warp to which the kernel belongs; the kernels of a module are compiled together."""
-        ...
+    def module(self) -> KernelModule: ...
 
 
 class KernelModule(Protocol):
-    """Module of Warp: one or several kernels that are compiled together."""
+    """Module of Warp: one or several kernels that are compiled together.
+
+    `execs` holds the compiled code that this process has loaded, by device and block size.
+    """
 
     @property
-    def kernels(self) -> Mapping[str, Kernel]:
-        """Kernels of this module, by name."""
-        ...
+    def kernels(self) -> Mapping[str, Kernel]: ...
 
     @property
-    def execs(self) -> Mapping[tuple[object, int], LoadedModule]:
-        """Compiled code that this process has loaded, by device and block size."""
-        ...
+    def execs(self) -> Mapping[tuple[object, int], LoadedModule]: ...
 
 
 class LoadedModule(Protocol):
-    """Compiled code of a module on one device, for one block size."""
+    """Compiled code of a module on one device, for one block size; `binary_path` is its file in Warp's cache."""
 
     @property
-    def binary_path(self) -> str | None:
-        """Path of the file in Warp's cache from which the code was loaded."""
-        ...
+    def binary_path(self) -> str | None: ...
 
 
 def host_copy(array: DeviceArray) -> HostArray:
