@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...core.device.exchange import LaunchAndRead
-from ...core.device.graphs import GraphLaunch, Zero
+from ...core.device.graphs import Call, GraphLaunch
 from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, completed
 from ...kernels.dem import probes as column
 from ..engine.model import Model
@@ -270,7 +270,7 @@ def largest_forces(model: Model, state: State) -> wp.array:
         launch_recorded(
             state,
             "loads",
-            lambda: [Zero(loads), *_contact_probe_stages(model, state), _load_stage(model, state, loads)],
+            lambda: [Call(loads.zero_), *_contact_probe_stages(model, state), _load_stage(model, state, loads)],
         )
     return loads
 
