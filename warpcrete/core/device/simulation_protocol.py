@@ -8,28 +8,21 @@ from typing import Protocol
 import warp as wp
 
 
-class Clocked(Protocol):
-    """Simulated state with a clock: its simulated time and the number of completed steps."""
+class Stepped(Protocol):
+    """Simulated state with its time [s], its number of completed steps, and methods that take time steps.
+
+    `advance` steps the state until its time reaches `until` [s]; `take` takes `count` time steps of the current size.
+    """
 
     @property
-    def time(self) -> float:
-        """Simulated time [s]."""
-        ...
+    def time(self) -> float: ...
 
     @property
-    def steps(self) -> int:
-        """Number of completed steps."""
-        ...
+    def steps(self) -> int: ...
 
+    def advance(self, until: float, /) -> None: ...
 
-class Stepped(Clocked, Protocol):
-    """Simulated state with a clock and with methods that take time steps."""
-
-    def advance(self, until: float, /) -> None:
-        """Step the state until its time reaches `until` [s]."""
-
-    def take(self, count: int, /) -> None:
-        """Take `count` time steps of the current size."""
+    def take(self, count: int, /) -> None: ...
 
 
 class SimulationOnDevice:
