@@ -49,23 +49,34 @@ if TYPE_CHECKING:
             """Return the values as a NumPy array: a view for an array on a CPU, a copy for an array on a GPU."""
             ...
 
-        def assign(self, src: ArrayLike | DeviceArray) -> None: ...
+        def assign(self, src: ArrayLike | DeviceArray) -> None:
+            """Copy values from the host or from another array of the same shape."""
 
-        def zero_(self) -> None: ...
+        def zero_(self) -> None:
+            """Set all values to zero."""
 
-        def fill_(self, value: object) -> None: ...
+        def fill_(self, value: object) -> None:
+            """Set all elements to one value."""
 
     def zeros(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
-    ) -> DeviceArray: ...
+    ) -> DeviceArray:
+        """Return a new array filled with zeros."""
+        ...
 
-    def ones(shape: Shape, dtype: type, *, device: wp.Device | str | None = None) -> DeviceArray: ...
+    def ones(shape: Shape, dtype: type, *, device: wp.Device | str | None = None) -> DeviceArray:
+        """Return a new array filled with ones."""
+        ...
 
     def empty(
         shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
-    ) -> DeviceArray: ...
+    ) -> DeviceArray:
+        """Return a new array without initial values."""
+        ...
 
-    def clone(src: DeviceArray) -> DeviceArray: ...
+    def clone(src: DeviceArray) -> DeviceArray:
+        """Return a copy of an array on the same device."""
+        ...
 
     def copy_array(
         dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
@@ -75,7 +86,9 @@ if TYPE_CHECKING:
     def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
         """Compile the kernels of a module, or load them from the cache."""
 
-    def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray: ...
+    def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray:
+        """Return a new array in which every element is `value`."""
+        ...
 
     def launch_kernel(
         kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
@@ -115,36 +128,42 @@ class StructMember(Protocol):
     """Member of a struct type of Warp, with its type annotation, for example ``wp.array(dtype=...)``."""
 
     @property
-    def type(self) -> Any: ...
+    def type(self) -> Any:
+        """Type annotation of a struct's member, such as ``wp.array(dtype=...)``."""
+        ...
 
 
 class Struct(Protocol):
-    """Struct type that ``wp.struct`` makes from a class, with its members `vars` by name.
-
-    Calling the type returns a struct with empty arrays. `numpy_dtype` returns the NumPy element type for host arrays of
-    such structs.
-    """
+    """Struct type that ``wp.struct`` makes from a class. Calling the type returns a struct with empty arrays."""
 
     @property
-    def vars(self) -> Mapping[str, StructMember]: ...
+    def vars(self) -> Mapping[str, StructMember]:
+        """Members of the struct, by name."""
+        ...
 
     def __call__(self) -> Any: ...
 
-    def numpy_dtype(self) -> Any: ...
+    def numpy_dtype(self) -> Any:
+        """Return the NumPy element type for host arrays of structs of this type."""
+        ...
 
 
 class KernelArgument(Protocol):
     """Parameter of a kernel; `label` is its name."""
 
     @property
-    def label(self) -> str: ...
+    def label(self) -> str:
+        """Name of a kernel's parameter."""
+        ...
 
 
 class KernelCode(Protocol):
     """Code of a kernel as Warp has parsed it from Python; `args` holds the kernel's parameters."""
 
     @property
-    def args(self) -> Sequence[KernelArgument]: ...
+    def args(self) -> Sequence[KernelArgument]:
+        """Parameters of the kernel, in order."""
+        ...
 
 
 class KernelFunction(Protocol):
@@ -155,39 +174,50 @@ class KernelFunction(Protocol):
 
 
 class Kernel(Protocol):
-    """Kernel, as ``wp.kernel`` returns it: its name `key`, its Python function `func` and its code `adj`."""
+    """Kernel, as ``wp.kernel`` returns it."""
 
     @property
-    def key(self) -> str: ...
+    def key(self) -> str:
+        """Name of the kernel."""
+        ...
 
     @property
-    def func(self) -> KernelFunction: ...
+    def func(self) -> KernelFunction:
+        """Python function of the kernel."""
+        ...
 
     @property
-    def adj(self) -> KernelCode: ...
+    def adj(self) -> KernelCode:
+        """Code of the kernel as Warp has parsed it from Python."""
+        ...
 
     @property
-    def module(self) -> KernelModule: ...
+    def module(self) -> KernelModule:
+        """Module of Warp to which the kernel belongs; the kernels of a module are compiled together."""
+        ...
 
 
 class KernelModule(Protocol):
-    """Module of Warp: one or several kernels that are compiled together.
-
-    `execs` holds the compiled code that this process has loaded, by device and block size.
-    """
+    """Module of Warp: one or several kernels that are compiled together."""
 
     @property
-    def kernels(self) -> Mapping[str, Kernel]: ...
+    def kernels(self) -> Mapping[str, Kernel]:
+        """Kernels of this module, by name."""
+        ...
 
     @property
-    def execs(self) -> Mapping[tuple[object, int], LoadedModule]: ...
+    def execs(self) -> Mapping[tuple[object, int], LoadedModule]:
+        """Compiled code that this process has loaded, by device and block size."""
+        ...
 
 
 class LoadedModule(Protocol):
-    """Compiled code of a module on one device, for one block size; `binary_path` is its file in Warp's cache."""
+    """Compiled code of a module on one device, for one block size."""
 
     @property
-    def binary_path(self) -> str | None: ...
+    def binary_path(self) -> str | None:
+        """Path of the file in Warp's cache from which the code was loaded."""
+        ...
 
 
 def host_copy(array: DeviceArray) -> HostArray:
