@@ -1,7 +1,4 @@
-"""Protocols that declare members of the class `Batch`, for modules that cannot import it without a circular import.
-
-`Batch` and its base class `JointArrays` describe the other members.
-"""
+"""Protocols that declare members of the class `Batch`, for modules that cannot import it without a circular import."""
 
 from typing import Protocol
 
@@ -25,6 +22,7 @@ class BatchArrays(Protocol):
     scalar: Scalar
     """Scalar type of the kernels, `wp.float32` or `wp.float64`."""
     device: wp.Device
+    """Warp device of all arrays."""
     parallel: bool
     """True if kernels for GPUs are used, which compute each sphere or body in a thread of its own."""
     threads: int
@@ -34,8 +32,12 @@ class BatchArrays(Protocol):
     body_count: int
     sphere_count: int
     capacity: np.ndarray
+    """Number of neighbour list entries for which each scene has memory, shape (scenes,)."""
     rows: np.ndarray
+    """Copy on the host of the parameters of all scenes, as a structured array of shape (scenes,)."""
     wall_parameters: DeviceArray
+    """Parameters of the contact laws between bodies and walls, one row for each ordered pair of materials, shape
+    (rows,). The rows of all scenes are joined end to end."""
     pairs: Pairs
     """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 
@@ -46,8 +48,13 @@ class SceneBatch(BatchArrays, Protocol):
     def stage(
         self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,
         every: int = 1, block: int | None = None, **named: object,
-    ) -> Stage: ...  # fmt: skip
+    ) -> Stage:  # fmt: skip
+        """Return a recorded launch of `kernel` over `dim` tasks; `named` gives arguments by parameter name."""
+        ...
 
-    def barrier(self) -> list[Stage]: ...
+    def barrier(self) -> list[Stage]:
+        """Return a list with the barrier at which CPU threads wait for one another; it is empty for a single thread."""
+        ...
 
-    def invalidate_graphs(self) -> None: ...
+    def invalidate_graphs(self) -> None:
+        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""

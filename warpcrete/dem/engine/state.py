@@ -53,29 +53,48 @@ class HoldingBatch(Protocol):
     """Protocol of the batch to which a state belongs, for modules that cannot import the class `Batch`.
 
     The module `state` cannot import it, because the module `batch` imports `state`. The measuring functions in `probes`
-    reach a batch only through a state. `Batch` describes the members.
+    reach a batch only through a state.
     """
 
     device: wp.Device
     exchange: Exchange
     version: int
+    """Number that increases whenever arrays or the division of bodies among CPU threads change, which makes recorded
+    launches invalid."""
     rows: np.ndarray
+    """Host copy of the parameters of all scenes, as a structured array of shape (scenes,)."""
 
     @property
-    def kernel_arrays(self) -> dict[str, object]: ...
+    def kernel_arrays(self) -> dict[str, object]:
+        """Arrays and structs of all scenes, by the names of the kernel parameters that receive them."""
+        ...
 
     @cached_property
-    def wall_array(self) -> DeviceArray: ...
+    def wall_array(self) -> DeviceArray:
+        """Device array for forces, travel and other values of all walls, shape (walls, WALL_COLUMNS)."""
+        ...
 
-    def wall_stage(self) -> Stage: ...
+    def wall_stage(self) -> Stage:
+        """Return the launch that writes forces, travel and other values of all walls to `wall_array`."""
+        ...
 
-    def own_walls(self, s: int, values: np.ndarray) -> np.ndarray: ...
+    def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
+        """Return the rows of `values` for the walls of scene `s`; `values` has one row for each wall of the batch."""
+        ...
 
-    def host_flags(self) -> np.ndarray: ...
+    def host_flags(self) -> np.ndarray:
+        """Return the control flags of all scenes, such as halted or failed, shape (scenes, FLAGS)."""
+        ...
 
-    def host_clock(self) -> np.ndarray: ...
+    def host_clock(self) -> np.ndarray:
+        """Return simulated time, time step and other time data of each scene, shape (scenes, CLOCK).
 
-    def reserve_loads(self, s: int, wanted: int) -> None: ...
+        `kernels/dem/structs.py` says what each column contains. Callers must not change the array.
+        """
+        ...
+
+    def reserve_loads(self, s: int, wanted: int) -> None:
+        """Enlarge the array of bond loads (forces and moments of bonds) to at least `wanted` rows for scene `s`."""
 
 
 def struct_of(structs: SimpleNamespace, name: str) -> Struct:

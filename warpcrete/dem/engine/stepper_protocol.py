@@ -34,7 +34,7 @@ class StepperRecord(TypedDict):
 
 
 class SceneStepper(Protocol):
-    """Protocol of a stepper, which advances one scene of a batch; the class `Stepper` describes the methods."""
+    """Protocol of a stepper, which advances one scene of a batch until the scene reaches a goal."""
 
     model: Model
     state: State
@@ -44,16 +44,33 @@ class SceneStepper(Protocol):
     index: int
     """Index of the scene in its batch."""
 
-    def reaching(self, goal: Until | Steps) -> Coroutine: ...
+    def reaching(self, goal: Until | Steps) -> Coroutine:
+        """Return a coroutine that advances the scene to a goal and yields whenever the batch must step."""
+        ...
 
-    def wants_estimate(self) -> bool: ...
+    def wants_estimate(self) -> bool:
+        """Return whether the latest goal was a number of steps and an estimate of the stable step is now due."""
+        ...
 
-    def failure(self, flags: np.ndarray) -> Exception | None: ...
+    def failure(self, flags: np.ndarray) -> Exception | None:
+        """Return the exception to raise if the control flags `flags` of the scene report a failure; otherwise None."""
+        ...
 
-    def reached(self, flags: np.ndarray) -> bool: ...
+    def reached(self, flags: np.ndarray) -> bool:
+        """Return whether the scene has halted because it has reached its goal or needs an estimate of its stable step.
+
+        `flags` contains the control flags of the scene.
+        """
+        ...
 
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
-    ) -> None: ...
+    ) -> None:
+        """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-    def state_dict(self) -> StepperRecord: ...
+        `resumed` is the `state_dict` of an earlier stepper, whose work this stepper continues, or None.
+        """
+
+    def state_dict(self) -> StepperRecord:
+        """Return the data that a stepper needs, in addition to the state, to continue with identical results."""
+        ...
