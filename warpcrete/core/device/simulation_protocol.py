@@ -9,20 +9,23 @@ import warp as wp
 
 
 class Stepped(Protocol):
-    """Simulated state with its time [s], its number of completed steps, and methods that take time steps.
-
-    `advance` steps the state until its time reaches `until` [s]; `take` takes `count` time steps of the current size.
-    """
+    """Simulated state with its time, its number of completed steps, and methods that take time steps."""
 
     @property
-    def time(self) -> float: ...
+    def time(self) -> float:
+        """Simulated time [s]."""
+        ...
 
     @property
-    def steps(self) -> int: ...
+    def steps(self) -> int:
+        """Number of completed steps."""
+        ...
 
-    def advance(self, until: float, /) -> None: ...
+    def advance(self, until: float, /) -> None:
+        """Step the state until its time reaches `until` [s]."""
 
-    def take(self, count: int, /) -> None: ...
+    def take(self, count: int, /) -> None:
+        """Take `count` time steps of the current size."""
 
 
 class SimulationOnDevice:
