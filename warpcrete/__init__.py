@@ -68,9 +68,6 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(".scenes", __name__)
     if name == "__version__":
         return importlib.import_module(".core.run.version", __name__).version_of("warpcrete")
-    # FluidSimulation is an old name; the class `Simulation` now takes scenes of all simulation methods.
-    if name == "FluidSimulation":
-        return importlib.import_module(".mps.simulation", __name__).FluidSimulation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

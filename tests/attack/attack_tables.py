@@ -276,7 +276,7 @@ OPTIONS = [  # words, and what is said
     ("theory --flow", ""), ("theory --flow 30", "m3/h"), ("theory --flow 1m3/s", "impossible|at most|flow at"), ("theory --pressure -5bar", ""),
     ("theory --rest -10", "rest"), ("theory --rest 10h --thixotropy -1", "thixotropy"), ("theory --thixotropy 0.5", "rest"),
     ("theory --segregation 5 --aggregate 0.3", ""), ("theory --segregation -20% --aggregate 36", ""), ("theory --aggregate 0.3", "segregation"),
-    ("theory --length 0", "length"), ("theory --length 10 --rise 20", "rise"), ("theory --diameter 125mm --radius 60mm", "another name"),
+    ("theory --length 0", "length"), ("theory --length 10 --rise 20", "rise"), ("theory --diameter 125mm --radius 60mm", "radius"),
     ("theory --slip-thickness 70mm --diameter 0.1", "slip_thickness"), ("theory --fit whole", "directory"), ("theory --concrete ''", "concrete"),
     ("theory --viscosity '50 Pa'", "viscosity"), ("theory --gravity nan", "gravity"), ("theory --flow -1e-9", ""),
     ("line", ""), ("line .", "directory"), ("line nowhere", "must be the path of a file"), ("line burj", "burj-khalifa"), ("line site.yaml --flow 30 --theory", "m3/h"),

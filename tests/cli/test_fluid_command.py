@@ -110,7 +110,7 @@ def test_a_study_of_flows(tmp_path):
 def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
     """Both run in one process, so that the failed run could harm the other one."""
     out = tmp_path / "sweep"
-    done = command("study", "channel", "--spacing", 20e-3, "--most-iterations", 3, 2000, "--device", "cpu", "--out",
+    done = command("study", "channel", "--spacing", 20e-3, "--maximum-iterations", 3, 2000, "--device", "cpu", "--out",
                    out, "--processes", 1, "--quiet")  # fmt: skip
     assert done.returncode == 1 and "1 of 2 cases done, 1 failed" in done.stdout
     assert "failed: 001-maximum_iterations=3" in done.stdout and "did not converge in 3 iterations" in done.stdout
@@ -125,7 +125,7 @@ def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
         (["--colour", "size"], "colour = 'size'"),
         (["--network"], "network"),
         (["--pipeline-vertical", "10"], "pipeline = "),
-        (["--mix", "own"], "has no value for density, slip_viscosity, slip_yield, viscosity, yield_stress"),
+        (["--concrete", "own"], "has no value for density, slip_viscosity, slip_yield, viscosity, yield_stress"),
         (["--viscosity", "0"], "viscosity = 0.0"),
     ],
 )
@@ -138,7 +138,7 @@ def test_bad_input_leaves_nothing(tmp_path, scene, options, words):
 
 
 def test_a_solve_that_fails_ends_the_run_with_its_history(tmp_path):
-    done = command("run", "channel", "--spacing", 5e-3, "--most-iterations", 3, "--device", "cpu", "--out",
+    done = command("run", "channel", "--spacing", 5e-3, "--maximum-iterations", 3, "--device", "cpu", "--out",
                    tmp_path / "run", "--quiet")  # fmt: skip
     assert done.returncode == 1
     assert "the viscosity solve did not converge in 3 iterations" in done.stderr and "; its residual is " in done.stderr

@@ -135,7 +135,7 @@ BAD = [
     (["--wall", "missing.stl"], "missing.stl': cannot be read"),
     (["--hydration", "1.5"], "hydration"),
     (["--time-step", "0.01"], "time_step = 0.01"),
-    (["--unit", "elbow-up", "--travel", "2"], "travel = 2.0"),
+    (["--unit", "bend-to-horizontal", "--travel", "2"], "travel = 2.0"),
     (["--solid-fraction", "0.99"], "solid_fraction = 0.99"),
     (["--device", "tpu"], "device = 'tpu'"),
     (["--frames", "0"], "frames = 0.0"),

@@ -160,7 +160,7 @@ def test_fingerprints_tell_scenes_apart():
     assert fingerprint(one) != fingerprint(mixed_scene(1))
     assert fingerprint(scenes.pipe()) == fingerprint(scenes.pipe())
     for change in (dict(friction=0.06), dict(shapes="reference"), dict(unit="horizontal"), dict(elbow_radius=0.6)):
-        base = dict(unit="elbow-up") if "elbow_radius" in change else {}
+        base = dict(unit="bend-to-horizontal") if "elbow_radius" in change else {}
         assert fingerprint(scenes.pipe(**base)) != fingerprint(scenes.pipe(**(base | change))), change
 
 

@@ -194,8 +194,6 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
         ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: has no effect unless 'plug' is"),
         ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: has no effect unless 'sizes' is"),
         ("tube", ["--time-step", 10], "time_step = 10.0: must be shorter, because the piston moves"),
-        ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of 'diameter'"),
-        ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of 'concrete'"),
         ("pipe", ["--velocity", 1e9], "velocity = 1000000000.0: must be in"),
         ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': needs the lengths of the whole pipeline"),
         ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': must not be a plate in a bend"),
@@ -207,13 +205,14 @@ def test_what_would_be_ignored_or_is_said_twice_is_refused(tmp_path, scene, opti
     assert not list(tmp_path.iterdir())
 
 
-def test_every_parameter_answers_to_its_other_names(tmp_path):
-    one, two = scenes.tube(radius=0.06, mix="no2"), scenes.tube(diameter=0.12, concrete="no2")
-    assert fingerprint(one) == fingerprint(two) and one.parameters == two.parameters
-    assert scenes.pipe(unit="elbow-down").pipe.name == scenes.pipe(unit="D").pipe.name == "bend-to-vertical"
-    table = invoke("theory", "--mix", "no2", "--radius", 0.06, "--flow", 0.001).output
-    assert table == invoke("theory", "--concrete", "no2", "--diameter", 0.12, "--flow", 0.001).output
-    assert table.startswith("no2: ")
+def test_a_pipe_unit_may_have_its_letter_in_the_paper_and_names_of_version_0_1_are_refused():
+    assert scenes.pipe(unit="d").pipe.name == scenes.pipe(unit="D").pipe.name == "bend-to-vertical"
+    for name, value in (("radius", 0.06), ("mix", "no2"), ("most_iterations", 9), ("aggregate_share", 0.2)):
+        with pytest.raises(SceneError, match=name):
+            scenes.tube(**{name: value})
+    for given in ({"unit": "elbow-down"}, {"shapes": "reference", "shares": "2,1,1,1"}):
+        with pytest.raises(SceneError, match=list(given)[-1]):
+            scenes.pipe(**given)
 
 
 def test_theory_answers_where_some_form_flows_and_has_no_flow_at_rest():

@@ -15,7 +15,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import launching
 from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.device.exchange import Exchange, LaunchAndRead
-from warpcrete.core.device.graphs import GraphLaunch, Zero, captured
+from warpcrete.core.device.graphs import Call, GraphLaunch, captured
 from warpcrete.core.device.launching import Launcher
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
@@ -40,7 +40,7 @@ def test_a_capture_waits_for_a_garbage_collection_of_another_thread(device):
 
     def launch():
         order.append("captured")
-        Zero(array)()
+        Call(array.zero_)()
 
     gc.collect()
     gc.disable()
@@ -73,7 +73,7 @@ def test_a_garbage_collection_of_another_thread_waits_for_a_capture(device):
         collector.start()
         collector.join(0.1)
         order.append("captured")
-        Zero(array)()
+        Call(array.zero_)()
 
     with pytest.raises(ZeroDivisionError):
         captured(find_device(device), lambda: 1 / 0)
@@ -91,7 +91,7 @@ def test_a_garbage_collection_of_another_thread_waits_for_a_capture(device):
 def test_what_is_read_with_a_launch_is_as_that_left_it(device):
     place = find_device(device)
     array, other = wp.ones(4, dtype=wp.int32, device=device), wp.zeros((0, 3), dtype=wp.float64, device=device)
-    reading = LaunchAndRead([Zero(array)], [array, other], place)
+    reading = LaunchAndRead([Call(array.zero_)], [array, other], place)
     for value in (3, 5):
         array.fill_(value)
         zeros, none = reading()
@@ -177,7 +177,7 @@ def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypat
 
 def test_stages_are_launched_at_once_again_and_again(device):
     array = wp.ones(4, dtype=wp.float32, device=device)
-    both = GraphLaunch([Zero(array)], find_device(device))
+    both = GraphLaunch([Call(array.zero_)], find_device(device))
     for _ in range(2):
         array.fill_(1.0)
         both()

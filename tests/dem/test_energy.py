@@ -14,7 +14,7 @@ from warpcrete.geometry.walls import PlaneWall, Prescribed
 @pytest.mark.parametrize(
     "case",
     [
-        dict(), dict(shapes="reference", unit="elbow-up"), dict(wall="mesh", facets=24),
+        dict(), dict(shapes="reference", unit="bend-to-horizontal"), dict(wall="mesh", facets=24),
         dict(layer_yield=100.0, layer_viscosity=500.0),
     ],
     ids=["spheres", "clumps, elbow", "mesh", "layer"],

@@ -29,7 +29,7 @@ def thrown(start, contact=ELASTIC, walls=INSIDE, dt=None, velocity=(100.0, 0.0, 
 @pytest.mark.parametrize("template", [None, elongated(2.0)], ids=["sphere", "clump"])
 def test_a_fixed_step_that_carries_a_body_past_the_wall_ends_the_run(start, template):
     soft = Contact(effective_modulus=1e3)
-    radius = RADIUS if template is None else 2 * RADIUS * template.scaled(1.0)[1].min()
+    radius = RADIUS if template is None else 2 * RADIUS * template.radii.min()
     for part, fails in ((0.9, False), (1.1, True), (6.0, True)):
         stepper = thrown(start, soft, dt=part * radius / 100.0, template=template)
         if not fails:
@@ -42,7 +42,7 @@ def test_a_fixed_step_that_carries_a_body_past_the_wall_ends_the_run(start, temp
 @pytest.mark.parametrize("template", [None, elongated(2.0)], ids=["sphere", "clump"])
 def test_a_sphere_and_a_moving_mesh_may_together_move_by_a_radius(start, template):
     """Each moves by less than a radius in a step; a wall that is held at rest does not count."""
-    radius = RADIUS if template is None else 2 * RADIUS * template.scaled(1.0)[1].min()
+    radius = RADIUS if template is None else 2 * RADIUS * template.radii.min()
     box = replace(INSIDE[0], motion=Prescribed(velocity=(-50.0, 0.0, 0.0)))
     for part, fails in ((0.62, False), (0.7, True)):  # of the sphere, with half of it from the wall: 0.93 and 1.05
         dt = part * radius / 100.0
@@ -62,7 +62,7 @@ def test_a_sphere_and_a_moving_mesh_may_together_move_by_a_radius(start, templat
 
 def test_a_clump_that_spins_so_fast_ends_the_run(start):
     template = elongated(3.0)
-    centres, radii = template.scaled(2 * RADIUS)
+    centres, radii = 2 * RADIUS * template.offsets, 2 * RADIUS * template.radii
     far = int(np.argmax(np.linalg.norm(centres, axis=1)))
     dt = 1e-5
     for part, fails in ((0.9, False), (1.1, True)):

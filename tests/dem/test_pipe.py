@@ -103,8 +103,7 @@ UP, ALONG = (0, 0, 1), (1, 0, 0)
 DIRECTIONS = {
     "vertical": (UP, UP), "horizontal": (ALONG, ALONG),
     "bend-to-horizontal": (UP, ALONG), "bend-to-vertical": (ALONG, UP),
-    "A": (UP, UP), "B": (ALONG, ALONG), "C": (UP, ALONG), "D": (ALONG, UP), "elbow-up": (UP, ALONG),
-    "elbow-down": (ALONG, UP),
+    "A": (UP, UP), "B": (ALONG, ALONG), "C": (UP, ALONG), "D": (ALONG, UP),
 }  # fmt: skip
 
 

@@ -197,7 +197,7 @@ def test_a_scene_in_a_batch_wears_as_alone(device):
         same(run, Simulation(scene, device=device, threads=1).run())
 
 
-@pytest.mark.parametrize("case", [dict(unit="elbow-up"), dict(wall="mesh", facets=24)], ids=["elbow", "mesh"])
+@pytest.mark.parametrize("case", [dict(unit="bend-to-horizontal"), dict(wall="mesh", facets=24)], ids=["elbow", "mesh"])
 def test_counting_wear_changes_nothing_else(device, case):
     plain = Simulation(scenes.pipe(**(SMALL | case)), device=device).run()
     run = Simulation(scenes.pipe(**(SMALL | case), wear=True), device=device).run()
@@ -225,7 +225,8 @@ def test_the_command_draws_and_paints_it(tmp_path, whole_pictures):
     from pxr import Usd, UsdGeom
 
     out = tmp_path / "run"
-    done = command("run", "pipe", "--device", "cpu", *small_options(unit="elbow-up"), "--wear", "--usd", "--out", out)
+    options = small_options(unit="bend-to-horizontal")
+    done = command("run", "pipe", "--device", "cpu", *options, "--wear", "--usd", "--out", out)
     assert done.returncode == 0, done.stderr
     assert "um/h" in done.stdout and (out / "wear.png").stat().st_size > 10_000
     assert read_json(out / "result.json")["wear_depth_per_hour"]["unit"] == "m/h"
@@ -372,7 +373,7 @@ def test_wear_of_a_thick_wall_is_that_of_its_inside():
 @pytest.mark.parametrize("wall", ["exact", "mesh"])
 def test_kept_wear(wall):
     """Results, report and figure of an elbow whose patches are worn by made-up amounts (see `kept`)."""
-    given = dict(unit="elbow-up", length=0.4, diameter=0.1, elbow_radius=0.3, wear=True)
+    given = dict(unit="bend-to-horizontal", length=0.4, diameter=0.1, elbow_radius=0.3, wear=True)
     scene = scenes.pipe(**given, **(dict(wall="mesh", facets=24) if wall == "mesh" else {}))
     worn = []
     for each in scene.walls:

@@ -188,7 +188,6 @@ def test_shapes_of_aggregates_are_kept():
             "sets": {name: clumps.templates(name) for name in clumps.TEMPLATE_SETS},
             "union": union,
             "own": [own.radii, own.inertia],
-            "scaled": own.scaled(0.02)[1],
             "gaussian": sizes.Gaussian(0.01, 0.004, 0.005, 0.02).sample(30, rng(2)),
             "uniform": sizes.Uniform(0.005, 0.02).sample(9, rng(2)),
             "sieve": [sizes.SieveCurve(*curve).sample(30, rng(2)), sizes.SieveCurve(*curve)],

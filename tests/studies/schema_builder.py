@@ -11,7 +11,7 @@ from typing import Any
 from warpcrete.core.inputs.amounts import patterns
 from warpcrete.core.inputs.concretes import SECTIONS, TEXTS
 from warpcrete.core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
-from warpcrete.core.inputs.parameters import Above, Alias, CompositeRule, Field, OneOf, Within, declared_fields
+from warpcrete.core.inputs.parameters import Above, CompositeRule, Field, OneOf, Within, declared_fields
 from warpcrete.dem.pumping.parameters import PipeParameters
 from warpcrete.geometry.line_entries import AMOUNTS, BEGINS, BEND_FACTOR, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from warpcrete.geometry.line_entries import KEYS as LINE_KEYS
@@ -181,12 +181,8 @@ def _bounds(field: Field) -> Schema:
 
 
 def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
-    """Return the schemas of a scene's parameters by name, aliases included."""
-    found = {}
-    for field in fields:
-        for name in (field.name, *(alias.name for alias in field.of_kind(Alias))):
-            found[name] = field_schema(field)
-    return found
+    """Return the schemas of a scene's parameters by name."""
+    return {field.name: field_schema(field) for field in fields}
 
 
 def _own_parameters(fields: Mapping[str, Field]) -> Schema:

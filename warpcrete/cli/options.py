@@ -10,7 +10,7 @@ from click.shell_completion import CompletionItem
 
 from ..core.errors import suggested
 from ..core.inputs.amounts import amount
-from ..core.inputs.parameters import Alias, CompositeRule, Field, FileIf, OneOf, Suggests
+from ..core.inputs.parameters import CompositeRule, Field, FileIf, OneOf, Suggests
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
 from . import completion
@@ -47,26 +47,19 @@ def _value_of(option: str, words: list[str]) -> str | None:
 
 
 def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
-    """Return one option for each declared parameter in `fields`, and a hidden option for each alias of a parameter."""
+    """Return one option for each declared parameter in `fields`."""
     found: list[click.Parameter] = []
     for field in fields:
-        names = [field.name, *(alias.name for alias in field.of_kind(Alias))]
-        others = f"; also {', '.join(flag(name) for name in names[1:])}" if len(names) > 1 else ""
-        for name in names:
-            own = name == field.name
-            default = field.default if field.default is not MISSING else None
-            settings: dict[str, Any] = {
-                "default": default if own else None,
-                "help": field.help + others,
-                "hidden": not own,
-                "show_default": own and default not in (None, ""),
-            }
-            if field.kind is bool:
-                option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
-            else:
-                option = ParameterOption([flag(name), name], type=kind_of(field, name), **settings)
-            option.group, option.common = field.group, field.common
-            found.append(option)
+        name, default = field.name, field.default if field.default is not MISSING else None
+        settings: dict[str, Any] = {
+            "default": default, "help": field.help, "show_default": default not in (None, ""),
+        }  # fmt: skip
+        if field.kind is bool:
+            option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
+        else:
+            option = ParameterOption([flag(name), name], type=kind_of(field, name), **settings)
+        option.group, option.common = field.group, field.common
+        found.append(option)
     return found
 
 

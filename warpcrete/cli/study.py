@@ -9,7 +9,7 @@ import click
 from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
 from ..core.inputs.by_name import trust_option
-from ..core.inputs.parameters import Alias, CompositeRule, Field
+from ..core.inputs.parameters import CompositeRule, Field
 from ..core.run.files import next_folder, read_record
 from ..record.recorders import RECORDERS
 from ..studies.api import study_progress
@@ -216,10 +216,10 @@ def _new_study(
 
 
 def fields_of(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
-    """Return a scene's parameters by name and alias, including the parameters of contact laws named in `options`."""
+    """Return a scene's parameters by name, including the parameters of contact laws named in `options`."""
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
-        found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)
+        found[name] = field
         for word in options.get(name.replace("_", "-"), []) if any(field.of_kind(CompositeRule)) else []:
             found = module.scene.fields({name: word}) | found
     return found

@@ -72,20 +72,16 @@ class ElementSimulation(Simulation):
 
     @property
     def prepared(self) -> bool:
-        """True if the simulation has a state, that is, if its bodies have been placed."""
         return hasattr(self, "state")
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the time series that have been recorded so far, each a dictionary of values by column name."""
         return self.sampler.rows
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the time series, by the column's name."""
         return unit_of(column, self.model.walls)
 
     def display(self, colouring: str | None = None) -> ElementDisplay:
-        """Return the object that supplies recorders with the colours, lines, plots and walls to draw."""
         return ElementDisplay(self, colouring)
 
     def prepare(self) -> None:
@@ -274,7 +270,6 @@ class ElementSimulation(Simulation):
             self.blockage.load_state_dict(state["blockage"])
 
     def release(self) -> None:
-        """Free the device memory of the simulation; the results of the run stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
         # A simulation that failed early lacks some of the attributes in this list.
@@ -289,7 +284,6 @@ class ElementSimulation(Simulation):
         return row
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a sampled row of the time series shows that the simulation is unstable."""
         self.watch(row)
 
     def ended_early(self) -> bool:
@@ -312,7 +306,6 @@ class ElementSimulation(Simulation):
         return run
 
     def why_ended(self) -> tuple[str, str]:
-        """Return why a complete run has ended, as a short key such as "blocked", and as a sentence."""
         vessel, blockage, time = self.scene.vessel, self.scene.blockage, self.stepper.time
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
             return "blocked", f"the pipe was blocked at t = {time:.4g} s, and the scene ends blocked runs"
@@ -325,7 +318,6 @@ class ElementSimulation(Simulation):
         return super().why_ended()
 
     def result(self, finished: bool) -> ElementRun:
-        """Return the run up to the present time, with series, results, tables and bodies."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
         running = self.wall_times.phases.get("running", 0.0)

@@ -266,7 +266,7 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
     field = f"part {part.number}, {part.kind}"
     _refuse_both(field, said, "factor", "equivalent")
     for stated in ("factor", "equivalent"):
-        # Both state the friction over that of pipe, so they already contain the effect of the layer.
+        # Each of these entries states the friction relative to straight pipe, which contains the effect of the layer.
         _refuse_both(field, said, stated, "layer")
     if "factor" in said:
         factor = get("factor", "1")

@@ -10,7 +10,7 @@ import numpy as np
 from ..core.errors import at_least_and_below, positive, refuse
 from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity, warn
-from ..core.inputs.parameters import Above, Alias, Needs, OneOf
+from ..core.inputs.parameters import Above, Needs, OneOf
 from ..core.run.checks import with_cures
 from ..core.run.run import Run
 from ..core.units import number
@@ -56,21 +56,11 @@ FLOW = 1500e-6
 NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")
 
 
-def diameter_of_radius(radius: Any) -> Any:
-    """Return the diameter that belongs to a radius; return a value that is not a number unchanged.
-
-    An option `radius` uses this function to set the parameter `diameter`.
-    """
-    return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
-
-
 @dataclass(frozen=True, kw_only=True)
 class ColumnParameters:
     """Parameters of the pipe and of the piston, and the spacing of the particles."""
 
-    diameter: Annotated[
-        float, "Inner diameter of the pipe, or distance of the planes [m]", Above(), Alias("radius", diameter_of_radius)
-    ] = 0.1
+    diameter: Annotated[float, "Inner diameter of the pipe, or distance of the planes [m]", Above()] = 0.1
     length: Annotated[float, "Length of the concrete in the pipe [m]"] = 0.3
     flow: Annotated[float | None, "Volume flow through a round pipe of this diameter [m3/s]; default: 1500e-6"] = None
     pressure: Annotated[
@@ -90,7 +80,6 @@ class AggregateParameters:
         float | None,
         "Volume fraction of the coarse aggregate; default: the concrete's gravel",
         NEEDS_AGGREGATES,
-        Alias("aggregate_share"),
     ] = None
     aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), NEEDS_AGGREGATES] = 2630.0
     inclusions: Annotated[

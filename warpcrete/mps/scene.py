@@ -14,7 +14,7 @@ from ..core.device.device import PRECISIONS
 from ..core.drawing.html import Parametrised
 from ..core.drawing.style import pumping_caption
 from ..core.errors import at_most, between, one_of, positive, refuse
-from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
+from ..core.inputs.parameters import Above, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 from .common.settings import STEP_ERROR, check_interval
 
@@ -113,7 +113,6 @@ class FlowSettings(Declared):
         int,
         "Largest number of iterations of a solve; the run ends with an error beyond it",
         Within(1),
-        Alias("most_iterations"),
     ] = 2000
     steadiness: Annotated[
         float,

@@ -77,9 +77,11 @@ class RerunStream:
         return self._recording is not None
 
     def connect(self, application: str, caption: str, recording_id: str, part: int, blueprint: Any) -> None:
-        """Open the file's part with the number `part` and the viewer, with `blueprint` as the layout of the views.
+        """Begin a recording: open its file and, for a live recording, the viewer.
 
-        A viewer keeps one layout for each name of an `application`.
+        A recording may consist of several files, and `part` is the number of this one. `caption` is the title of the
+        recording, and `recording_id` is the name by which viewers recognise that several files belong together.
+        `blueprint` is the layout of the views. A viewer keeps one layout for each name of an `application`.
         """
         self._recording = self.rr.RecordingStream(application, recording_id=recording_id)
         if part == 0:
@@ -93,7 +95,7 @@ class RerunStream:
         self._open_sinks(default_blueprint=blueprint)
 
     def open_next_part(self) -> None:
-        """Close the current part of the file and open the next part."""
+        """Close the current file of the recording and open the next one."""
         self.flush()
         self.part += 1
         self._open_sinks()

@@ -189,7 +189,6 @@ class TableRecorder(Recorder):
             _write_table(self.folder / f"{name}.csv", table)
 
     def close(self, simulation: SimulationBase) -> None:
-        """Release the lock on the folder."""
         if self._folder_hold is not None:
             self._folder_hold.release()
             self._folder_hold = None

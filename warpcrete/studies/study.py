@@ -258,7 +258,7 @@ def load_study(folder: Path) -> Study:
 
 
 def written_units(scene: Any, written: Mapping[str, Sequence[Any]]) -> dict[str, str]:
-    """Return the units in which parameters are written, by the parameter's own name.
+    """Return the units in which parameters are written, by the parameter's name.
 
     `written` holds the values of each parameter as the user stated them. Parameters without a unit, or with several
     units, are missing from the result.
@@ -267,30 +267,20 @@ def written_units(scene: Any, written: Mapping[str, Sequence[Any]]) -> dict[str,
     found: dict[str, str] = {}
     for name, values in written.items():
         if any(isinstance(value, str) for value in values):
-            (own,) = scene.resolved({name: None})
-            unit = written_unit(values, fields[own].units) if own in fields else None
-            found |= {own: unit} if unit else {}
+            unit = written_unit(values, fields[name].units) if name in fields else None
+            found |= {name: unit} if unit else {}
     return found
 
 
 def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
-    """Return the values of the varied parameters, by name.
-
-    Aliases of names are replaced by the parameters' own names, and texts with units by numbers.
-    """
-    found: dict[str, list[Any]] = {}
+    """Return the values of the varied parameters, by name, with numbers in place of texts with units."""
     for name, values in varied.items():
-        (own,) = scene.resolved({name: None})
         for value in values:
             if is_dataclass(value):
                 refuse(name, value, "is an object, but only names and numbers can be varied",
                        "give the name of the object's class instead, and vary its parameters, whose names begin with "
                        f"{name}_")  # fmt: skip
-        if own in found:
-            problem = f"varies {own!r}, which is already varied under this or another name"
-            refuse(name, values, problem, "leave out one of the two")
-        found[own] = [scene.resolved({name: value})[own] for value in values]
-    return found
+    return {name: [scene.resolved({name: value})[name] for value in values] for name, values in varied.items()}
 
 
 def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:

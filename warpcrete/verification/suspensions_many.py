@@ -16,7 +16,6 @@ from ..mps.grid.layout import Motion
 from ..suspension.aggregates import Aggregates
 from ..suspension.balance import Balance, step_with_balance, wall_friction
 from ..suspension.flow import SuspensionFlow
-from ..suspension.nearby import close_pairs
 from ..suspension.placing import random_places
 from ..suspension.solve import Tolerances
 from .case import Case, Row
@@ -49,7 +48,7 @@ class Core:
 def suspension(
     fraction: float, seed: int, device: str, precision: str, *, across: int = 4, wide: int = 8, long: int = 6,
     rate: float = RATE, strain: float = 0.01, extra_density: float = 0.0, yield_stress: float = 0.0,
-    coupled: float = 1e-4, friction: float = 0.0,
+    coupled: float = 1e-4,
 ) -> SuspensionFlow:  # fmt: skip
     """Return a suspension of equal spheres at random places between two moving walls.
 
@@ -68,7 +67,7 @@ def suspension(
     speed = float(high[0]) * rate
     return mortar_flow(
         cells, width, Aggregates(centres, radii, DENSITY + extra_density), device, precision,
-        tolerances=Tolerances(coupled=coupled), friction=friction,
+        tolerances=Tolerances(coupled=coupled),
         sides=((WALL, WALL), (MIRROR, MIRROR), (OPEN_SIDE, OPEN_SIDE)),
         walls=[(lambda x: x[:, 0] + high[0], ROUGH + 1), (lambda x: high[0] - x[:, 0], ROUGH + 2)],
         motions=(Motion((0.0, 0.0, -speed)), Motion((0.0, 0.0, speed))), periodic=True, speed=speed,
@@ -105,37 +104,14 @@ def mean_core(cores: list[Core]) -> Core:
     return Core(*(float(np.mean([getattr(c, name) for c in cores])) for name in ("stress", "rate", "fraction")))
 
 
-def random_structure(fraction: float, seed: int, device: str, precision: str, across: int = 4, wide: int = 8) -> Core:
+def random_structure(fraction: float, seed: int, device: str, precision: str) -> Core:
     """Return the mean values in the core (middle part) of a suspension of randomly placed spheres after one time step.
 
     Within this step the flow hardly changes the places of the spheres.
     """
-    flow = suspension(fraction, seed, device, precision, across=across, wide=wide)
+    flow = suspension(fraction, seed, device, precision)
     flow.take(1)
     return core_of(flow)
-
-
-def sheared_structure(fraction: float, seed: int, device: str, precision: str) -> tuple[Core, float]:
-    """Return the mean values in the core (middle part) of a suspension, averaged over shear strains from 1 to 2.
-
-    The second result is the volume of all overlaps between spheres at the end, divided by the volume of the spheres.
-    """
-    flow = suspension(fraction, seed, device, precision, wide=6, strain=0.1)
-    flow.take(10)
-    cores = []
-    for _ in range(10):
-        flow.take(1)
-        cores.append(core_of(flow))
-    return mean_core(cores), overlapping_part(flow)
-
-
-def overlapping_part(flow: SuspensionFlow) -> float:
-    """Return the volume of the overlaps of all pairs of spheres, divided by the volume of all spheres."""
-    room = flow.state.layout.room
-    centres = flow.aggregates.bodies.centre.numpy().astype(float)
-    d = np.linalg.norm(close_pairs(centres, 2 * RADIUS, room.cells[2] * room.width[2])[2], axis=1)
-    lenses = np.pi * (4 * RADIUS + d) * (2 * RADIUS - d) ** 2 / 12
-    return float(lenses.sum() / (len(centres) * 4 / 3 * np.pi * RADIUS**3))
 
 
 def yield_factor(fraction: float, seed: int, bingham: float, device: str, precision: str) -> tuple[float, float]:

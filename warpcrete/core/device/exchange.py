@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import warp as wp
 
 from .arrays import DeviceArray, HostArray, copy_array, empty
-from .graphs import GraphLaunch, Recordable, captured
+from .graphs import Call, GraphLaunch, Recordable, captured
 from .interpreter_priority import run_is_waiting
 
 MAXIMUM_BUFFERS = 2048
@@ -68,26 +68,13 @@ class PinnedBuffers:
         wp.capture_launch(self._graph)
 
 
-class _Copying:
-    """Stage of a launch graph that copies device arrays into page-locked host memory."""
-
-    def __init__(self, buffers: PinnedBuffers, arrays: Sequence[DeviceArray]) -> None:
-        self._buffers, self._arrays = buffers, arrays
-
-    def record(self) -> None:
-        """Do nothing, because copies need no preparation."""
-
-    def __call__(self) -> None:
-        self._buffers.copy(self._arrays)
-
-
 class LaunchAndRead:
     """Callable that launches several stages (recorded kernel launches), then copies device arrays to the host."""
 
     def __init__(self, stages: Sequence[Recordable], arrays: Sequence[DeviceArray], device: wp.Device) -> None:
         self._device, self._arrays = device, tuple(arrays)
         self._buffers = PinnedBuffers(arrays, device) if device.is_cuda else None
-        copies = [] if self._buffers is None else [_Copying(self._buffers, self._arrays)]
+        copies = [] if self._buffers is None else [Call(self._buffers.copy, self._arrays)]
         self._launch = GraphLaunch([*stages, *copies], device)
 
     def __call__(self) -> list[HostArray]:

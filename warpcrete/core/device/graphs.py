@@ -8,7 +8,6 @@ from typing import Protocol
 
 import warp as wp
 
-from .arrays import DeviceArray, copy_array
 from .interrupts import defer_interrupts
 
 _collecting_or_capturing = threading.RLock()
@@ -73,30 +72,17 @@ class Recordable(Protocol):
         """Launch the prepared work on the device."""
 
 
-class Copy:
-    """Stage of a launch graph that copies one array to another array of the same length."""
+class Call:
+    """Stage of a launch graph that calls a function of Warp with some arguments, for example to copy an array."""
 
-    def __init__(self, target: DeviceArray, source: DeviceArray) -> None:
-        self.target, self.source = target, source
-
-    def record(self) -> None:
-        """Do nothing, because a copy needs no preparation."""
-
-    def __call__(self) -> None:
-        copy_array(self.target, self.source)
-
-
-class Zero:
-    """Stage of a launch graph that sets an array to zero."""
-
-    def __init__(self, array: DeviceArray) -> None:
-        self.array = array
+    def __init__(self, function: Callable[..., object], *arguments: object) -> None:
+        self._function, self._arguments = function, arguments
 
     def record(self) -> None:
-        """Do nothing, because setting an array to zero needs no preparation."""
+        """Do nothing, because the function needs no preparation."""
 
     def __call__(self) -> None:
-        self.array.zero_()
+        self._function(*self._arguments)
 
 
 class GraphLaunch:

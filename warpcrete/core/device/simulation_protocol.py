@@ -1,4 +1,4 @@
-"""Protocols that describe a simulation, as types for the modules that the run loop imports.
+"""Classes that describe a simulation, as types for the modules that the run loop imports.
 
 These modules cannot import the simulation's class from the run loop, because the import would be circular.
 """
@@ -8,8 +8,8 @@ from typing import Protocol
 import warp as wp
 
 
-class Clocked(Protocol):
-    """Simulated state with a clock: its simulated time and the number of completed steps."""
+class Stepped(Protocol):
+    """Simulated state with its time, its number of completed steps, and methods that take time steps."""
 
     @property
     def time(self) -> float:
@@ -21,10 +21,6 @@ class Clocked(Protocol):
         """Number of completed steps."""
         ...
 
-
-class Stepped(Clocked, Protocol):
-    """Simulated state with a clock and with methods that take time steps."""
-
     def advance(self, until: float, /) -> None:
         """Step the state until its time reaches `until` [s]."""
 
@@ -32,22 +28,18 @@ class Stepped(Clocked, Protocol):
         """Take `count` time steps of the current size."""
 
 
-class SimulationOnDevice(Protocol):
-    """Simulation with its device, its threads and the state of its run."""
+class SimulationOnDevice:
+    """Base class of simulations with the attributes that modules below the run loop use."""
 
-    stop_requested: bool
-    """True if the run must end at its next sample, which adds a row to the time series."""
-
-    finishing: bool
-    """True if all steps of the run are over, and its results are being written or have been written."""
     device: wp.Device
     """Warp device of the run."""
     threads: int
     """Number of CPU threads of the run."""
-    shares_cores: bool
+    stepper: Stepped
+    """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
+    shares_cores = False
     """True if other runs use the CPU cores on which this run has no thread."""
-
-    @property
-    def stepper(self) -> Clocked:
-        """State that is stepped in time, whose attribute `time` is the simulated time [s]."""
-        ...
+    stop_requested = False
+    """True if the run must end at its next sample, which adds a row to the time series."""
+    finishing = False
+    """True if all steps of the run are over, and its results are being written or have been written."""

@@ -312,7 +312,7 @@ class Display(ABC):
         return None
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the current position [m] (3,) and orientation (x, y, z, w) of a drawn wall."""
+        """Return the current position [m], shape (3,), and orientation quaternion (x, y, z, w) of a drawn wall."""
         return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
 
     def rigid_bodies(self) -> RigidBodies | None:

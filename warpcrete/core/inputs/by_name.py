@@ -89,7 +89,6 @@ class ByName(CompositeRule):
         return {} if kind is None else own_fields(field.name, kind)
 
     def short_names(self) -> tuple[str, ...]:
-        """Return the short names of the classes whose objects the parameter accepts."""
         return tuple(self.classes)
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:

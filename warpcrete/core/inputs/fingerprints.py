@@ -2,21 +2,14 @@
 
 import dataclasses
 import hashlib
+from collections.abc import Callable
 from numbers import Integral
 from types import BuiltinFunctionType, FunctionType
-from typing import Protocol, SupportsFloat
+from typing import SupportsFloat
 
 import numpy as np
 
 from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_number
-
-
-class Digest(Protocol):
-    """Hash of data that is passed in pieces, such as a hash object of `hashlib`; `update` adds a piece."""
-
-    def update(self, data: bytes, /) -> None:
-        """Add bytes to the data that is hashed."""
-        ...
 
 
 def fingerprint(value: object) -> str:
@@ -26,41 +19,42 @@ def fingerprint(value: object) -> str:
     fields already contain everything that follows from them.
     """
     digest = hashlib.sha256()
-    _feed(digest, value)
+    _feed(digest.update, value)
     return digest.hexdigest()
 
 
-def _feed(digest: Digest, value: object) -> None:
+def _feed(update: Callable[[bytes], None], value: object) -> None:
+    """Pass the bytes of a value, piece by piece, to the function `update` of a hash."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        digest.update(_name(value))
+        update(_name(value))
         for field in dataclasses.fields(value):
             if field.name != "parameters":
-                digest.update(field.name.encode())
-                _feed(digest, getattr(value, field.name))
+                update(field.name.encode())
+                _feed(update, getattr(value, field.name))
     elif is_host_array(value):
-        digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+        update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif is_mapping(value):
         # Do not sort the entries. Their order determines the numbers of the kinds of bonds, so another order must give
         # another fingerprint.
         for key, item in value.items():
-            _feed(digest, key)
-            _feed(digest, item)
+            _feed(update, key)
+            _feed(update, item)
     elif is_list_or_tuple(value):
-        digest.update(f"[{len(value)}".encode())
+        update(f"[{len(value)}".encode())
         for item in value:
-            _feed(digest, item)
+            _feed(update, item)
     elif isinstance(value, bool) or is_number(value):
-        digest.update(_number(value))
+        update(_number(value))
     elif isinstance(value, type | FunctionType | BuiltinFunctionType):
-        digest.update(_named(value))
+        update(_named(value))
     elif isinstance(value, str | None):
-        digest.update(repr(value).encode())
+        update(repr(value).encode())
     elif hasattr(value, "vertices") and hasattr(value, "faces"):
         # Hash only the vertices and faces of a trimesh mesh: its attributes refer to each other in a cycle.
-        _feed(digest, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
+        _feed(update, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
     else:
-        digest.update(_name(value))
-        _feed(digest, {k: v for k, v in vars(value).items() if not k.startswith("_")})
+        update(_name(value))
+        _feed(update, {k: v for k, v in vars(value).items() if not k.startswith("_")})
 
 
 def _number(value: SupportsFloat) -> bytes:

@@ -114,14 +114,6 @@ class Suggests:
     values: Callable[[], Iterable[str]]
 
 
-@dataclass(frozen=True)
-class Alias:
-    """Another name of a parameter; `convert` turns a value given under this name into the parameter's value."""
-
-    name: str
-    convert: Callable[[Any], Any] | None = None
-
-
 class CompositeRule:
     """Rule for a parameter whose value is an object.
 
@@ -187,19 +179,11 @@ class Field:
 
     @property
     def described(self) -> str:
-        """Help text of the parameter, followed by its choices and its other names.
-
-        The choices are left out if the help text mentions all of them.
-        """
+        """Help text of the parameter, followed by its choices unless the help text mentions all of them."""
         choices = [str(choice) for rule in self.of_kind(OneOf) for choice in rule.choices]
         words = re.findall(r"[\w.-]+", self.help)
         missing = [choice for choice in choices if choice not in words]
-        others = [alias.name for alias in self.of_kind(Alias)]
-        return (
-            self.help
-            + (f"; one of {', '.join(choices)}" if missing else "")
-            + (f"; also {', '.join(others)}" if others else "")
-        )
+        return self.help + (f"; one of {', '.join(choices)}" if missing else "")
 
     def of_kind(self, kind: type[T]) -> Iterator[T]:
         """Return the rules of this parameter that are instances of the class `kind`."""

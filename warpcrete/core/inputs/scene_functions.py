@@ -13,7 +13,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 from ..errors import SceneError, known_names, quoted, refuse
 from .origin import Arguments, files_read
-from .parameters import WORDS, Alias, CompositeRule, Declared, Field, Needs, T, declared_fields
+from .parameters import WORDS, CompositeRule, Declared, Field, Needs, T, declared_fields
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -196,7 +196,7 @@ class SceneFunction(Generic[P, S]):
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return parameters by name, with aliases replaced, together with parameters that follow from the given ones.
+        """Return the given parameters by name, together with parameters that follow from them.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
         """
@@ -208,7 +208,7 @@ class SceneFunction(Generic[P, S]):
         return values | {name: value for name, value in implied.items() if name in meant}
 
     def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the given parameters by name, with aliases replaced, without parameters that have no effect."""
+        """Return the given parameters by name, without those that have no effect."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
@@ -236,40 +236,20 @@ class SceneFunction(Generic[P, S]):
         return values
 
     def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the parameters with each alias replaced by the parameter's own name.
-
-        Texts such as "125 mm" are converted to numbers.
-        """
+        """Return the parameters with texts such as "125 mm" converted to numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
 def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
-    """Return the values `given` with each alias replaced by the field's own name.
-
-    Texts such as "125 mm" are converted to numbers.
-    """
-    values: dict[str, Any] = dict(given)
-    for name, field in known.items():
-        if name in values:
-            values[name] = field.number(values[name], name)
-        for alias in field.of_kind(Alias):
-            if alias.name in values:
-                value = field.number(values.pop(alias.name), alias.name)
-                if name in values:
-                    problem = f"is another name of {name!r}, which is given too"
-                    refuse(alias.name, value, problem, f"leave out {alias.name!r} or {name!r}")
-                try:
-                    values[name] = alias.convert(value) if alias.convert and value is not None else value
-                except TypeError as error:
-                    raise SceneError(f"{alias.name} = {value!r}: {error}") from error
-    return values
+    """Return the values `given` with texts such as "125 mm" converted to numbers in the units of the fields."""
+    return {name: known[name].number(value, name) if name in known else value for name, value in given.items()}
 
 
 def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:
     """Return a decorator that turns a function of one :class:`Declared` dataclass into a function of its fields.
 
-    The resulting :class:`SceneFunction` takes the fields as keywords, accepts their aliases and has the dataclass as
-    attribute `parameters`. It refuses values that have the wrong type, are out of range or have no effect.
+    The resulting :class:`SceneFunction` takes the fields as keywords and has the dataclass as attribute `parameters`.
+    It refuses values that have the wrong type, are out of range or have no effect.
     """
 
     def decorate(build: Callable[[T], S]) -> SceneFunction[P, S]:

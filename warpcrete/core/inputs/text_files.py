@@ -123,7 +123,7 @@ def saved_text(path: Path) -> str:
         raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
 
 
-def saved_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
     """Return the object in a JSON file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
     try:
         found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..errors import DiskFullError, RunFolderError, quoted
-from ..inputs.text_files import saved_json
+from ..inputs.text_files import read_json
 from ..narrowing import is_dict, is_list_or_tuple
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -101,11 +101,6 @@ def _finite(data: object) -> object:
     if isinstance(data, float) and not np.isfinite(data):
         return None
     return data
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return the object in a JSON file; raises :class:`RunFolderError` if the file cannot be read."""
-    return saved_json(path)
 
 
 RECORD_KINDS: dict[str, type] = {

@@ -93,9 +93,10 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:
-        """Let all recorders that are not expendable write results that say that the run is not complete.
+        """Write the results again, which now state that the run is not complete.
 
-        This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from.
+        This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from. Recorders
+        that are `expendable` write no results.
         """
         for recorder in self.active:
             if not recorder.expendable:

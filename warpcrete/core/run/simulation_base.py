@@ -6,9 +6,8 @@ from abc import abstractmethod
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-import warp as wp
 
-from ..device.simulation_protocol import Stepped
+from ..device.simulation_protocol import SimulationOnDevice
 from ..drawing.display import Display
 from ..errors import refuse
 from .coroutines import Coroutine, Until
@@ -19,7 +18,7 @@ from .run import Run
 S = TypeVar("S", bound="SimulationBase")
 
 
-class SimulationBase:
+class SimulationBase(SimulationOnDevice):
     """Members of a simulation that depend on the simulation method, which the type of the scene selects.
 
     The class `Simulation` of the module `run_loop` uses them. The subclass for a simulation method must define the
@@ -32,21 +31,9 @@ class SimulationBase:
     """Subclasses with a `scene_type`: one for each simulation method."""
     scene: Any
     """Scene of the run; its type depends on the simulation method."""
-    device: wp.Device
-    """Warp device of the run."""
-    threads: int
-    """Number of CPU threads of the run."""
     precision: str
-    stepper: Stepped
-    """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
     frames: Frames
     """Schedule of the simulated times at which pictures of the state (frames) are recorded."""
-    shares_cores = False
-    """True if other runs use the CPU cores on which this run has no thread."""
-    stop_requested = False
-    """True if the run must end at its next sample, which adds a row to the time series."""
-    finishing = False
-    """True if all steps of the run are over, and its results are being written or have been written."""
     resumes = False
     """True if the run goes on from a checkpoint, in an existing folder."""
     ending: Ending | None = None

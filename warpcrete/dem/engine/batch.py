@@ -149,7 +149,6 @@ class Batch(JointArrays):
         )
 
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches after arrays were replaced or bodies were divided anew among the CPU threads."""
         self._launcher.invalidate_graphs()
         self.planner.reset_step_count()
         self.version += 1

@@ -59,7 +59,7 @@ class JointArrays:
     There is a list for each mesh corner, followed by a list for each edge shared by three or more triangles.
     """
     ring: DeviceArray
-    """Adjacency lists of all mesh corners, then of all shared edges, joined end to end.
+    """Adjacency lists of all mesh corners, then of all shared edges, joined end to end, shape (entries,).
 
     Each list begins with the lowest index of the triangles that meet at the corner or edge. The indices of the mesh
     corners around that corner or edge follow.
@@ -67,16 +67,16 @@ class JointArrays:
     face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: DeviceArray
-    """Parameters of the contact laws between bodies, for all pairs of materials; the tables of all scenes are joined
-    end to end."""
+    """Parameters of the contact laws between bodies, one row for each ordered pair of materials, shape (rows,). The
+    rows of all scenes are joined end to end."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws between bodies and walls, for all pairs of materials; the tables of all scenes are
-    joined end to end."""
+    """Parameters of the contact laws between bodies and walls, one row for each ordered pair of materials, shape
+    (rows,). The rows of all scenes are joined end to end."""
     bond_parameters: DeviceArray
-    """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end."""
+    """Parameters of each kind of bond, for example of hydrated bonds, for all scenes end to end, shape (kinds,)."""
     segments: DeviceArray
     """Straight and curved segments of all pipe axes and of the axes along which forces drive bodies, for all scenes end
-    to end."""
+    to end, shape (segments,)."""
     drive_axis: DeviceArray
     """Range in `segments` of the pipe axis along which a force drives each body group, shape (groups, 2).
 
@@ -154,7 +154,7 @@ class JointArrays:
 
     @abstractmethod
     def invalidate_graphs(self) -> None:
-        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""
+        """Discard recorded launches, because arrays or the division of bodies among CPU threads have changed."""
 
     def _join_states(self) -> None:
         """Join the arrays of all states, replace the states' arrays by slices, and allocate the remaining arrays."""

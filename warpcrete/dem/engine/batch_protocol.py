@@ -36,8 +36,8 @@ class BatchArrays(Protocol):
     rows: np.ndarray
     """Copy on the host of the parameters of all scenes, as a structured array of shape (scenes,)."""
     wall_parameters: DeviceArray
-    """Parameters of the contact laws between bodies and walls, for all pairs of materials; the tables of all scenes are
-    joined end to end."""
+    """Parameters of the contact laws between bodies and walls, one row for each ordered pair of materials, shape
+    (rows,). The rows of all scenes are joined end to end."""
     pairs: Pairs
     """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 

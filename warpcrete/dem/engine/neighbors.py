@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from ...core.device.arrays import DeviceArray, Kernel, Shape, copy_array, empty, zeros
-from ...core.device.graphs import Copy, Recordable, Zero
+from ...core.device.graphs import Call, Recordable
 from ...core.device.launching import Arguments, Stage
 from ...core.device.scan import scan_stages
 from ...core.errors import CapacityError
@@ -298,13 +298,15 @@ class NeighborLists:
             # Copy the motion of single spheres to their bodies, because steps move only the spheres.
             Phase("bodies", b.sync_stages()),
             # Copy the previous neighbour lists, from which the new lists receive the contact history.
-            Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
+            Phase("history", [
+                Call(copy_array, getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept
+            ]),
             # Sort the spheres' centres into the cells of the grid.
             Phase("cells", [
-                Copy(self._old.start, b.pairs.start),
+                Call(copy_array, self._old.start, b.pairs.start),
                 b.stage(lists.centres, n, shift=self._cells.shift, centre=self._centre),
                 *self._stretch_stages(old | {"new_place": new_place}),
-                Zero(self._cells.grid.held),
+                Call(self._cells.grid.held.zero_),
                 *self._cells.stages(self._centre),
             ]),
             # Find the neighbours of each sphere and count them.
@@ -342,7 +344,7 @@ class NeighborLists:
         if not (b.features.bonds and b.features.half_list):
             return []
         stretch = b.stage(list_kernels(b.scalar).stretch, b.sphere_count, stretched=self._stretched, **old)
-        return [Zero(self._stretched), stretch]
+        return [Call(self._stretched.zero_), stretch]
 
     def _search_stages(
         self, old: Arguments, new_place: DeviceArray, searchers: int
@@ -357,7 +359,9 @@ class NeighborLists:
             search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, searchers)
             finds: Arguments = {"finds": self._finds, "new_place": new_place, **grid, **old}
             search = b.stage(search_kernel, n * searchers, total=self._total, **finds)
-            return [Zero(self._count), Zero(self._total), search], [b.stage(fill_kernel, n * searchers, **finds)]
+            return [Call(self._count.zero_), Call(self._total.zero_), search], [
+                b.stage(fill_kernel, n * searchers, **finds)
+            ]
         kernel = half_search_kernel(b.scalar, f.bonds)
         edges = np.concatenate([[0], np.cumsum(self._room)]).tolist()
         parts = [

@@ -106,7 +106,6 @@ class ElementDisplay(Display):
         return self._strong
 
     def scale(self) -> tuple[str, float, float]:
-        """Return the label of the colour scale with its lowest and highest value."""
         if self.colouring == "size":
             return "size [mm]", 0.0, 1e3 * self._upper
         if self.colouring == "speed":
@@ -128,11 +127,9 @@ class ElementDisplay(Display):
         return np.take(self.read("spheres.position"), self._sphere_order(), axis=0)[:, :3]
 
     def colours(self) -> np.ndarray:
-        """Return RGB bytes of all spheres, shape (n, 3); a sphere has the colour of its body."""
         return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
 
     def packed_colours(self) -> np.ndarray:
-        """Return the colour of each sphere packed into one integer, shape (n,); a sphere has the colour of its body."""
         return np.take(packed(self._painted()), self._bodies_of_spheres())
 
     def _bodies_of_spheres(self) -> np.ndarray:
@@ -160,7 +157,6 @@ class ElementDisplay(Display):
         return self.snapshot_value("largest forces", lambda: largest_forces(model, state))
 
     def body_colours(self) -> np.ndarray:
-        """Return RGB bytes of all bodies, in order of permanent numbers, shape (n, 3)."""
         return np.take(self._painted(), self._body_order(), axis=0)
 
     def _painted(self) -> np.ndarray:
@@ -322,7 +318,6 @@ class ElementDisplay(Display):
         return depth[self._patches[number]]
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the position [m], shape (3,), and the orientation quaternion (x, y, z, w) of a drawn wall."""
         number = self._drawn[number]
         return (
             self.read("walls.position").reshape(-1, 3)[number].astype(float),
@@ -330,13 +325,11 @@ class ElementDisplay(Display):
         )
 
     def rigid_bodies(self) -> RigidBodies:
-        """Return the shapes and sizes of all bodies, in order of permanent numbers."""
         state, order = self.simulation.state, self._body_order()
         prototypes = tuple(Prototype(t.name, t.offsets, t.radii, t.extent) for t in state.templates)
         return RigidBodies(prototypes, state.bodies.shape.numpy()[order], state.bodies.size.numpy()[order])
 
     def pose(self) -> Pose:
-        """Return positions, orientations and velocities of all bodies, in order of permanent numbers."""
         order = self._body_order()
         names = "position", "orientation", "velocity"
         return Pose(*(np.take(self.read(f"bodies.{name}"), order, axis=0) for name in names))

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...core.device.exchange import LaunchAndRead
-from ...core.device.graphs import GraphLaunch, Zero
+from ...core.device.graphs import Call, GraphLaunch
 from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, completed
 from ...kernels.dem import probes as column
 from ..engine.model import Model
@@ -206,9 +206,7 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the kernels of a measurement together, as one recorded graph.
-
-    `what` is the name of the measurement.
+    """Launch the kernels of the measurement with the name `what` together, as one recorded graph.
 
     `make` returns the launches to record. It is called at the first launch, and again whenever the batch's arrays have
     changed.
@@ -272,7 +270,7 @@ def largest_forces(model: Model, state: State) -> wp.array:
         launch_recorded(
             state,
             "loads",
-            lambda: [Zero(loads), *_contact_probe_stages(model, state), _load_stage(model, state, loads)],
+            lambda: [Call(loads.zero_), *_contact_probe_stages(model, state), _load_stage(model, state, loads)],
         )
     return loads
 

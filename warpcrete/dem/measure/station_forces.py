@@ -8,7 +8,7 @@ from operator import attrgetter
 import numpy as np
 import warp as wp
 
-from ...core.device.graphs import Zero
+from ...core.device.graphs import Call
 from ...core.device.launching import Stage
 from ...kernels.common.types import types
 from ...kernels.dem.stations import STRESSES, force_probe, stress_probe
@@ -42,7 +42,7 @@ def body_stresses(model: Model, state: State, unit: float) -> wp.array:
         launch_recorded(
             state,
             f"body stresses in {unit!r}",
-            lambda: [Zero(stress), *_force_stages(model, state), _stress_stage(model, state, scale, stress)],
+            lambda: [Call(stress.zero_), *_force_stages(model, state), _stress_stage(model, state, scale, stress)],
         )
     return stress
 

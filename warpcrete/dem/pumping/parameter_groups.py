@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 from ...core.device.device import PRECISIONS
 from ...core.inputs.concretes import is_file, shipped
-from ...core.inputs.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Suggests, Within
+from ...core.inputs.parameters import Above, Declared, FileIf, Needs, OneOf, Suggests, Within
 from ..laws import OWN_LAW, OWN_WALL_LAW
 from ..laws.linear import DASHPOTS
 from ..scene.scene import Blockage, Wear
@@ -165,7 +165,7 @@ class AggregateParameters:
     ] = "spheres"
     shape_spheres: Annotated[int, "Number of spheres that represent each mesh in shapes", OF_MESHES] = 10
     fractions: Annotated[
-        str | None, "Fraction by volume of each shape, as '2,1,1,1'; default: equal fractions", SEVERAL, Alias("shares")
+        str | None, "Fraction by volume of each shape, as '2,1,1,1'; default: equal fractions", SEVERAL
     ] = None
     sizes: Annotated[str, "Size distribution: gaussian, uniform, or a sieve curve 'mm:passing,...' by mass"] = (
         "gaussian"

@@ -28,8 +28,8 @@ from .parameter_groups import (
     names_meshes,
 )
 
-OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
-"""Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
+OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True))
+"""Other accepted names of pipe units: the letters of Zhan et al. 2019."""
 UPRIGHT = 0.4
 """Smallest ratio of thickness to diameter at which the plug at the front of the concrete does not tip over behind a
 bend. In test runs, plugs with a ratio of 0.13 tipped over."""
@@ -73,7 +73,7 @@ class PipeParameters(
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        unit = OTHER_NAMES.get(self.unit.upper(), OTHER_NAMES.get(self.unit, self.unit))
+        unit = OTHER_NAMES.get(self.unit.upper(), self.unit)
         OneOf(UNITS).check("unit", unit, "")
         object.__setattr__(self, "unit", unit)
         if self.wall not in ("analytic", "mesh"):

@@ -69,10 +69,6 @@ class ClumpTemplate:
         number = np.bincount(nearest[least < 0], minlength=len(self.radii))
         return number / number.sum()
 
-    def scaled(self, size: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return sphere centres, shape (k, 3), and radii, shape (k,), of a body of `size` [m] in its own frame [m]."""
-        return self.offsets * size, self.radii * size
-
 
 def union_properties(
     centres: np.ndarray, radii: np.ndarray, resolution: int = 384

@@ -24,7 +24,7 @@ class Stroke:
     moving: np.ndarray
     """Mask of the samples, shape (samples,): True from the start of the stroke to its stop."""
     held: np.ndarray
-    """Mask of the samples in the final part of the pause after the stroke; all False without a pause."""
+    """Mask of the samples in the final part of the pause after the stroke, shape (samples,); False without a pause."""
 
 
 def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:

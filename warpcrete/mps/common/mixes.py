@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from ...core.errors import one_of, refuse
 from ...core.inputs.concretes import is_file, shipped
-from ...core.inputs.parameters import Above, Alias, FileIf, Suggests, Within
+from ...core.inputs.parameters import Above, FileIf, Suggests, Within
 from ...core.inputs.text_files import name_of
 from ...mix.mix import FACTORS, completed, flow_amounts, mix_named
 from ...theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
@@ -43,7 +43,6 @@ ConcreteName = Annotated[
     str,
     "Concrete: no1, no2, no3 (Xu et al. 2021), scc (self-compacting), the path of a .yaml file, or own with the next "
     "five constants",
-    Alias("mix"),
     FileIf(is_file),
     Suggests(concrete_names),
 ]
