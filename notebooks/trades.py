@@ -60,12 +60,12 @@ def section(name: str, record: dict, figure: bool = True) -> str:
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     ran = f"trade {scene} {options} --budget {how[1]}s --device {how[0]}" if how else f"run {scene} {options}"
     command = re.sub(" +", " ", f"warpcrete {ran}").strip()
-    own = [f"{100 * error:.2g} % ({quantity.replace('_', ' ')})"
+    own = [f"{100 * error:.2g} % in the {quantity.replace('_', ' ')}"
            for quantity, error in record.get("reference_errors", {}).items()]  # fmt: skip
     time = record["points"][0]["time"]["value"]
     error = f" Even the finest setting has an estimated error of {' and '.join(own)}." if own else ""
-    lines = [f"The command of the simulation is `{command}`. A run with unchanged settings takes {time:.3g} s on "
-             f"{record['machine']}.{error}", ""]  # fmt: skip
+    table = f"The command `{command}` made this table" if how else f"This table is for the simulation `{command}`"
+    lines = [f"{table}. A run with unchanged settings takes {time:.3g} s on {record['machine']}.{error}", ""]
     lines += [f"![Error over cost: {name}](../images/trade_{name}.png)", ""] if figure else []
     lines += ["| error wanted | setting | relative time | guaranteed error | with new random packings "
               "| largest error in other simulations |", "|---|---|---|---|---|---|"]  # fmt: skip
