@@ -130,6 +130,7 @@ def test_theory_knows_the_limits(name):
 @pytest.mark.parametrize(
     "arguments",
     [["theory", "--flow"], ["theory", "--pressure"], ["theory", "--rest"], ["theory", "--segregation"],
+     ["theory", "--rise"],
      ["line", "burj-khalifa", "--theory", "--flow"], ["line", "burj-khalifa", "--theory", "--rest"],
      ["line", "burj-khalifa", "--theory", "--layer-factor"]],
     ids=" ".join,
@@ -248,7 +249,7 @@ def test_every_unit_has_a_limit_and_every_limit_a_unit():
 def numbers_of(scene):
     """Return all declared numbers of a scene by name, with those of every contact law and other object it accepts."""
     fields = dict(FIELDS[scene])
-    for name, field in FIELDS[scene].items():
+    for field in FIELDS[scene].values():
         for rule in field.of_kind(CompositeRule):
             for short in rule.short_names():
                 fields |= {key: each for key, each in rule.fields(field, short).items() if key not in fields}
