@@ -35,7 +35,7 @@ def test_help_shows_common_options_and_help_all_the_others(name):
 def test_help_of_theory_has_two_steps():
     short, full = options("--help", command="theory"), options("--help-all", command="theory")
     flags = {"--" + name.replace("_", "-"): field for name, field in theory.fields().items()}
-    own = {"--flow", "--pressure", "--fit", "--rest", "--help", "--help-all"}
+    own = {"--flow", "--pressure", "--fit", "--rest", "--rise", "--help", "--help-all"}
     assert short == own | {flag for flag, field in flags.items() if field.common}
     assert full == short | set(flags) | {"--thixotropy", "--segregation", "--aggregate"}
     page = CliRunner().invoke(cli, ["theory", "--help"]).output

@@ -314,3 +314,19 @@ def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
         [sys.executable, "-m", "rerun", "rrd", "verify", str(folder / "run.rrd")], capture_output=True
     )
     assert checked.returncode == 0 and (folder / "result.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "says"),
+    [
+        ("--pipeline-vertical", "3 kg", "pipeline_vertical = '3 kg': must be a number with one of m, mm"),
+        ("--pipeline-horizontal", "50 %", "pipeline_horizontal = '50 %': must be a number with one of m, mm"),
+        ("--frames", "3 m", "frames = '3 m': must be a number with one of 1/s"),
+        ("--checkpoint-every", "5 %", "checkpoint_every = '5 %': must be a number with one of s, ms, min, h"),
+        ("--pipeline-vertical", "-60 ft", "pipeline_vertical = -18.288: must be finite and at least 0 m"),
+        ("--checkpoint-every", "-2 min", "checkpoint_every = -120.0: must be finite and at least 0 s"),
+    ],
+)
+def test_options_of_every_run_take_amounts_with_units(option, given, says, tmp_path):
+    done = command("run", "pipe", option, given, "--out", tmp_path / "run")
+    assert done.returncode == 2 and done.stderr.startswith(f"error: {says}"), done.stderr

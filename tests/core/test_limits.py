@@ -10,12 +10,13 @@ from pumping import command
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
+from warpcrete.cli.options import quantity_of
 from warpcrete.cli.theory import fields as theory_fields
 from warpcrete.core.device.device import checked_threads
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
-from warpcrete.core.inputs.amounts import UNITS, amount, bare_number
+from warpcrete.core.inputs.amounts import UNITS, accepted_units, amount, bare_number
 from warpcrete.core.inputs.limits import LIMITS, check_limit, limit_of
-from warpcrete.core.inputs.parameters import Above, Within, declared_fields
+from warpcrete.core.inputs.parameters import Above, CompositeRule, Within, declared_fields
 from warpcrete.geometry import meshes
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
@@ -129,6 +130,7 @@ def test_theory_knows_the_limits(name):
 @pytest.mark.parametrize(
     "arguments",
     [["theory", "--flow"], ["theory", "--pressure"], ["theory", "--rest"], ["theory", "--segregation"],
+     ["theory", "--rise"],
      ["line", "burj-khalifa", "--theory", "--flow"], ["line", "burj-khalifa", "--theory", "--rest"],
      ["line", "burj-khalifa", "--theory", "--layer-factor"]],
     ids=" ".join,
@@ -242,6 +244,41 @@ def test_units_of_other_countries(given, unit, value):
 def test_every_unit_has_a_limit_and_every_limit_a_unit():
     assert {limit.unit for limit in LIMITS.values()} - {""} <= set(UNITS)
     assert {name for name in LIMITS if name in UNITS} == set(UNITS) - {"1", "m3/m3"}
+
+
+def numbers_of(scene):
+    """Return all declared numbers of a scene by name, with those of every contact law and other object it accepts."""
+    fields = dict(FIELDS[scene])
+    for field in FIELDS[scene].values():
+        for rule in field.of_kind(CompositeRule):
+            for short in rule.short_names():
+                fields |= {key: each for key, each in rule.fields(field, short).items() if key not in fields}
+    return {name: field for name, field in fields.items() if field.kind is float}
+
+
+@pytest.mark.parametrize("scene", FIELDS)
+def test_every_number_takes_its_own_unit_and_only_ratios_take_per_cent(scene):
+    for name, field in numbers_of(scene).items():
+        unit = field.unit.strip()
+        for written, factor in accepted_units(field.units).items():
+            value = field.converted(f"3 {written}" if written != "1" else "3", name)
+            assert value == pytest.approx(3 * factor, rel=1e-14)
+            assert quantity_of(f"3 {written}" if written != "1" else "3", field, name) == value
+        assert field.converted(f"3 {unit}".strip(), name) == 3.0
+        if unit in ("", "1", "m3/m3"):
+            assert field.converted("50 %", name) == 0.5
+            continue
+        refused(lambda field=field, name=name: field.converted("50 %", name), name)
+        refused(lambda field=field, name=name: quantity_of("50 %", field, name), name)
+        refused(lambda field=field, name=name: field.converted("3 parsecs", name), name)
+
+
+def test_a_number_without_unit_is_a_ratio():
+    """A help text that names a unit without brackets would make its number a ratio, which takes per cent."""
+    for scene in FIELDS:
+        for name, field in numbers_of(scene).items():
+            if not field.unit:
+                assert not re.search(r"\b(in|of) (m|mm|s|Pa|kPa|N|kg|degrees|Hz)\b", field.help), f"{scene} {name}"
 
 
 def test_parameters_take_amounts_with_units():

@@ -221,6 +221,14 @@ def test_a_run_without_a_state_cannot_be_saved(tmp_path, monkeypatch):
     assert not files(tmp_path)
 
 
+def test_a_run_without_a_folder_has_the_checks_that_its_folder_would_have(tmp_path):
+    scene = scenes.channel(**FLOW)
+    alone = Simulation(scene, **SETTINGS).run()
+    written = Simulation(scene, **SETTINGS, out=tmp_path / "run").run()
+    assert alone.result["checks"] == written.result["checks"] == contents(tmp_path / "run")["result.json"]["checks"]
+    assert alone.result["checks"] and all(set(each) == {"passed", "found"} for each in alone.result["checks"].values())
+
+
 def test_a_scene_built_by_hand_is_written_without_checks(tmp_path):
     from dataclasses import replace
 

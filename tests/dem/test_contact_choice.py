@@ -275,8 +275,13 @@ def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypa
     guide_law(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
-    with pytest.raises(SceneError, match=r"must be a number without a unit; a number without a unit is in N/m\^1\.5$"):
-        scenes.pipe(contact="sticky:Sticky", contact_stiffness="5000 N/m^1.5")
+    with pytest.raises(SceneError, match=r"must be a number in N/m\^1\.5; a number without a unit is in N/m\^1\.5$"):
+        scenes.pipe(contact="sticky:Sticky", contact_stiffness="50 %")
+    for pull in ("0.02 N", "20 mN", "2e-5 kN"):
+        scene = scenes.pipe(contact="sticky:Sticky", contact_stiffness="5000 N/m^1.5", contact_pull=pull)
+        assert scene.contact.stiffness == 5000.0 and scene.contact.pull == pytest.approx(0.02, rel=1e-15)
+    with pytest.raises(SceneError, match=r"^contact_pull = '2 %': must be a number with one of N, mN, kN"):
+        scenes.pipe(contact="sticky:Sticky", contact_pull="2 %")
     scene = scenes.pipe(contact="sticky:Sticky", contact_pull=0.01)
     assert "contact law Sticky" in scene.caption and "concrete" not in scene.caption
     assert scene.contact.pull == 0.01 and scene.contact.frictionless().pull == 0.0

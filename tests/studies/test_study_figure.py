@@ -74,7 +74,11 @@ def test_a_figure_of_a_study_has_the_wanted_axes_and_units(tmp_path):
     assert [axes.get_xlabel() for axes in study.plot().axes] == ["flow [m3/h]", "yield stress [Pa]"]
     assert all(len(axes.get_xticks()) <= 6 for axes in study.plot().axes)
     for given, words in (
-        (("velocity",), "quantity = 'velocity': must be one of pressure, pressure_theory"),
+        (
+            ("velocity",),
+            "quantity = 'velocity': is no number in the results of this study; must be one of pressure, "
+            "pressure_theory",
+        ),
         ((None, "flw"), "x = 'flw': must be one of flow, yield_stress"),
         ((None, "flow", "mm"), "unit = 'mm': must be one of m3/s, m3/h"),
         ((None, None, "m3/h"), "unit = 'm3/h': needs 'x'"),
@@ -103,6 +107,22 @@ def test_a_figure_leaves_out_deviations_from_theory_unless_they_are_wanted(tmp_p
         result["pressure_error"] = 1e-4
     assert len([axes for axes in study.plot(x="flow").axes if axes.get_visible()]) == 1
     assert study.plot("pressure_error", x="flow").axes[0].get_ylabel() == "pressure error [%]"
+
+
+def test_a_figure_shows_any_number_in_the_results_of_the_runs(tmp_path):
+    """Only some numbers are compared in the table, but a user may draw all others as well."""
+    study = flows_of(tmp_path)
+    for k, result in enumerate(study.results.values()):
+        result |= {"end_pressure": {"value": 2e3 + k, "unit": "Pa"}, "contacts": 7 + k, "finished": True, "name": "x"}
+    (axes,) = study.plot("end_pressure", x="flow", y_unit="bar").axes
+    assert axes.get_ylabel() == "end pressure [bar]"
+    heights = sorted(float(y) for each in axes.containers for y in each.lines[0].get_ydata())
+    assert heights == pytest.approx([0.02 + 1e-5 * k for k in range(5)])
+    assert study.plot("contacts", x="flow").axes[0].get_ylabel() == "contacts"
+    assert "end_pressure" not in study.markdown() and list(study.rows()[0]) == list(flows_of(tmp_path).rows()[0])
+    for name in ("finished", "name", "end_presure"):
+        with pytest.raises(SceneError, match=f"^quantity = '{name}': is no number in the results of this study"):
+            study.plot(name)
 
 
 def test_a_mean_of_some_of_the_runs_says_so(tmp_path):

@@ -1,6 +1,7 @@
 """The theory of Bingham flow with slip, against the paper's figures, its own integrals and its limits."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -158,6 +159,20 @@ def test_command():
     refused = run("--concrete", "no4")
     assert isinstance(refused.exception, SceneError) and "no1, no2, no3" in str(refused.exception)
     assert "viscosity = 0" in str(run("--viscosity", "0").exception)
+
+
+def test_the_rise_of_a_pipe_may_be_its_height():
+    """An upright pipe of 60 ft has the same pressure whether its rise is a height or a rise per length."""
+    run = functools.partial(CliRunner().invoke, cli)
+    pipe = ["theory", "--diameter", "5in", "--length", "60 ft", "--flow", "30 m3/h"]
+    (upright,) = {run([*pipe, "--rise", rise]).output for rise in ("60ft", "1", "100 %", "18.288 m")}
+    steady_one = steady(CONCRETES["no1"], Line(radius=0.0635, length=18.288, rise=1.0), 30 / 3600)
+    assert f"{steady_one.pressure:g}" in upright
+    half = {run([*pipe, "--rise", rise]).output for rise in ("-30 ft", "-0.5")}
+    assert len(half) == 1 and half != {upright}
+    for rise in ("61 ft", "60 kg", "1.5", "nan"):
+        with pytest.raises(SceneError, match=r"^rise = .*: must be"):
+            run([*pipe, "--rise", rise], catch_exceptions=False)
 
 
 def test_a_printed_fit_repeats_its_pressure_with_factors_of_age(tmp_path):

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from click.shell_completion import CompletionItem
 
-from ..core.inputs.amounts import UNITS
+from ..core.inputs.amounts import accepted_units
 from ..core.inputs.concretes import concrete, shipped
 
 NUMBER = re.compile(r"([-+]?[0-9][0-9.,]*(?:[eE][-+]?[0-9]+)?) ?(.*)")
@@ -24,7 +24,7 @@ def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
     typed = NUMBER.fullmatch(incomplete)
     if typed is None:
         return []
-    plain = [written for written in UNITS[unit] if re.fullmatch(r"[a-zA-Z%][a-zA-Z0-9/%]*", written)]
+    plain = [written for written in accepted_units(unit) if re.fullmatch(r"[a-zA-Z%][a-zA-Z0-9/%]*", written)]
     return names([typed[1] + written for written in plain], typed[1] + typed[2])
 
 

@@ -77,7 +77,8 @@ class TheoryCommand(GroupedCommand):
     title = "Flow and pressure."
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        parameters = load("options").parameter_options(load("theory").fields().values())
+        job = load("theory")
+        parameters = [*load("options").parameter_options(job.fields().values()), job.rise_option()]
         help_option = super().get_params(ctx)[len(self.params) :]
         return [*self.params, *parameters, full_help_option(), *help_option]
 

@@ -1,10 +1,12 @@
 """Types of options whose values the shell completes; the values are listed only when the shell asks for them."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
+from ..core.inputs.amounts import amount
 from .scene_commands import load
 
 
@@ -23,6 +25,23 @@ class Completed(click.ParamType):
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return the values that begin with the typed text."""
         return getattr(load("completion"), self.by)(*self.first, incomplete)
+
+
+class AmountOption(click.ParamType):
+    """Option type that accepts a number in SI units, or an amount with a unit, such as "20 m"."""
+
+    name = "number"
+
+    def __init__(self, unit: str) -> None:
+        self.unit = unit
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the option's value as a number in its unit; :class:`SceneError` refuses any other text."""
+        return amount(str(param.name) if param is not None else "option", value, self.unit)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the typed number, followed by each unit that the option accepts."""
+        return load("completion").amounts(self.unit, incomplete)
 
 
 DEVICE = Completed("devices")

@@ -15,6 +15,7 @@ from ..methods import METHODS
 from ..record.recorders import RECORDERS
 from . import completion
 from .help_pages import GroupedCommand, ParameterOption, full_help_option
+from .option_types import AmountOption
 
 
 class SceneCommand(GroupedCommand):
@@ -156,7 +157,7 @@ def run_options() -> list[click.Parameter]:
                      help="Watch the run in a new Rerun viewer, or in a running one if its URL is given"),
         click.Option(["--bind"], default="127.0.0.1", show_default=True,
                      help="IP address that the viewer of --live listens on"),
-        click.Option(["--frames"], type=float,
+        click.Option(["--frames"], type=AmountOption("1/s"),
                      help="Recorded frames per simulated second; at most one per sample, or for flows one per step  "
                      "[default: 25, but at least 30 per run]"),
         click.Option(["--colour"], type=click.Choice(colourings),
@@ -173,12 +174,13 @@ def run_options() -> list[click.Parameter]:
                      help="Use the cheapest settings for at most this error, such as 5%, by --trade or a shipped one"),
         click.Option(["--trade"], type=click.Path(path_type=Path),
                      help="Folder of a 'warpcrete trade' of this scene, for --accuracy"),
-        click.Option(["--pipeline-vertical"], type=float,
+        click.Option(["--pipeline-vertical"], type=AmountOption("m"),
                      help="Height of the pipeline [m], for its total pressure (Eq. 13)"),
-        click.Option(["--pipeline-horizontal"], type=float, help="Horizontal length of the pipeline [m], for Eq. 13"),
+        click.Option(["--pipeline-horizontal"], type=AmountOption("m"),
+                     help="Horizontal length of the pipeline [m], for Eq. 13"),
         click.Option(["--pipeline-other"], type=click.Path(path_type=Path),
                      help="Run folder of a straight pipe in the other direction, level or vertical, for Eq. 13"),
-        click.Option(["--checkpoint-every"], type=float, default=60.0, show_default=True,
+        click.Option(["--checkpoint-every"], type=AmountOption("s"), default=60.0, show_default=True,
                      help="Wall time between two checkpoints [s]; 0 writes none"),
         click.Option(["--resume"], type=click.Path(path_type=Path),
                      help="Continue the interrupted run in this folder with its own settings"),

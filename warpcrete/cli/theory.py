@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from ..core.errors import refuse
-from ..core.inputs.limits import check_velocity
+from ..core.errors import between, refuse
+from ..core.inputs.amounts import amount, bare_number, is_amount
+from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.parameters import Field, declared_fields
 from ..core.inputs.scene_functions import resolved
 from ..mix.mix import FACTORS, mix_named
@@ -19,11 +20,13 @@ from ..mps.common.mixes import CONSTANTS, ConcreteParameters, concrete_of, file_
 from ..theory.pipe import Concrete, Line, measured_layer, steady
 from ..theory.pipe_table import restart_table, table
 from ..theory.segregated import segregation_table
+from .help_pages import ParameterOption
 from .option_amounts import growth_of
+from .option_types import LENGTH
 
-LINE = ("length", "rise", "gravity")
-"""Properties of a pipeline that are also options of the command `theory`. The radius is not one of them, because the
-user states the diameter."""
+LINE = ("length", "gravity")
+"""Properties of a pipe whose options have the same meaning. The user states the diameter instead of the radius, and may
+state the rise as a height."""
 
 
 def fields() -> dict[str, Field]:
@@ -33,6 +36,33 @@ def fields() -> dict[str, Field]:
     return {**declared_fields(ConcreteParameters), **{name: replace(x, group="Pipe.") for name, x in pipe.items()}}
 
 
+def rise_option() -> ParameterOption:
+    """Return the option `--rise`, the height of the pipe's end above its start, or its rise per length."""
+    text = ("Height of the pipe's end above its start, such as '60 ft'; a number without a unit is the height per "
+            "length: 1 for an upright pipe, 0 for a level one")  # fmt: skip
+    option = ParameterOption(["--rise"], type=LENGTH, default="1", show_default=True, help=text)
+    option.group = "Pipe."
+    return option
+
+
+def _rise(stated: str, length: float) -> float:
+    """Return the rise per length of a pipe, from the text of `--rise`; `length` is that of the pipe [m]."""
+    field = declared_fields(Line)["rise"]
+    if bare_number(stated) or is_amount(stated, "1"):
+        value = field.converted(amount("rise", stated, "1"), "rise")
+        field.check(value, "rise")
+        field.check_limits(value, "rise")
+        return value
+    if not is_amount(stated, "m"):
+        problem = "must be a height with a unit of length, or the height per length from -1 to 1"
+        refuse("rise", stated, problem, "for example '60 ft', or 1 for an upright pipe")
+    height = amount("rise", stated, "m")
+    check_limit("rise", height, "m", "length")
+    hint = f"the pipe has a length of {length:g} m; state another, as in --length '{abs(height):g} m'"
+    between("rise", height, -length, length, "m", hint)
+    return height / length
+
+
 def run(
     given: dict[str, Any], flows: Sequence[float], pressures: Sequence[float], fit: Path | None = None,
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
@@ -40,13 +70,15 @@ def run(
 ) -> None:  # fmt: skip
     """Print the closed-form solution for the parameters in `given`; all other parameters have their default values.
 
+    The rise in `given` is a text: a height with its unit, or the height per length.
+
     `flows` [m3/s] and `pressures` [Pa] are the values for which the pressure or the flow is computed. If `fit` is a
     file of measured flows and pressures, the slip layer is fitted to them first. `rest` is a time at rest [s], for
     which the pressure of a restart is added. `segregation` holds segregation indices, whose effect on the pressure is
     added; :class:`warpcrete.theory.segregated.Segregated` defines this index. `aggregate` is the volume fraction of
     aggregate in the whole concrete.
     """
-    growth = growth_of(rest, thixotropy)
+    growth, rise = growth_of(rest, thixotropy), given.pop("rise", "1")
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
     values |= {name: value for name, value in file_constants(values).items() if values[name] is None}
@@ -62,7 +94,8 @@ def run(
     concrete = concrete_of(values["concrete"], thickness, **constants)
     for flow in flows:
         check_velocity("flow", flow, 4 * flow / (math.pi * values["diameter"] ** 2))
-    line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
+    line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, rise=_rise(rise, values["length"]),
+                **{name: values[name] for name in LINE})  # fmt: skip
     if fit is not None:
         measured, pressed = read_points(fit)
         factors = {name: values[name] or 1.0 for name in FACTORS}

@@ -15,6 +15,7 @@ from ..core.run.recorder import Recorder
 from ..core.run.viewer import LOOPBACK
 from ..methods import Simulation, method_of
 from ..scenes import modules
+from .checks import CheckRecorder
 from .recorders import RECORDERS, DrawSettings, recorders_of
 
 __all__ = ["SETTINGS", "RunFolder", "Simulation"]
@@ -115,4 +116,12 @@ def check_of(scene: Any) -> Check | None:
     return method_of(scene).check if module is None else module.check
 
 
-register_folders(RunFolder)
+def check_recorders(simulation: Simulation) -> list[Recorder]:
+    """Return the recorder of the checks for a simulation without a folder, unless it has one already."""
+    check = check_of(simulation.scene)
+    if check is None or any(isinstance(each, CheckRecorder) for each in simulation.recorders):
+        return []
+    return [CheckRecorder(check)]
+
+
+register_folders(RunFolder, check_recorders)

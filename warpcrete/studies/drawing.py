@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..core.drawing.style import MEASURED, SERIES, THEORY, legend_above, new_figure, open_frame, rgb
-from ..core.errors import SceneError, one_of, refuse
+from ..core.errors import SceneError, known_names, one_of, refuse
 from ..core.inputs.amounts import UNITS
 from ..core.inputs.concretes import is_file
 from ..core.run.method import Quantity
@@ -58,8 +58,10 @@ def draw(
         names = [x]
     compared = study.compared
     if quantity is not None:
-        one_of("quantity", quantity, [each.name for each in compared])
-        compared = [each for each in compared if each.name in (quantity, f"{quantity}_theory")]
+        known = _measured(study)
+        if quantity not in known:
+            refuse("quantity", quantity, "is no number in the results of this study", known_names(quantity, known))
+        compared = [known[name] for name in (quantity, f"{quantity}_theory") if name in known]
     else:
         # A deviation from theory needs no panel of its own where the theory itself is drawn.
         drawn = {each.name for each in compared}
@@ -76,7 +78,7 @@ def draw(
     count = len(units) * len(names)
     figure = new_figure(", ".join([study.scene, *_common(study)]), *[HEIGHT] * count)
     panels = iter(figure.subplots(count, 1, squeeze=False)[:, 0])
-    rows, theory = study.rows(), _TheoryCurves(study)
+    rows, theory = study.rows(compared), _TheoryCurves(study)
     for each_unit in units:
         drawn = [each for each in compared if each.unit == each_unit]
         y_scale = _scale("y_unit", y_unit, each_unit, shown(each_unit))
@@ -85,6 +87,21 @@ def draw(
             _panel(axes, study, rows, name, drawn, scales[name], y_scale, theory)
             axes.set_visible(bool(axes.lines or axes.containers))
     return figure
+
+
+def _measured(study: Any) -> dict[str, Quantity]:
+    """Return all quantities of a study by name: the compared ones, and all other numbers in the results of its cases.
+
+    A plain number in a result has no unit.
+    """
+    found = {each.name: each for each in study.compared}
+    for result in study.results.values():
+        for name, entry in result.items():
+            unit = str(entry["unit"]) if isinstance(entry, dict) and set(entry) == {"value", "unit"} else ""
+            value = entry["value"] if unit else entry
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                found.setdefault(name, Quantity(name, unit, lambda known: None))
+    return found
 
 
 def _scale(called: str, wanted: str | None, unit: str, usual: tuple[float, str]) -> tuple[float, str]:
@@ -206,9 +223,12 @@ def _panel(
         axes.set_xticks(range(len(values)), [study.worded(name, v, x_scale[0]) for v in values])
         axes.margins(x=0.2)
     simulated = [each.title for each in drawn if each.name not in theories] or [each.title for each in drawn]
+    if len(simulated) == 1:
+        # A title such as "end" needs the rest of its name where no other title explains it.
+        simulated = [next(each for each in drawn if each.title == simulated[0]).name.replace("_", " ")]
     titles = textwrap.fill(" and ".join(simulated), LABEL_WIDTH)
     x_title = f"{name} [{x_scale[1]}]" if x_scale[1] else name
-    axes.set(xlabel=x_title.replace("_", " "), ylabel=f"{titles} [{y_scale[1]}]")
+    axes.set(xlabel=x_title.replace("_", " "), ylabel=f"{titles} [{y_scale[1]}]" if y_scale[1] else titles)
     _set_height(axes)
     for count, label, marker, height in MARKS:
         places = [at(row) for row in mine if row[count]]

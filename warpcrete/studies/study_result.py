@@ -113,9 +113,10 @@ class Study:
             return rounded(value * (self.unit(parameter)[0] if factor is None else factor))
         return Path(value).stem if isinstance(value, str) and is_file(value) else str(value)
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self, quantities: Sequence[Quantity] | None = None) -> list[dict[str, Any]]:
         """Return one row for each set of varied values: means and standard deviations of quantities over the seeds.
 
+        Without `quantities`, the rows have the compared quantities.
         If some of the finished runs lack a quantity, such as a plateau, the entry with the suffix `_runs` is the number
         of runs that have it.
         """
@@ -126,7 +127,7 @@ class Study:
         for members in groups.values():
             row: dict[str, Any] = dict(members[0].varied)
             done = [self.results[c.name] for c in members if c.name in self.results]
-            for each in self.compared:
+            for each in self.compared if quantities is None else quantities:
                 values = [number(r[each.name]) for r in done if r.get(each.name) is not None]
                 values = [value for value in values if np.isfinite(value)]
                 row[each.name] = float(np.mean(values)) if values else float("nan")
@@ -181,9 +182,10 @@ class Study:
     ) -> Any:
         """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
-        `quantity` selects one quantity, such as "pressure", which is drawn together with its theory. `x` selects the
-        varied parameter on the horizontal axis. `unit` is the unit of this parameter, such as "m3/h", and `y_unit` that
-        of the quantity. Raises :class:`SceneError` for names and units that the study does not have.
+        `quantity` selects one quantity, such as "pressure", which is drawn together with its theory. It may be any
+        number in the results of the runs, such as "end_pressure". `x` selects the varied parameter
+        on the horizontal axis. `unit` is the unit of this parameter, such as "m3/h", and `y_unit` that of the quantity.
+        Raises :class:`SceneError` for names and units that the study does not have.
         """
         return draw(self, quantity, x, unit, y_unit)
 

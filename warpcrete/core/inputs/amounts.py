@@ -59,6 +59,8 @@ UNITS = {
     "1/s": {"1/s": 1.0, "Hz": 1.0},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60, "ft/s": FOOT, "ft/min": FOOT / 60},
     "m/s2": {"m/s2": 1.0, "m/s²": 1.0},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "N/m": {"N/m": 1.0, "mN/m": 1e-3, "kN/m": 1e3, "N/mm": 1e3},
     "m2/N": {"m2/N": 1.0, "m²/N": 1.0, "1/Pa": 1.0},
     "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0, "mPa s": 1e-3},
     "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
@@ -67,6 +69,17 @@ UNITS = {
 }  # fmt: skip
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
 unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
+
+
+def accepted_units(unit: str) -> Mapping[str, float]:
+    """Return the units in which an amount may be written, each with its factor to the internal unit `unit`.
+
+    A unit that is no key of :data:`UNITS`, such as the unit of a parameter in a user's own contact law, is the only
+    accepted unit of its amounts.
+    """
+    return UNITS.get(unit) or {unit: 1.0}
+
+
 CUSTOMARY = {
     *(name for name, factor in UNITS["m"].items() if factor in (INCH, FOOT, YARD)),
     *(name for name in UNITS["m3/s"] if name.startswith(("yd", "cy", "ft", "gal", "gpm"))),
@@ -103,13 +116,13 @@ def _escaped(name: str) -> str:
 
 @functools.cache
 def patterns(unit: str) -> tuple[str, ...]:
-    """Return regular expressions for the texts that :func:`amount` accepts in `unit`, a key of :data:`UNITS`.
+    """Return regular expressions for the texts that :func:`amount` accepts in `unit`.
 
     The caller must strip spaces from both ends of a text before matching. The groups of the first expression are the
     number and its unit. For lengths there are two more expressions: the groups of the second one are a number with a
     fraction and its unit (inch or foot), and those of the third one are feet and inches.
     """
-    simple = rf"([-+]?(?:{COMMA}|{DECIMAL}))\s*({_alternatives(UNITS[unit])})?"
+    simple = rf"([-+]?(?:{COMMA}|{DECIMAL}))\s*({_alternatives(accepted_units(unit))})?"
     if unit != "m":
         return (simple,)
     inches, feet = _names((INCH,)), _names((FOOT,))
@@ -154,7 +167,7 @@ def _parsed(text: str, unit: str) -> float:
     text = text if text.isascii() else _plain_digits(text)
     forms = [pattern.fullmatch(text) for pattern in _compiled(unit)]
     if forms[0]:
-        return _decimal(forms[0][1]) * UNITS[unit][forms[0][2] or unit]
+        return _decimal(forms[0][1]) * accepted_units(unit)[forms[0][2] or unit]
     if len(forms) > 1 and forms[1]:
         return _mixed(forms[1][1]) * UNITS["m"][forms[1][2]]
     if len(forms) > 1 and forms[2]:
@@ -199,7 +212,7 @@ def _customary() -> re.Pattern[str]:
 def unit_names(unit: str) -> list[str]:
     """Return one name of each accepted unit of a quantity, without synonyms."""
     factors: dict[float, str] = {}
-    for name, factor in UNITS[unit].items():
+    for name, factor in accepted_units(unit).items():
         factors.setdefault(factor, name)
     return list(factors.values())
 
@@ -207,24 +220,23 @@ def unit_names(unit: str) -> list[str]:
 def written_unit(values: Iterable[object], unit: str) -> str | None:
     """Return the unit in which all `values` are written, or None if they are written without a unit or in several.
 
-    `unit` is the internal unit, a key of :data:`UNITS`. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
+    `unit` is the internal unit. Synonyms count as one unit: the result for "5 m³/h" is "m3/h".
     """
     found: set[float | None] = set()
     for value in values:
         text = value.strip() if isinstance(value, str) and len(value) <= LONGEST else ""
         form = _compiled(unit)[0].fullmatch(text if text.isascii() else _plain_digits(text))
-        found.add(UNITS[unit][form[2]] if form and form[2] else None)
+        found.add(accepted_units(unit)[form[2]] if form and form[2] else None)
     factor = found.pop() if len(found) == 1 else None
-    return next((name for name in unit_names(unit) if UNITS[unit][name] == factor), None)
+    return next((name for name in unit_names(unit) if accepted_units(unit)[name] == factor), None)
 
 
-def amount(field: str, value: object, unit: str, declared: str = "") -> float:
+def amount(field: str, value: object, unit: str) -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 
-    `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
-    as a number in `unit`. Lengths may be fractions of inches ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal
-    comma is accepted if it cannot separate thousands. If the parameter has a unit that is no key of :data:`UNITS`, pass
-    "1" as `unit` and the parameter's unit as `declared`, which the error message then names. Raises
+    `unit` is the internal unit, whose :func:`accepted_units` the text may have, and `field` names the parameter in
+    error messages. A number without a unit counts as a number in `unit`. Lengths may be fractions of inches
+    ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal comma is accepted if it cannot separate thousands. Raises
     :class:`SceneError` for an unknown unit, or if `value` is not a finite number.
     """
     number, more = math.nan, ""
@@ -237,13 +249,11 @@ def amount(field: str, value: object, unit: str, declared: str = "") -> float:
         with suppress(OverflowError):
             number = float(value)
     if not math.isfinite(number):
-        if declared:
-            units = "without a unit"
-        else:
-            units = "without a unit, or with %" if unit == "1" else f"with one of {', '.join(unit_names(unit))}"
-        meant = declared or ("" if unit == "1" else unit)
+        units = "without a unit, or with %" if unit == "1" else f"with one of {', '.join(unit_names(unit))}"
+        if unit not in UNITS:
+            units = f"in {unit}"
         problem = f"must be a number {units}{more and f'; {more}'}"
-        refuse(field, value, problem, f"a number without a unit is in {meant}" if meant else "")
+        refuse(field, value, problem, "" if unit == "1" else f"a number without a unit is in {unit}")
     return number
 
 
@@ -258,4 +268,4 @@ def _advice(text: str, unit: str) -> str:
         return ("write fractions of inches or feet as '4 1/2 in', in halves to sixty-fourths" if unit == "m"
                 else "write a decimal number instead of a fraction")  # fmt: skip
     found = re.fullmatch(rf"[-+]?(?:{COMMA}|{DECIMAL})\s*(.*)", text)
-    return suggested(found[1], UNITS[unit]) if found and found[1] else ""
+    return suggested(found[1], accepted_units(unit)) if found and found[1] else ""

@@ -48,6 +48,8 @@ LIMITS = {
     "Pa s2/m2": Limit(1e-6, 1e13, "1000 Pa s2/m2 adds 300 Pa s/m to a slip layer at 0.3 m/s"),
     "kg/m3": Limit(50.0, 3e4, "foams have a density of 100 kg/m3, osmium of 22600 kg/m3"),
     "m3/s": Limit(1e-12, 1.0, "the largest concrete pumps deliver 0.06 m3/s (200 m3/h)"),
+    "N": Limit(1e-12, 1e9, "a grain of sand weighs 1e-5 N, the piston of the largest pumps pushes with 2e6 N"),
+    "N/m": Limit(1e-9, 1e13, "simulated contacts have stiffnesses of 1e3 to 1e8 N/m"),
     "m2/N": Limit(1e-30, 1.0, "steel has a wear coefficient of 1e-13 to 1e-12 m2/N"),
     "degrees": Limit(1e-6, 360.0, "a full turn has 360 degrees"),
     "": Limit(1e-12, 1e9, "ratios are near 1"),

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type
 
 from ..errors import one_of, refuse
 from ..narrowing import is_numpy_number
-from .amounts import UNITS, amount
+from .amounts import amount
 from .limits import check_limit, check_whole, warn
 
 WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
@@ -174,8 +174,8 @@ class Field:
 
     @property
     def units(self) -> str:
-        """Unit of the field as a key of :data:`UNITS`, which lists the units that a user may write."""
-        return self.unit.strip() if self.unit.strip() in UNITS else "1"
+        """Unit in which the program computes with the field, as :func:`amount` takes it; "1" for a ratio."""
+        return self.unit.strip() or "1"
 
     @property
     def described(self) -> str:
@@ -224,7 +224,7 @@ class Field:
     def number(self, value: object, name: str) -> object:
         """Return a text such as "125 mm" as a number in the field's unit; return anything else unchanged."""
         if self.kind is float and isinstance(value, str) and NUMERIC.match(value):
-            return amount(name, value, self.units, "" if self.unit.strip() in UNITS else self.unit.strip())
+            return amount(name, value, self.units)
         return value
 
     def check_limits(self, value: object, name: str) -> None:

@@ -1,7 +1,7 @@
 """Interface of the folder that a run writes, as the run loop sees it.
 
 The package `record`, which imports `core`, implements the interface. It registers its class here, and the run loop
-uses this class if the user states a folder as a path.
+uses this class if the user states a folder as a path. It also registers the recorders of runs without a folder.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,12 +28,21 @@ class RunOutput(Protocol):
 
 
 _folder_at: Callable[[Path], RunOutput] | None = None
+_without_folder: Callable[[Any], Sequence[Any]] | None = None
 
 
-def register_folders(folder_at: Callable[[Path], RunOutput]) -> None:
-    """Register the function that makes a :class:`RunOutput` with default settings from the path of a folder."""
-    global _folder_at
-    _folder_at = folder_at
+def register_folders(folder_at: Callable[[Path], RunOutput], without_folder: Callable[[Any], Sequence[Any]]) -> None:
+    """Register the function that makes a :class:`RunOutput` with default settings from the path of a folder.
+
+    `without_folder` takes a simulation without a folder, and returns the recorders that it has besides the user's.
+    """
+    global _folder_at, _without_folder
+    _folder_at, _without_folder = folder_at, without_folder
+
+
+def recorders_without_folder(simulation: Any) -> Sequence[Any]:
+    """Return the recorders that a `simulation` without a folder has besides the user's."""
+    return () if _without_folder is None else _without_folder(simulation)
 
 
 def output_of(out: str | Path | RunOutput) -> RunOutput:

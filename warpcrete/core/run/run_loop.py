@@ -23,7 +23,7 @@ from .coroutines import Coroutine, run_coroutine
 from .ending import Ending, failure, interruption
 from .files import is_full
 from .frames import Frames
-from .output import CHECKPOINT, RunOutput, output_of
+from .output import CHECKPOINT, RunOutput, output_of, recorders_without_folder
 from .progress import Progress, ProgressBar, announce_compiling
 from .recorder import Recorder
 from .recording import Recording, disk_full_error
@@ -89,7 +89,9 @@ class Simulation(SimulationBase):
             positive("frame_interval", frame_interval, "s")
         if out is not None:
             self._use_folder(output_of(out))
-        self._recording = Recording(self, self.recorders)
+        # These recorders get no frames of their own, so they cost no time between samples.
+        self._more_recorders = [] if out is not None else list(recorders_without_folder(self))
+        self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
         self.wall_times = WallTimes()
         self._has_run = False
@@ -278,7 +280,7 @@ class Simulation(SimulationBase):
         self._has_run = True
         if self._ended_run is None:
             self.ending = None  # Forget that an earlier call of `begin` may have been interrupted.
-        self._recording = Recording(self, self.recorders)
+        self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self.wall_times.start()
         if self._resumed is not None and self._ended_run is None:
             self._checkpoint_time = self.stepper.time
