@@ -232,7 +232,7 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             "subtract this constant",
         )
     slope = np.diff(found.push[:, FIRST_STEP : STEPS + 1]) / np.diff(depth[FIRST_STEP : STEPS + 1])
-    told = found.stiffness[:, FIRST_STEP:STEPS, 0]
+    told = np.maximum(found.stiffness[:, FIRST_STEP:STEPS, 0], found.stiffness[:, FIRST_STEP + 1 : STEPS + 1, 0])
     short = slope * TOLD_SHARE - told
     if short.max() > ROUNDING * told.max():
         place = np.unravel_index(short.argmax(), short.shape)
