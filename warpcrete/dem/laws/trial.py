@@ -231,7 +231,9 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             "must be 0 J there if the history is zero",
             "subtract this constant",
         )
-    slope = np.diff(found.push[:, FIRST_STEP : STEPS + 1]) / np.diff(depth[FIRST_STEP : STEPS + 1])
+    # A dashpot adds on the way in what it takes away on the way out, so the mean is the force of the springs.
+    spring = 0.5 * (found.push[:, : STEPS + 1] + found.push[:, : STEPS - 1 : -1])
+    slope = np.diff(spring[:, FIRST_STEP:]) / np.diff(depth[FIRST_STEP : STEPS + 1])
     told = np.maximum(found.stiffness[:, FIRST_STEP:STEPS, 0], found.stiffness[:, FIRST_STEP + 1 : STEPS + 1, 0])
     short = slope * TOLD_SHARE - told
     if short.max() > ROUNDING * told.max():
