@@ -2,7 +2,7 @@
 needs.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike
 from ...core.device.arrays import DeviceArray, Scalar, Struct, zeros
 from ...core.device.device import parallel, scalar_of
 from ...core.errors import refuse
-from ...core.narrowing import is_dict
 from ...geometry.axis import Axis
 from ...geometry.walls import MeshWall, Prescribed, Wall
 from ...kernels.common.geometry import axis_functions
 from ...kernels.common.walls import wall_struct
 from ...kernels.dem.bond_parallel import MOST_KINDS, bond_functions
-from ..laws import ContactLaw
+from ..laws import Circumstances, ContactLaw, check_own_laws
 from ..scene.scene import Bonds, Scene
 from ..scene.settings import MUCH_STIFFER
 from .rest import bonds_after_rest, has_layer
@@ -147,6 +146,9 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
     contacts = _both_ways(scene, materials)
     pair_laws = _law_table("bodies", scene, contacts, materials, of_bodies, of_bodies)
     wall_laws = _law_table("walls", scene, contacts, materials, of_bodies, {w.material for w in walls})
+    radius, density = _largest_body(scene)
+    where = Circumstances(radius, density, scene.bonds is not None, scene.energy_balance, scalar, device)
+    check_own_laws(pair_laws, wall_laws if walls else (), where)
     groups = ("", *sorted({b.group for b in scene.bodies if b.group}))
     bond_kinds = _bond_kinds(scene)
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
@@ -199,6 +201,14 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
         drive_force=_array(drive_force, scalar, device),
         meshes=kept,
     )
+
+
+def _largest_body(scene: Scene) -> tuple[float, float]:
+    """Return the radius [m] and the density [kg/m3] of the largest body of a scene."""
+    found = [(float(np.max(b.sizes)) / 2, float(b.density)) for b in scene.bodies if len(b.positions)]
+    if scene.fill is not None:
+        found.append((scene.fill.sizes.largest / 2, scene.fill.density))
+    return max(found, default=(0.01, 2500.0))
 
 
 def subcycled(scene: Scene) -> bool:
@@ -336,16 +346,7 @@ def _law_table(
 
 def _law_rows(table: list[ContactLaw], scalar: Scalar, device: wp.Device) -> DeviceArray:
     struct = type(table[0]).functions(scalar).Parameters
-    return DeviceArray([_filled(struct(), c.row()) for c in table], dtype=struct, device=device)
-
-
-def _filled(row: object, values: Mapping[str, object]) -> object:
-    for name, value in values.items():
-        if is_dict(value):
-            _filled(getattr(row, name), value)
-        else:
-            setattr(row, name, value)
-    return row
+    return DeviceArray([c.on_device(scalar) for c in table], dtype=struct, device=device)
 
 
 def _bond_rows(kinds: Sequence[Bonds], scalar: Scalar, device: wp.Device) -> DeviceArray:

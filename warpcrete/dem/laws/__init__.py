@@ -13,8 +13,10 @@ from .lubrication import LubricationLayer
 from .mortar import BinghamMortar
 from .plastic import PlasticMortar
 from .rolling import RollingResistance
+from .trial import Circumstances, check_own_laws
 
 __all__ = [
-    "OWN_LAW", "OWN_WALL_LAW", "BinghamMortar", "Contact", "ContactLaw", "HertzMindlin", "LawChoice",
-    "LubricationLayer", "PlasticMortar", "RollingResistance", "WallLawChoice", "damping_ratio", "own_laws",
+    "OWN_LAW", "OWN_WALL_LAW", "BinghamMortar", "Circumstances", "Contact", "ContactLaw", "HertzMindlin", "LawChoice",
+    "LubricationLayer", "PlasticMortar", "RollingResistance", "WallLawChoice", "check_own_laws", "damping_ratio",
+    "own_laws",
 ]  # fmt: skip

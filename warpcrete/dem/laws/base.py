@@ -12,6 +12,7 @@ import warp as wp
 
 from ...core.errors import between
 from ...core.inputs.parameters import Declared, Field, OneOf, declared_fields
+from .own import check_class, made_functions
 
 PACKAGE = __name__.rpartition(".")[0]
 """Name of the package that contains the contact laws of warpcrete."""
@@ -42,6 +43,11 @@ class ContactLaw(Declared, ABC):
 
     rolls: ClassVar[bool] = False
     """True if contacts resist rolling; otherwise memory and code for rolling moments are left out."""
+
+    def __post_init__(self) -> None:
+        if _is_own(type(self)):
+            check_class(type(self))
+        super().__post_init__()
 
     @classmethod
     @abstractmethod
@@ -130,15 +136,33 @@ class ContactLaw(Declared, ABC):
                 values[place.name] = place.of(value)
         return values
 
+    def on_device(self, scalar: Any) -> Any:
+        """Return the struct `Parameters` with the values of this law, for the floating-point type `scalar`."""
+        return _filled(self.functions(scalar).Parameters(), self.row())
+
 
 def own_laws(laws: Iterable[ContactLaw]) -> str:
     """Return the names of the classes of `laws`, and of laws inside them, that come from outside of this package."""
     found: list[str] = []
     for law in laws:
         nested = [value for name in declared_fields(type(law)) if isinstance(value := getattr(law, name), ContactLaw)]
-        own = "" if type(law).__module__.startswith(f"{PACKAGE}.") else type(law).__name__
+        own = type(law).__name__ if _is_own(type(law)) else ""
         found += [name for name in (own, own_laws(nested)) if name]
     return " and ".join(dict.fromkeys(found))
+
+
+def _is_own(law: type[ContactLaw]) -> bool:
+    """Return whether a class of contact laws comes from outside of this package."""
+    return not law.__module__.startswith(f"{PACKAGE}.")
+
+
+def _filled(row: Any, values: dict[str, Any]) -> Any:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            _filled(getattr(row, name), value)
+        else:
+            setattr(row, name, value)
+    return row
 
 
 @functools.cache
@@ -149,7 +173,9 @@ def _functions(law: type[ContactLaw], scalar: Any) -> SimpleNamespace:
     name = f"{law.__name__}Parameters"
     made = type(name, (), {"__annotations__": types, "__module__": law.__module__, "__qualname__": name})
     parameters = wp.struct(made)
-    return SimpleNamespace(Parameters=parameters, **law.device_functions(scalar, parameters))
+    own = _is_own(law)
+    functions = made_functions(law, scalar, parameters) if own else law.device_functions(scalar, parameters)
+    return SimpleNamespace(Parameters=parameters, **functions)
 
 
 def _device_type(field: Field, scalar: Any) -> Any:
