@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from .tube import scene as tube
 
 __all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring", "jring_dem", "lbox", "lbox_dem", "lcpc", "lcpc_dem",
-           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "stretch", "suspended", "tube"]  # fmt: skip
+           "methods", "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "stretch", "suspended",
+           "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem", "suspension")
 """Names of the simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements, and
@@ -77,12 +78,12 @@ def _second(file: ModuleType) -> ModuleType:
     return sys.modules[name]
 
 
-def by_method(name: str, method: str) -> str:
-    """Return the name of the scene that simulates the same test as scene `name` by a `method`, one of METHODS.
+def methods(name: str) -> dict[str, str]:
+    """Return the simulation methods, each one of METHODS, for the test that scene `name` simulates.
 
-    If several methods can simulate a test, the scene of discrete elements has the suffix "-dem". A flow and a
-    suspension are the same scene; `suspended` returns the parameters that make it a suspension. Raises
-    :class:`warpcrete.SceneError` if there is no such scene.
+    The values are the names of the scenes that simulate it. If several methods can simulate a test, the scene of
+    discrete elements has the suffix "-dem". A flow and a suspension are the same scene; `suspended` returns the
+    parameters that make it a suspension.
     """
     plain = name.removesuffix("-dem")
     found = {METHODS[name.endswith("-dem")]: name for name in modules() if name.removesuffix("-dem") == plain}
@@ -90,6 +91,15 @@ def by_method(name: str, method: str) -> str:
         found = {"dem": plain, "suspension": "part"}
     elif "mps" in found and hasattr(modules()[plain], "suspension"):
         found["suspension"] = plain
+    return found
+
+
+def by_method(name: str, method: str) -> str:
+    """Return the name of the scene that simulates the same test as scene `name` by a `method`, one of METHODS.
+
+    Raises :class:`warpcrete.SceneError` if there is no such scene.
+    """
+    found = methods(name)
     if method not in found:
         refuse("method", method, f"must be one of {', '.join(found)} for scene {name!r}" if found else
                f"cannot be chosen, because there is no scene {name!r}",

@@ -14,6 +14,7 @@ import click
 import warpcrete
 from warpcrete import scenes
 from warpcrete.cli import options
+from warpcrete.cli.help_pages import summary
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.parameters import WORDS, Above, Field, OneOf, Within, declared_fields
 from warpcrete.core.run.method import Quantity
@@ -101,7 +102,7 @@ def command_pages() -> dict[str, str]:
         command = cli.commands[name]
         child = click.Context(command, info_name=name, parent=context)
         usage = command.get_usage(child).removeprefix("Usage: ")
-        rows.append([f"[`warpcrete {name}`](command-{name}.md)", cell(first_sentence(command.help or ""))])
+        rows.append([f"[`warpcrete {name}`](command-{name}.md)", cell(summary(command.help or ""))])
         text = f"# warpcrete {name}\n\nWhat does `warpcrete {name}` do, and which options does it have?\n\n"
         text += f"```text\n{usage}\n```\n\n{prose(command.help or '')}\n\n"
         listed = option_rows(command.get_params(child), child)
@@ -128,11 +129,6 @@ def command_pages() -> dict[str, str]:
         + toctree([*(f"command-{name}" for name in sorted(cli.commands)), "run-options"])
     )
     return pages
-
-
-def first_sentence(text: str) -> str:
-    """Return the beginning of a text up to its first full stop or colon."""
-    return re.split(r"(?<=[a-zA-Z`)])[.:](?:\s|$)", inspect.cleandoc(text), maxsplit=1)[0].strip()
 
 
 # Scenes and laws

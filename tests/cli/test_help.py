@@ -1,4 +1,4 @@
-"""Help of scenes in two steps."""
+"""Help pages: scenes in two steps, no markup, and no sentence that is cut off."""
 
 import re
 
@@ -6,6 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from warpcrete.cli import theory
+from warpcrete.cli.help_pages import plain
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.parameters import Declared, declared_fields
 from warpcrete.scenes import modules
@@ -57,3 +58,40 @@ def test_common_parameters_exist():
     assert len(chosen) > 10
     for each in chosen:
         assert set(each.common) <= set(each.__annotations__), each
+
+
+@pytest.mark.parametrize("words", [(), *((name,) for name in cli.commands), *(("run", name) for name in modules())])
+def test_help_pages_have_no_markup_and_no_cut_sentences(words):
+    for flag in ("--help", "--help-all"):
+        done = CliRunner().invoke(cli, [*words, flag])
+        if flag == "--help-all" and done.exit_code == 2:
+            continue
+        assert done.exit_code == 0, done.output
+        assert "`" not in done.output and not re.search(r":\w+:|\*\*|\w\.\.\.$", done.output, re.M), done.output
+        assert "Traceback" not in done.output and "SceneError" not in done.output
+
+
+def test_a_list_of_commands_holds_whole_sentences_and_the_titles_of_scenes():
+    def squeezed(*words: str) -> str:
+        return re.sub(r"\s+", " ", CliRunner().invoke(cli, words).output)
+
+    assert "calibrate Find a concrete's parameters from measured results explain" in squeezed("--help")
+    assert "so that its first run starts at once; without a name, those of all scenes" in squeezed("--help")
+    page = squeezed("run", "--help")
+    for name, module in modules().items():
+        assert f" {name} {module.__doc__.splitlines()[0]}" in page
+
+
+def test_names_of_parameters_become_options():
+    text = 'Set `mould_grip`, or `shapes="reference"`. See `slump-dem` and :func:`~warpcrete.core.units.shown`.'
+    shown = plain(text, {"mould_grip", "shapes"})
+    assert shown == "Set --mould-grip, or --shapes reference. See 'slump-dem' and shown."
+
+
+def test_help_of_words_lists_options_with_their_defaults_below_each_other():
+    page = CliRunner().invoke(cli, ["calibrate", "--help"]).output
+    assert page.startswith("Usage: cli calibrate TARGETS.yaml [OPTIONS]\n")
+    assert max(map(len, page.partition("Options:")[2].splitlines())) <= 80
+    squeezed = re.sub(r"\s+", " ", page)
+    assert "verify the answer come on top [default: 10 + 10 per parameter] --batch N Number of trials" in squeezed
+    assert squeezed == re.sub(r"\s+", " ", CliRunner().invoke(cli, ["calibrate"]).output)

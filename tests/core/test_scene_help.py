@@ -47,6 +47,7 @@ def test_help_shows_signature_and_every_parameter(name):
     assert head.replace(" ", "").startswith(f"{name}(*,{next(iter(fields))}:")
     assert list(inspect.signature(function).parameters) == list(fields)
     squeezed = re.sub(r"\s+", " ", text)
+    assert not re.search(r":(class|func|meth|mod):`", text)
     for field in fields.values():
         kind = re.search(rf" {field.name}: (a number|a whole number|text|True or False|a name or an object)", squeezed)
         assert kind, field.name

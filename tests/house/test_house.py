@@ -181,7 +181,9 @@ def calls_without_encoding(source: str) -> list[str]:
             )
         )
         if "encoding" not in named and (
-            name in ("read_text", "write_text") or opens or named & {"text", "universal_newlines"}
+            (name in ("read_text", "write_text") and not ast.unparse(node.func).startswith("formatter."))
+            or opens
+            or named & {"text", "universal_newlines"}
         ):
             found.append(ast.unparse(node))
     return found

@@ -21,11 +21,14 @@ def names(known: Iterable[str], incomplete: str, files: bool = False) -> list[Co
 
 def amounts(unit: str, incomplete: str) -> list[CompletionItem]:
     """Complete an amount: return the typed number followed by each unit that can be converted to `unit`."""
-    typed = NUMBER.fullmatch(incomplete)
-    if typed is None:
-        return []
     plain = [written for written in accepted_units(unit) if re.fullmatch(r"[a-zA-Z%][a-zA-Z0-9/%]*", written)]
-    return names([typed[1] + written for written in plain], typed[1] + typed[2])
+    return with_units(plain, incomplete)
+
+
+def with_units(units: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    """Return the typed number followed by each of the `units`; nothing if no number has been typed."""
+    typed = NUMBER.fullmatch(incomplete)
+    return [] if typed is None else names([typed[1] + unit for unit in units], typed[1] + typed[2])
 
 
 def concretes(incomplete: str) -> list[CompletionItem]:
@@ -74,3 +77,10 @@ def papers(incomplete: str) -> list[CompletionItem]:
 def devices(incomplete: str) -> list[CompletionItem]:
     """Complete the name of a device, `cpu` or `cuda`."""
     return names(DEVICES, incomplete)
+
+
+def accuracies(incomplete: str) -> list[CompletionItem]:
+    """Complete an allowed error: return the errors for which the shipped tables have settings, such as `5%`."""
+    from ..studies.tradeoffs.points import WANTED_ERRORS
+
+    return names([f"{100 * error:g}%" for error in WANTED_ERRORS], incomplete)

@@ -12,7 +12,7 @@ import click
 
 from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
 from .console import prepare_streams
-from .help_pages import GroupedCommand, full_help_option
+from .help_pages import Commands, GroupedCommand, full_help_option
 from .option_types import DEVICE, FLOW, GROWTH, LENGTH, PATH, POWER, PRESSURE, TIME, Completed
 from .scene_commands import LazyGroup, WordCommand, by_method, load, scenes, titles
 from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
@@ -22,7 +22,7 @@ EXIT_TIMEOUT = 3.0
 because libraries may wait for disk space without end."""
 
 
-@click.group()
+@click.group(cls=Commands)
 @click.version_option(package_name="warpcrete")
 @click.option(
     "--trust", is_flag=True, help="Allow records and files to import your own contact laws (this runs their code)"
@@ -236,8 +236,9 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--fit", type=PATH, help="CSV file of pressures along a trial line, with a first "
               "line such as 'place [m],pressure [bar],flow [m3/h]', to which the slip layer and the factor of bends "
               "are fitted")  # fmt: skip
-@click.option("--gauge", help="Error limit of the gauges of --fit, as '1 bar' or in % of the largest pressure  "
-              "[default: 4 %, a gauge of class 2.5 whose scale ends at 1.6 times the largest pressure]")  # fmt: skip
+@click.option("--gauge", type=PRESSURE, help="Error limit of the gauges of --fit, as '1 bar' or in % of the largest "
+              "pressure  [default: 4 %, a gauge of class 2.5 whose scale ends at 1.6 times the largest "
+              "pressure]")  # fmt: skip
 @click.option("--layer-factor", type=float, help="Factor by which the slip layer's constants may be wrong, for the "
               "band of the pressure; 1 if they were measured  [default: 2; for a mix, the bands of all its "
               "constants]")  # fmt: skip
@@ -310,9 +311,10 @@ def _add_command(name: str, text: str, words_of: Callable[[list[str]], list[str]
     """
 
     @cli.command(name, cls=WordCommand, help=text)
-    def command(arguments: tuple[str, ...]) -> None:
+    @click.pass_context
+    def command(context: click.Context, arguments: tuple[str, ...]) -> None:
         if not arguments or "--help" in arguments:
-            click.echo(text.replace("\b\n", ""))
+            click.echo(context.get_help())
             raise SystemExit(0 if arguments else 2)
         load(name).run(words_of(list(arguments)), scenes())
 

@@ -106,7 +106,8 @@ class Word(click.ParamType):
         """Return the usual values that begin with the typed text."""
         usual = [value for rule in self.field.of_kind(Suggests) for value in rule.values()]
         usual += [name for rule in self.field.of_kind(CompositeRule) for name in rule.short_names()]
-        return completion.names(usual, incomplete, files=any(self.field.of_kind(FileIf)))
+        files = any(self.field.of_kind(FileIf)) or any(rule.files for rule in self.field.of_kind(Suggests))
+        return completion.names(usual, incomplete, files=files)
 
 
 def kind_of(field: Field, called: str) -> Any:
@@ -171,6 +172,7 @@ def run_options() -> list[click.Parameter]:
             for kind in RECORDERS
         ),
         click.Option(["--accuracy"],
+                     shell_complete=lambda ctx, param, incomplete: completion.accuracies(incomplete),
                      help="Use the cheapest settings for at most this error, such as 5%, by --trade or a shipped one"),
         click.Option(["--trade"], type=click.Path(path_type=Path),
                      help="Folder of a 'warpcrete trade' of this scene, for --accuracy"),

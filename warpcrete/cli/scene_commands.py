@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 
 from ..core.errors import WarpcreteError
 from ..core.inputs.scene_titles import scene_titles
-from .help_pages import GroupedCommand
+from .help_pages import Commands, GroupedCommand, WordHelp
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
@@ -67,8 +67,11 @@ def titles() -> dict[str, str]:
     return scene_titles(Path(package.submodule_search_locations[0]))
 
 
-class LazyGroup(click.Group):
+class LazyGroup(Commands):
     """Group of subcommands whose options are built only when a subcommand is used."""
+
+    def descriptions(self, ctx: click.Context) -> dict[str, str]:
+        return titles()
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
@@ -94,7 +97,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
 
-class WordCommand(click.Command):
+class WordCommand(WordHelp):
     """Command whose words (scene, parameters and options) are parsed by its own module; shells complete the words."""
 
     def __init__(self, name: str, **settings: Any) -> None:
@@ -141,19 +144,31 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
     return options.SceneCommand(
-        name, module.scene, params=own + options.run_options(), callback=callback,
+        name, module.scene, params=own + _method_options(name) + options.run_options(), callback=callback,
         help=help_text(module.scene.description),
     )  # fmt: skip
 
 
-def help_text(docstring: str) -> str:
-    """Return a docstring as the help text of a command.
+def _method_options(name: str) -> list[click.Parameter]:
+    """Return the option `--method` for the help page and for shells, if several methods can simulate the test.
 
-    Sphinx markup and sentences on Python exceptions are left out.
+    The function :func:`by_method` has already removed this option from the words when the command is parsed.
     """
+    methods = importlib.import_module("warpcrete.scenes").methods(name)
+    meanings = {
+        "mps": "flow (mps)",
+        "dem": "discrete elements (dem)",
+        "suspension": "flow with aggregates (suspension)",
+    }
+    help_line = f"Simulate the same test by another method: {', '.join(meanings[each] for each in methods)}"
+    choice = click.Choice(list(methods))
+    return [click.Option(["--method"], type=choice, expose_value=False, help=help_line)] if len(methods) > 1 else []
+
+
+def help_text(docstring: str) -> str:
+    """Return a docstring as the help text of a command: sentences on Python exceptions are left out."""
     kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
-    text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
-    return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)
+    return re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
 
 
 def _repeat_command(path: Path) -> click.Command:

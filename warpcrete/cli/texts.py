@@ -30,7 +30,7 @@ ON_WORKERS = """\
   --workers N            number of workers that the scheduler starts
 """
 
-STUDY_HELP = f"""A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
+STUDY_HELP = f"""Run a scene with many values: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
 
 Every parameter of the scene, as in `warpcrete run SCENE --help-all`, takes one value or several. Every combination of
 the values is a case. On a GPU, cases of discrete elements run in batches, and flows side by side. On a CPU, cases run
@@ -89,8 +89,8 @@ answer.json, concrete.yaml (for --concrete), and all runs.
        held_out: true}}
 
 \b
-  --trials N             maximum number of trials; each runs all scenes  [default: 10 + 10 per parameter];
-                         runs that verify the answer come on top
+  --trials N             maximum number of trials, each of which runs all scenes; runs that verify the answer
+                         come on top                                     [default: 10 + 10 per parameter]
   --batch N              number of trials that run at the same time      [default: 4 + 2 per parameter]
   --repeat N             number of seeds of the final check              [default: 3]
   --seed N               seed of the search                              [default: 0]

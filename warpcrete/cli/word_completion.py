@@ -11,9 +11,10 @@ from click.shell_completion import CompletionItem
 from ..core.device.device import PRECISIONS
 from ..core.errors import WarpcreteError
 from ..core.inputs.parameters import Field
+from ..methods import method_of
 from ..scenes import METHODS, modules
 from . import calibrate, explain, study, trade
-from .completion import DEVICES, names
+from .completion import DEVICES, names, with_units
 from .options import flag, kind_of
 from .scene_commands import by_method
 
@@ -51,6 +52,10 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
         return names(["--help", *options], incomplete)
     if last in VALUES:
         return names(VALUES[last], incomplete)
+    if command == "trade" and last == "budget":
+        return with_units(trade.UNITS, incomplete)
+    if command == "trade" and last == "quantity" and module is not None:
+        return names([each.name for each in method_of(module.scene()).quantities], incomplete)
     if last.replace("-", "_") in fields:
         field = fields[last.replace("-", "_")]
         if field.kind is bool:

@@ -160,7 +160,7 @@ class AggregateParameters(Declared):
         str,
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed "
         "meshes. Diameters are those of spheres of equal volume",
-        Suggests(lambda: TEMPLATE_SETS),
+        Suggests(lambda: TEMPLATE_SETS, files=True),
         WITH_AGGREGATES,
     ] = "spheres"
     aggregate_sizes: Annotated[

@@ -112,6 +112,8 @@ class Suggests:
     """Rule that lists usual values of a text, which shells complete; every other value remains allowed."""
 
     values: Callable[[], Iterable[str]]
+    files: bool = False
+    """True if the text may also be the path of a file."""
 
 
 class CompositeRule:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import re
 import sys
 import textwrap
 import types
@@ -53,7 +54,9 @@ class SceneFunction(Generic[P, S]):
     def __init__(self, parameters: type[Declared], build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
         self.description = inspect.getdoc(build) or ""
-        self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
+        # The API reference links roles such as :class:`Run`; `help` and editors would show them as they are.
+        text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", self.description)
+        self.__doc__ = f"{text}\n\n{_listed(declared_fields(parameters).values())}"
         self.__name__ = self.__qualname__ = self.name.replace("-", "_")
         self.__module__ = build.__module__
         kind = inspect.Parameter.KEYWORD_ONLY

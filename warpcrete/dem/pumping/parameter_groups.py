@@ -12,6 +12,7 @@ from ...core.inputs.concretes import is_file, shipped
 from ...core.inputs.parameters import Above, Declared, FileIf, Needs, OneOf, Suggests, Within
 from ..laws import OWN_LAW, OWN_WALL_LAW
 from ..laws.linear import DASHPOTS
+from ..scene.clumps import TEMPLATE_SETS
 from ..scene.scene import Blockage, Wear
 
 FixedTimeStep = Annotated[float | None, "Fixed time step [s]; default: automatic", Above()]
@@ -68,7 +69,9 @@ class UnitParameters:
     elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above()] = 0.5
     length: Annotated[float, "Length of the concrete in the pipe at the start [m]", Above()] = 1.0
     wall: Annotated[
-        str, "Wall of the pipe: analytic, mesh, or the path of an STL file of a wall around the same axis"
+        str,
+        "Wall of the pipe: analytic, mesh, or the path of an STL file of a wall around the same axis",
+        Suggests(lambda: ("analytic", "mesh"), files=True),
     ] = "analytic"
     wall_scale: Annotated[float, "Factor from the units of the wall file to metres", Above(), FROM_FILE] = 1.0
     facets: Annotated[int, "Number of facets around the pipe of wall=mesh", Within(3, 100_000), FACETED] = 64
@@ -162,14 +165,17 @@ class AggregateParameters:
         str,
         "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of "
         "closed meshes",
+        Suggests(lambda: TEMPLATE_SETS, files=True),
     ] = "spheres"
     shape_spheres: Annotated[int, "Number of spheres that represent each mesh in shapes", OF_MESHES] = 10
     fractions: Annotated[
         str | None, "Fraction by volume of each shape, as '2,1,1,1'; default: equal fractions", SEVERAL
     ] = None
-    sizes: Annotated[str, "Size distribution: gaussian, uniform, or a sieve curve 'mm:passing,...' by mass"] = (
-        "gaussian"
-    )
+    sizes: Annotated[
+        str,
+        "Size distribution: gaussian, uniform, or a sieve curve 'mm:passing,...' by mass",
+        Suggests(lambda: ("gaussian", "uniform")),
+    ] = "gaussian"
     size_min: Annotated[float, "Smallest size [m]", Above(), RANGED] = 5e-3
     size_max: Annotated[float, "Largest size [m]", Above(), RANGED] = 20e-3
     size_mean: Annotated[
