@@ -8,14 +8,15 @@ Each case writes `STUDY/CASE.json` into the folder: at the end, and every few se
 ended is left out when the command is called again with the same folder. `suspension_tables.py` turns the files into
 tables and figures, and notebooks/validation/suspension-pipes.md and suspension-vessels.md show and discuss them.
 
-The studies are a: slip layer at the wall of a pipe; b: migration; c: standard tests of one concrete; e: blocking at the
-bars of a J-ring; f: segregation.
+The studies are a: slip layer at the wall of a pipe; b: migration; c: standard tests of one concrete; d: sizes and
+shapes of aggregates in a bend; e: blocking at the bars of a J-ring and in reducers; f: segregation.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import os
 import time
@@ -24,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-STUDIES = ("a", "b", "c", "e", "f")
+STUDIES = ("a", "b", "c", "d", "e", "f")
 DIAMETER = 0.1
 """Inner diameter of all pipes [m]."""
 SOFT = {"density": 2350.0, "viscosity": 30.0, "yield_stress": 50.0}
@@ -33,6 +34,10 @@ AGGREGATE = 2650.0
 """Density of the aggregates [kg/m3]."""
 FRACTION = 0.3
 """Volume fraction of the simulated aggregates in the standard tests."""
+PIPE_FRACTION = 0.2
+"""Volume fraction of the aggregates of all sizes and shapes in study d: more spheres of 60 mm find no place."""
+ROUGH = 0.5
+"""Coulomb friction coefficient between aggregates, and with walls, in the runs that have friction."""
 XU_FRACTION = 0.36
 """Volume fraction of coarse aggregate in the concretes of Xu, Li & Jiang 2021."""
 STICKS, SLIPS = (300.0, 500.0, 1000.0, 2000.0, 4000.0), (300.0, 400.0, 500.0, 700.0, 1000.0)
@@ -121,7 +126,7 @@ def standard_tests(seeds: int, length: float) -> Iterator[Case]:
     """Yield the cases of study c: slump, J-ring, L-box and funnel, with aggregates, as a flow, and as elements."""
     common = {"regularisation": 1e3, "step_error": 1e-2}
     cone = {"lift_time": 0.0, "plate_radius": 0.34, "duration": 5.0 * length, "sample_interval": 0.1 * length}
-    box = {"duration": 6.0 * length, "sample_interval": 0.1 * length}
+    box = {"duration": 25.0 * length, "sample_interval": 0.1 * length}
     funnel = {"duration": 25.0 * length, "sample_interval": 0.1 * length}
     tests = {
         "slump": ("slump", 0.005, cone), "lbox-3": ("lbox", 0.005, box | {"bars": 3}),
@@ -148,19 +153,72 @@ def standard_tests(seeds: int, length: float) -> Iterator[Case]:
         yield Case("c", f"jring-elements-{seed}", "jring_dem", given, True, varied)
 
 
+def pumping(seeds: int, length: float) -> Iterator[Case]:
+    """Yield the cases of study d: sizes and shapes of aggregates in a pipe with a bend, with and without friction.
+
+    The cases follow Zhan et al. 2019, who vary size and shape of the aggregates at a velocity of 0.3 m/s. All concretes
+    would have the constants of concrete no. 1 of Xu, Li & Jiang 2021 if they were homogeneous.
+    """
+    from warpcrete.theory.pipe import CONCRETES
+
+    own = CONCRETES["no1"]
+    constants = {"density": own.density, "viscosity": own.viscosity, "yield_stress": own.yield_stress}
+    mix = mortar(constants, PIPE_FRACTION) | {"slip_viscosity": own.slip_viscosity, "slip_yield": own.slip_yield}
+    common = mix | {
+        "unit": "bend-level", "diameter": DIAMETER, "straight": 0.2, "elbow_radius": 0.25, "spacing": 0.005,
+        "symmetry": "whole", "flow": 0.3 * 0.25 * math.pi * DIAMETER**2, "time_step": 0.008, "duration": 3.0 * length,
+        "steadiness": 1e-9, "aggregate_fraction": PIPE_FRACTION,
+    }  # fmt: skip
+    for seed in range(seeds):
+        for friction in (0.0, ROUGH):
+            for size in (0.02, 0.03, 0.04, 0.05, 0.06):
+                given = common | {"aggregate_smallest": size, "aggregate_largest": size, "friction": friction,
+                                  "seed": seed}  # fmt: skip
+                varied = {"kind": "size", "size": size, "shape": 1.0, "friction": friction, "seed": seed}
+                yield Case("d", f"size-{1e3 * size:g}-{friction:g}-{seed}", "part", given, True, varied)
+            for shape in (1.5, 2.5, 3.5, 4.5):
+                given = common | {"aggregate_smallest": 0.04, "aggregate_largest": 0.04, "friction": friction,
+                                  "aggregate_shapes": f"shape-{shape:g}", "seed": seed}  # fmt: skip
+                varied = {"kind": "shape", "size": 0.04, "shape": shape, "friction": friction, "seed": seed}
+                yield Case("d", f"shape-{shape:g}-{friction:g}-{seed}", "part", given, True, varied)
+
+
 def blocking(seeds: int, length: float) -> Iterator[Case]:
-    """Yield the cases of study e: J-rings with wide and narrow gaps, and few and many aggregates of 25 mm."""
+    """Yield the cases of study e: J-rings with wide and narrow gaps, and reducers, with few and many aggregates."""
+    yield from bars(seeds, length)
+    yield from reducers(seeds, length)
+
+
+def reducers(seeds: int, length: float) -> Iterator[Case]:
+    """Yield reducers from 100 mm to four diameters, with aggregates of 20 mm that have friction."""
+    size = 0.02
+    for seed in range(seeds):
+        for fraction in (0.3, 0.2):
+            for outlet in (0.06, 0.05, 0.04, 0.033):
+                given = mortar(SOFT, fraction) | {
+                    "slip_viscosity": 893.0, "slip_yield": 251.0, "unit": "horizontal", "diameter": DIAMETER,
+                    "outlet_diameter": outlet, "straight": 0.2, "taper": 0.1, "spacing": size / 4,
+                    "symmetry": "whole", "flow": 0.05 * 0.25 * math.pi * DIAMETER**2, "time_step": 0.008,
+                    "duration": 6.0 * length, "steadiness": 1e-9, "aggregate_fraction": fraction,
+                    "aggregate_smallest": size, "aggregate_largest": size, "friction": ROUGH, "seed": seed,
+                }  # fmt: skip
+                varied = {"kind": "reducer", "fraction": fraction, "outlet": outlet, "seed": seed}
+                yield Case("e", f"reducer-{1e3 * outlet:g}-{fraction:g}-{seed}", "part", given, True, varied)
+
+
+def bars(seeds: int, length: float) -> Iterator[Case]:
+    """Yield J-rings with wide and narrow gaps, and few and many aggregates of 25 mm that have friction."""
     for seed in range(seeds):
         for fraction in (0.3, 0.4, 0.2):
-            for bars in (16, 20, 12):
+            for number in (16, 20, 12):
                 given = mortar(SOFT, fraction) | {
                     "regularisation": 1e3, "step_error": 1e-2, "lift_time": 0.0, "plate_radius": 0.3,
                     "spacing": 0.00625, "aggregate_fraction": fraction, "aggregate_smallest": 0.025,
-                    "aggregate_largest": 0.025, "aggregate_density": AGGREGATE, "seed": seed, "bars": bars,
-                    "duration": 3.0 * length, "sample_interval": 0.1 * length,
+                    "aggregate_largest": 0.025, "aggregate_density": AGGREGATE, "seed": seed, "bars": number,
+                    "duration": 3.0 * length, "sample_interval": 0.1 * length, "friction": ROUGH,
                 }  # fmt: skip
-                varied = {"fraction": fraction, "bars": bars, "seed": seed}
-                yield Case("e", f"{bars}-{fraction:g}-{seed}", "jring", given, True, varied)
+                varied = {"kind": "bars", "fraction": fraction, "bars": number, "seed": seed}
+                yield Case("e", f"bars-{number}-{fraction:g}-{seed}", "jring", given, varied=varied)
 
 
 def segregation(seeds: int, length: float) -> Iterator[Case]:
@@ -197,7 +255,9 @@ def short(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-MAKERS = {"a": slip_layer, "b": migration, "c": standard_tests, "e": blocking, "f": segregation}
+MAKERS = {
+    "a": slip_layer, "b": migration, "c": standard_tests, "d": pumping, "e": blocking, "f": segregation,
+}  # fmt: skip
 
 
 def fraction_over_distance(flow: Any, bins: int) -> tuple[list[float], list[float]]:
@@ -264,7 +324,7 @@ def run_case(case: Case, device: str | None, folder: Path) -> str:
         run = Simulation(scene, device=device, threads=1 if device == "cpu" else None, recorders=[samples]).run()
         left_out = ("profile", "provenance", "state_hash")
         samples.store["result"] = {name: value for name, value in run.result.items() if name not in left_out}
-        samples.store["finished"] = True
+        samples.store["finished"] = run.finished
     except Exception as error:  # A case that fails must not end the others.
         words = samples.store["error"] = f"{type(error).__name__}: {error}"
     samples.save()

@@ -35,12 +35,8 @@ In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 """
 
 
-suspension = {"aggregate_fraction": 0.2, "time_step": 0.1}
-"""Values of parameters that the option `--method suspension` sets if the user does not set them.
-
-Near rest, steps have the longest allowed length. With 0.1 s instead of 0.02 s, the last seconds take a fifth of the
-steps, and the concrete comes to rest at the same place within 1 mm.
-"""
+suspension = {"aggregate_fraction": 0.2}
+"""Values of parameters that the option `--method suspension` sets if the user does not set them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ def test_help_shows_common_options_and_help_all_the_others(name):
     flags = {field.name: "--" + field.name.replace("_", "-") for field in fields.values()}
     assert set(flags.values()) <= full
     assert {flags[field.name] for field in fields.values() if field.common} == short & set(flags.values())
-    assert short < full and len(short) <= 31
+    assert short < full and len(short) <= 32
     assert page.splitlines()[-1] == f"{len(full - short)} further options: cli run {name} --help-all"
     assert "further options" not in CliRunner().invoke(cli, ["run", name, "--help-all"]).output
     assert {"--out", "--device", "--resume", "--help", "--help-all"} <= short and {"--frames", "--usd"} <= full - short

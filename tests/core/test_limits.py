@@ -284,7 +284,7 @@ def test_a_number_without_unit_is_a_ratio():
 def test_parameters_take_amounts_with_units():
     with_units = scenes.tube(flow="30 m3/h", diameter="125 mm", length="40 cm")
     assert with_units.parameters == scenes.tube(flow=30 / 3600, diameter=0.125, length=0.4).parameters
-    assert scenes.tube(radius="50 mm").parameters["diameter"] == 0.1
+    assert scenes.tube(diameter="100 mm").parameters["diameter"] == 0.1
     assert scenes.pipe(modulus="0.2 MPa", friction="5 %").contact.effective_modulus == 2e5
     with pytest.raises(SceneError, match=r"diameter = '125 mn': must be a number with one of m, mm, cm"):
         scenes.tube(diameter="125 mn")

@@ -21,6 +21,7 @@ def check_flow(volume_error: float) -> Check:
             return NO_SAMPLE
         volume = run.result["volume_error"]
         found = {"volume": (abs(volume) < volume_error, f"{100 * volume:+.2f} % largest change")}
-        return found | run.scene.test.judge(run)
+        test = run.scene.test
+        return found | test.judge(run) if test else found
 
     return check
