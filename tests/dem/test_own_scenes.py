@@ -209,17 +209,13 @@ def test_an_unstable_run_names_a_law_from_outside_of_the_package(monkeypatch):
         assert (hint in str(error.value)) is told
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("dense", [dict(pressure=500.0), dict(solid_fraction=0.6)], ids=["pressure", "fraction"])
-def test_a_packing_with_the_wrong_sign_of_the_force_says_what_may_be_wrong(dense):
+def test_a_packing_refuses_a_law_with_the_wrong_sign_of_the_force():
     axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.1),))
-    fill = Fill(container=PipeContainer(axis, 0.05, 0.1), sizes=Uniform(0.012, 0.016), templates=(sphere(),), **dense)
-    goal = "packing to a pressure of 500 Pa failed while the bodies grew, at most to a solid fraction of 0.75: a speed"
-    with pytest.raises(InstabilityError, match=r"the opposite sign in force\(\) of Pulling") as error:
-        pack(fill, contact=Pulling(effective_modulus=1e6), device="cpu")
-    assert error.value.what.startswith(
-        goal if "pressure" in dense else "packing to a solid fraction of 0.6 failed: a speed"
+    fill = Fill(
+        container=PipeContainer(axis, 0.05, 0.1), sizes=Uniform(0.012, 0.016), templates=(sphere(),), pressure=500.0
     )
+    with pytest.raises(SceneError, match=r"Pulling\.force\(\) = 'a pull of .*must push stones apart"):
+        pack(fill, contact=Pulling(effective_modulus=1e6), device="cpu")
 
 
 def test_a_report_tells_the_time_that_the_run_does_not_account_for(capsys):

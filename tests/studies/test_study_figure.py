@@ -94,7 +94,7 @@ def test_the_table_of_a_study_has_the_units_that_the_user_stated(tmp_path):
     study.written = {}
     assert "| flow [m3/s] |" in study.markdown() and "| 0.005556 | 100 |" in study.markdown()
     tube = importlib.import_module("warpcrete.scenes.tube").scene
-    stated = {"flow": ["5 m3/h", "10m³/h"], "radius": ["50 mm"], "length": ["1 m", 2.0], "concrete": ["no1"]}
+    stated = {"flow": ["5 m3/h", "10m³/h"], "diameter": ["50 mm"], "length": ["1 m", 2.0], "concrete": ["no1"]}
     assert written_units(tube, stated) == {"flow": "m3/h", "diameter": "mm"}
     assert written_unit(["5 m3/h", "3 l/s"], "m3/s") is None and written_unit(["5'"], "m") == "ft"
     assert [rounded(x) for x in (0.00138888, 20000.0, 5.0, 1e-7)] == ["0.001389", "20000", "5", "1e-07"]

@@ -67,28 +67,6 @@ def test_a_run_goes_on_from_its_checkpoint_with_the_same_bits(device, tmp_path):
     assert second.run().result["state_hash"] == whole.result["state_hash"]
 
 
-@pytest.mark.thorough
-def test_the_longest_step_of_the_method_does_not_change_where_concrete_comes_to_rest(device):
-    """Near rest a step is as long as allowed, so the default of this method saves most of the steps there."""
-    found = []
-    for step in (0.02, warpcrete.scenes.suspended("lbox")["time_step"]):
-        scene = box(aggregate_fraction=0.3, yield_stress=50.0, time_step=step, duration=5.0, rest_speed=1e-9)
-        simulation = warpcrete.Simulation(scene, device=device)
-        simulation.begin()
-        flow, counts, deepest = simulation.flow, [], 0.0
-        for time in (2.0, 3.0):
-            while flow.time < time:
-                flow.take(1)
-                deepest = min(deepest, flow.aggregates.smallest_gap())
-            counts.append(flow.steps)
-        mortar, stones = flow.particles.position.numpy().mean(0), flow.aggregates.bodies.centre.numpy().mean(0)
-        found.append((mortar, stones, counts[1] - counts[0], deepest))
-    (mortar, stones, many, _), (own_mortar, own_stones, few, deepest) = found
-    # Measured on a CPU, in a box 0.3 m long: 0.9 and 0.3 mm, 50 and 10 steps, an overlap of 0.7 % of a radius.
-    assert np.abs(own_mortar - mortar).max() < 1.5e-3 and np.abs(own_stones - stones).max() < 1e-3
-    assert few <= 0.3 * many and deepest > -0.02
-
-
 @pytest.mark.parametrize(
     "given, words",
     [

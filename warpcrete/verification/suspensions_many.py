@@ -48,7 +48,7 @@ class Core:
 def suspension(
     fraction: float, seed: int, device: str, precision: str, *, across: int = 4, wide: int = 8, long: int = 6,
     rate: float = RATE, strain: float = 0.01, extra_density: float = 0.0, yield_stress: float = 0.0,
-    coupled: float = 1e-4,
+    coupled: float = 1e-4, friction: float = 0.0,
 ) -> SuspensionFlow:  # fmt: skip
     """Return a suspension of equal spheres at random places between two moving walls.
 
@@ -67,7 +67,7 @@ def suspension(
     speed = float(high[0]) * rate
     return mortar_flow(
         cells, width, Aggregates(centres, radii, DENSITY + extra_density), device, precision,
-        tolerances=Tolerances(coupled=coupled),
+        tolerances=Tolerances(coupled=coupled), friction=friction,
         sides=((WALL, WALL), (MIRROR, MIRROR), (OPEN_SIDE, OPEN_SIDE)),
         walls=[(lambda x: x[:, 0] + high[0], ROUGH + 1), (lambda x: high[0] - x[:, 0], ROUGH + 2)],
         motions=(Motion((0.0, 0.0, -speed)), Motion((0.0, 0.0, speed))), periodic=True, speed=speed,
