@@ -242,7 +242,7 @@ TOUCH = ("normal", "gap", "velocity", "twist", "tilt", "smaller_radius", "length
 def _wrong_value(law: type, name: str, number: int, reason: str, error: Exception) -> NoReturn:
     """Raise a :class:`SceneError` for a value of the wrong type that a Warp function of a user's law returns."""
     values = RETURNED[name]
-    allowed = "; ".join(f"{n + 1}. {value}" for n, value in enumerate(values)) if len(values) > 1 else values[0]
+    allowed = values[0] if len(values) == 1 else "; ".join(f"{n + 1}. {value}" for n, value in enumerate(values))
     count = re.search(r"expected (\d+), got \d+", reason)
     types = re.search(r"type \((\w+)\) must be of the same type as the array \((\w+)\)", reason)
     if count is not None or "'list' object" in reason or "not enough values" in reason or "NoneType" in reason:
