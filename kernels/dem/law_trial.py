@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from ..common.types import module_of, types
+from ..common.types import types
 from .contact_law import contact_functions
 
 
@@ -23,8 +23,7 @@ def law_trial_kernel(scalar, law):
     Parameters, force, stiffness, energy = functions.Parameters, functions.force, functions.stiffness, functions.energy
     moment, moment_energy = (functions.moment, functions.moment_energy) if rolls else (None, None)
 
-    # Warp merges equal kernels of modules named "unique", although two equal laws have structs of their own.
-    @wp.kernel(module=module_of("law_trial", law.__module__, law, scalar), enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False)
     def march(
         parameters: wp.array(dtype=Parameters), keep: wp.int32, dt: scalar, radius: scalar, mass: scalar,
         gaps: wp.array2d(dtype=scalar),

@@ -5,10 +5,12 @@ import hashlib
 import importlib
 import sys
 
+import numpy as np
 import pytest
 from test_contact_choice import guide_law
 from test_contacts import two_spheres
 
+import warpcrete
 from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.engine.model import build_model
@@ -169,7 +171,7 @@ def sticky(tmp_path, monkeypatch):
     def changed(old="", new=""):
         text = (tmp_path / "sticky.py").read_text(encoding="utf-8")
         assert old in text
-        # Each changed law has a module of its own, because Warp knows structs by their module and name.
+        # Each changed law has a file of its own, as Python imports a file once.
         name = f"sticky_{hashlib.sha256((old + new).encode()).hexdigest()[:8]}"
         (tmp_path / f"{name}.py").write_text(text.replace(old, new, 1), encoding="utf-8")
         importlib.invalidate_caches()
@@ -196,6 +198,30 @@ def test_a_right_law_is_taken(sticky):
     for pull in (0.0, 0.05):
         model(law(pull=pull))
         model(law(pull=pull), "float32")
+
+
+def test_a_law_that_is_defined_again_can_run(sticky):
+    """Running a cell of a notebook again defines an equal law, whose kernels Warp merges with those of the first."""
+    for law in (sticky(), sticky()):
+        scene = dataclasses.replace(two_spheres(contact=law()), duration=1e-4)
+        moved = warpcrete.Simulation(scene, device="cpu", threads=1, precision="float64").run().bodies.position
+        assert moved == pytest.approx(scene.bodies[0].positions, abs=1e-9)  # They touch without overlap.
+
+
+def test_laws_of_one_name_from_two_files_are_told_apart(sticky):
+    """A law with one more parameter and the same name may act on walls, but not between bodies."""
+    law, other = (
+        sticky(),
+        sticky("    has_history", '    more: Annotated[float, "no effect [N]"] = 0.0\n\n    has_history'),
+    )
+    floor = PlaneWall(name="floor", point=(0, 0, -1), normal=(0, 0, 1))
+    scene = dataclasses.replace(two_spheres(contact=law()), duration=1e-4)
+    scene = dataclasses.replace(scene, walls=(floor,), contacts={("aggregate", "wall"): other()})
+    warpcrete.Simulation(scene, device="cpu", threads=1, precision="float64").run()
+    bodies = (*scene.bodies, dataclasses.replace(scene.bodies[0], material="other"))
+    mixed = dataclasses.replace(scene, bodies=bodies, contacts={("aggregate", "other"): other()})
+    with pytest.raises(SceneError, match=r"contacts = 'sticky_\w+\.Sticky, sticky_\w+\.Sticky': must be one type"):
+        build_model(mixed, find_device("cpu"), "float64")
 
 
 def test_a_wall_law_with_another_reach_is_refused(sticky):

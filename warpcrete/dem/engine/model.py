@@ -335,10 +335,13 @@ def _law_table(
     that cannot touch need an entry in the table as well, and get the law of a pair that can touch.
     """
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
-    kinds = sorted({type(c).__name__ for c in met})
+    kinds = {type(c) for c in met}
     if len(kinds) > 1:
+        # Two files may define classes of the same name.
+        names = {kind.__name__ for kind in kinds}
+        names = names if len(names) == len(kinds) else {f"{kind.__module__}.{kind.__name__}" for kind in kinds}
         hint = "use one class of contact law between bodies, and one between bodies and walls"
-        refuse("contacts", ", ".join(kinds), f"must be one type of law for all contacts with {what}", hint)
+        refuse("contacts", ", ".join(sorted(names)), f"must be one type of law for all contacts with {what}", hint)
     law = type(met[0])
     table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met
     return [c if type(c) is law else met[0] for c in table]

@@ -1,6 +1,7 @@
 """Base class of contact laws: parameters with their limits, their copy on the device, and functions for kernels."""
 
 import functools
+import hashlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -170,12 +171,24 @@ def _functions(law: type[ContactLaw], scalar: Any) -> SimpleNamespace:
     types = {}
     for name, field in declared_fields(law).items():
         types[next(field.of_kind(OnDevice), OnDevice(name)).name] = _device_type(field, scalar)
-    name = f"{law.__name__}Parameters"
-    made = type(name, (), {"__annotations__": types, "__module__": law.__module__, "__qualname__": name})
-    parameters = wp.struct(made)
+    parameters = _struct(f"{law.__name__}Parameters", tuple(types.items()))
     own = _is_own(law)
     functions = made_functions(law, scalar, parameters) if own else law.device_functions(scalar, parameters)
     return SimpleNamespace(Parameters=parameters, **functions)
+
+
+@functools.cache
+def _struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
+    """Return the Warp struct with a name and fields, one object for equal structs.
+
+    Warp merges kernels whose code is equal, but refuses arrays of an equal struct that is another object. This matters
+    if a cell of a notebook that defines a law is run again, or if two files define equal laws. Structs with other
+    fields need another name, because one kernel may contain the laws of two files.
+    """
+    text = " ".join(f"{field} {getattr(kind, 'key', None) or kind.__name__}" for field, kind in fields)
+    mark = hashlib.sha256(text.encode()).hexdigest()[:8]
+    made = type(name, (), {"__annotations__": dict(fields), "__module__": __name__, "__qualname__": f"{name}_{mark}"})
+    return wp.struct(made)
 
 
 def _device_type(field: Field, scalar: Any) -> Any:

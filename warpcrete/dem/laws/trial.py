@@ -244,7 +244,8 @@ def _check_rest(law: ContactLaw, found: SimpleNamespace, depth: np.ndarray) -> N
             f"must be at least the slope of force(), which is {slope[place]:.3g} N/m, so that steps are stable",
             "return the derivative of the force by the overlap",
         )
-    stress = push[-1] / (4 * DEEPEST * depth.max() ** 2 / DEEPEST**2) * 2
+    # In a contact as deep as the stones are wide, 2 / DEEPEST times deeper, a linear spring would have this stress.
+    stress = push[-1] * (2 / DEEPEST) / (2 * depth.max() / DEEPEST) ** 2
     if stress > 0 and not 1 / STRESS_FACTOR < law.stress_scale / stress < STRESS_FACTOR:
         warn(
             f"{name}.stress_scale = {law.stress_scale:.3g} Pa: force() gives a stress of {stress:.3g} Pa in a deep "
