@@ -5,7 +5,6 @@ import hashlib
 import importlib
 import sys
 
-import numpy as np
 import pytest
 from test_contact_choice import guide_law
 from test_contacts import two_spheres

@@ -18,7 +18,7 @@ from ..device.launching import report_compiling
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from ..units import number as number_of
 from . import checkpoint
-from .checkpoint import RunRecord
+from .checkpointed import CheckpointedSimulation
 from .coroutines import Coroutine, run_coroutine
 from .ending import Ending, failure, interruption
 from .files import is_full
@@ -28,7 +28,6 @@ from .progress import Progress, ProgressBar, announce_compiling
 from .recorder import Recorder
 from .recording import Recording, disk_full_error
 from .run import FinalState, Run
-from .simulation_base import SimulationBase
 from .wall_times import WallTimes
 
 DEFAULT_CHECKPOINT_INTERVAL = 60.0
@@ -37,7 +36,7 @@ MAX_KEPT_MEMORY = 2e9
 """Largest device memory of a run [B] for which the run keeps its final state for `run.save`."""
 
 
-class Simulation(SimulationBase):
+class Simulation(CheckpointedSimulation):
     """Simulation of a scene on a device, with recorders, from t = 0 to its end; the scene's type selects the method.
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
@@ -94,9 +93,6 @@ class Simulation(SimulationBase):
         self._recording = Recording(self, [*self.recorders, *self._more_recorders])
         self._progress: Progress = ProgressBar() if progress is True else progress or announce_compiling
         self.wall_times = WallTimes()
-        self._has_run = False
-        self._checkpoint_time: float | None = None  # Simulated time of the state in the checkpoint [s].
-        self._resumed: RunRecord | None = None
         # Finished run whose folder `write_run` is writing; None if this object simulates the scene itself.
         self._ended_run: Run | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
@@ -112,68 +108,6 @@ class Simulation(SimulationBase):
         self.folder = output.path
         self.checkpoint_path = self.folder / CHECKPOINT if self.checkpoint_every else None
         self.recorders = [*output.recorders(self), *self.recorders]
-
-    # The following methods write and read checkpoints.
-
-    def save(self, path: Path) -> None:
-        """Write a checkpoint of the present state, which takes effect once all recorders have written their data.
-
-        If this fails, the previous checkpoint remains, from which every recorder can go on. Raises
-        :class:`RunFolderError`.
-        """
-        try:
-            self._write_state(path)
-            if self._has_run:
-                self._recording.call("write")
-            self._commit_state(path)
-        except BaseException:
-            checkpoint.discard(path)
-            raise
-
-    def _write_state(self, path: Path) -> None:
-        """Write the state to a partial file next to the checkpoint at `path`."""
-        states = self._recording.states() if self._has_run else {}
-        contents = self._contents(states, self.at_end)
-        checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
-
-    def _contents(self, recorders: dict[str, object], over: bool) -> dict[str, Any]:
-        """Return the present state with the data about the run, as a checkpoint stores them."""
-        run: RunRecord = {
-            "recorders": recorders,
-            "next_frame": self.frames.next,
-            "spent": self.wall_times.phases | {"running": self.wall_times.running},
-            "over": over,
-        }
-        return self.state_dict() | {"run": run}
-
-    def _commit_state(self, path: Path) -> None:
-        checkpoint.commit(path)
-        self._checkpoint_time = self.stepper.time if self._has_run else 0.0
-        self.wall_times.note_checkpoint()
-
-    def resume(self, path: Path) -> None:
-        """Restore the state from a checkpoint of the same scene, device and precision, instead of calling `prepare`.
-
-        The results of the resumed run are bitwise identical to those of a run without interruption. Raises
-        :class:`RunFolderError` for a file that is not a complete checkpoint of this simulation.
-        """
-        self.load_state_dict(self.read_checkpoint(path))
-
-    def read_checkpoint(self, path: Path) -> dict[str, Any]:
-        """Return the `state_dict` stored in a checkpoint, and restore the data about the run from this checkpoint.
-
-        The data about the run include the wall times and the time of the next frame.
-        """
-        return self._restored(checkpoint.read(path, self.scene, self.device, self.precision))
-
-    def _restored(self, contents: dict[str, Any]) -> dict[str, Any]:
-        """Restore the data about the run, such as wall times, from a checkpoint's contents; return the contents."""
-        run: RunRecord = contents["run"]
-        self._resumed = run
-        self.frames.next = run["next_frame"]
-        self.wall_times.restore(run["spent"])
-        self.at_end, self.resumes = run["over"], True
-        return contents
 
     # The following methods run the simulation, from its preparation to its end.
 
