@@ -305,7 +305,8 @@ class Tables:
         figure.axes[1].set_xlabel("distance from the axis [mm]")
         legend_above(figure.axes[1])
         self.save("heaps", figure)
-        shown = {"slump": ("slump", "spread", "t500"), "jring": ("slump", "spread", "blocking_step")}
+        shown = {"slump": ("slump", "spread", "t500"), "jring": ("slump", "spread", "blocking_step"),
+                 "funnel": ("funnel_time",), "lbox-0": ("t400",), "lbox-3": ("t400",)}  # fmt: skip
         for name, store in stores.items():
             test = store["varied"]["test"]
             if test in shown and (result := store.get("result")):
@@ -314,7 +315,10 @@ class Tables:
                     for quantity in shown[test]
                     if quantity in result
                 ]
-                centre = result.get("surface", {}).get("height", {}).get("value", ())[:10]
+                if "passing_ratio" in result:
+                    values.append(f"H2/H1 {result['passing_ratio']:.3f}")
+                surface = result.get("surface") or {}
+                centre = surface.get("height", {}).get("value", ())[:10]
                 rows.append([name, ended(store), ", ".join(values), f"{1e3 * np.mean(centre):.1f}" if centre else "-"])
             elif f"{test}-flow" in stores:
                 row = store["series"][-1]
@@ -327,22 +331,54 @@ class Tables:
             "tests", ["run", "ended", "quantities [mm, ms, or thousandths]", "mean height within 50 mm [mm]"], rows
         )
 
-    def blocking(self) -> None:
-        """Show which part of aggregates and mortar has passed the bars of a J-ring."""
+    def pumping(self) -> None:
+        """Show the pressure of a pipe with a bend, over the size and the shape of the aggregates."""
         rows = []
-        for store in load(self.runs, "e").values():
-            given, last = store["parameters"], store["series"][-1]
-            gap = 0.3 * np.sin(np.pi / given["bars"]) - 0.018
-            counted = store.get("result", {}).get("aggregates", {}).get("count")
-            passed, mortar = last["aggregates_passed"], last["mortar_passed"]
-            error = f"{np.sqrt(passed * (1 - passed) / counted):.2f}" if counted else "-"
-            step = store.get("result", {}).get("blocking_step", {}).get("value")
-            rows.append([str(given["bars"]), f"{gap / given['aggregate_largest']:.2f}",
-                         f"{given['aggregate_fraction']:g}", ended(store), f"{passed:.2f}", error, f"{mortar:.2f}",
-                         f"{1e3 * step:.1f}" if step else "-", f"{1e3 * last['spread']:.0f}"])  # fmt: skip
-        head = ["bars", "gap / size", "fraction", "ended", "aggregates passed", "error by their number",
+        for store in load(self.runs, "d").values():
+            if store["finished"]:
+                varied, result = store["varied"], store["result"]
+                pressure, error = (1e-3 * result[name]["value"] for name in ("pressure", "pressure_error"))
+                rows.append([varied["kind"], f"{1e3 * varied['size']:g}", f"{varied['shape']:g}",
+                             f"{varied['friction']:g}", str(varied["seed"]), f"{pressure:.2f}", f"{error:.2f}",
+                             f"{1e-3 * result['pressure_theory']['value']:.2f}"])  # fmt: skip
+        head = ["varied", "size [mm]", "shape factor", "friction", "seed", "pressure [kPa]", "error of the mean [kPa]",
+                "theory of the mortar [kPa]"]  # fmt: skip
+        self.write("pumping", head, rows)
+
+    def blocking(self) -> None:
+        """Show how many aggregates have passed the bars of a J-ring, and which reducers were blocked."""
+        stores = load(self.runs, "e")
+        groups: dict[tuple[int, float], list[Store]] = {}
+        for store in stores.values():
+            if store["varied"]["kind"] == "bars" and store["finished"]:
+                groups.setdefault((store["varied"]["bars"], store["varied"]["fraction"]), []).append(store)
+        rows = []
+        for (bars, fraction), found in sorted(groups.items()):
+            gap = 0.3 * np.sin(np.pi / bars) - 0.018
+            results = [store["result"] for store in found]
+            passed, mortar = (
+                float(np.mean([result[f"{what}_passed"] for result in results])) for what in ("aggregates", "mortar")
+            )
+            counted = sum(result["aggregates"]["count"] for result in results)
+            step, spread = (
+                1e3 * float(np.mean([result[name]["value"] for result in results]))
+                for name in ("blocking_step", "spread")
+            )
+            rows.append([str(bars), f"{gap / found[0]['parameters']['aggregate_largest']:.2f}", f"{fraction:g}",
+                         str(len(found)), f"{passed:.2f}", f"{np.sqrt(passed * (1 - passed) / counted):.2f}",
+                         f"{mortar:.2f}", f"{step:.1f}", f"{spread:.0f}"])  # fmt: skip
+        head = ["bars", "gap / size", "fraction", "seeds", "aggregates passed", "error by their number",
                 "mortar passed", "blocking step [mm]", "spread [mm]"]  # fmt: skip
-        self.write("blocking", head, sorted(rows, key=lambda row: (row[2], int(row[0]))))
+        self.write("blocking", head, rows)
+        rows = []
+        for store in stores.values():
+            if store["varied"]["kind"] == "reducer":
+                varied, pressure = store["varied"], 1e-3 * store["series"][-1]["pressure"]
+                how = store["result"]["ended"]["reason"] if store["finished"] else ended(store)
+                rows.append([f"{1e3 * varied['outlet']:g}", f"{varied['fraction']:g}", str(varied["seed"]), how,
+                             f"{store['series'][-1]['time']:.2g}", f"{pressure:.1f}"])  # fmt: skip
+        head = ["outlet [mm]", "fraction", "seed", "ended", "at [s]", "pressure then [kPa]"]
+        self.write("reducers", head, rows)
 
     def settling(self) -> None:
         """Show the speed at which aggregates fall through mortar at rest and in a pipe, over the yield stress."""
@@ -388,7 +424,8 @@ def main() -> None:
     given = reader.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     tables = Tables(given.runs, given.out)
-    studies = {"a": tables.layer, "b": tables.migration, "c": tables.tests, "e": tables.blocking, "f": tables.settling}
+    studies = {"a": tables.layer, "b": tables.migration, "c": tables.tests, "d": tables.pumping,
+               "e": tables.blocking, "f": tables.settling}  # fmt: skip
     for study, show in studies.items():
         if (given.runs / study).is_dir():
             show()
