@@ -11,8 +11,10 @@ import pytest
 from click.testing import CliRunner
 from pumping import INTERRUPTIBLE, command, wait_until
 
-from warpcrete.cli.main import cli
+from warpcrete import scenes
+from warpcrete.cli.main import cli, main
 from warpcrete.cli.scene_commands import help_text
+from warpcrete.core.errors import SceneError
 from warpcrete.scenes import modules
 
 COMMAND = [sys.executable, "-c", INTERRUPTIBLE]
@@ -165,3 +167,23 @@ def test_theory_takes_the_slip_viscosity_of_a_thick_layer_from_the_paper_as_runs
         assert f"slip layer {viscosity} Pa s/m" in found.output
     unknown = CliRunner().invoke(cli, ["theory", "--concrete", "no1", "--slip-thickness", "3e-3"])
     assert unknown.exit_code and "slip_thickness = 0.003" in str(unknown.exception)
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (["run", "tube", "--radius", "0.05"], "No such option '--radius'; use '--diameter', which has replaced it"),
+        (["theory", "--mix", "no1"], "No such option '--mix'; use '--concrete', which has replaced it"),
+        (["study", "tube", "--radius", "0.05", "0.06"], "did you mean --diameter?"),
+    ],
+)
+def test_a_former_name_is_refused_with_the_present_one(words, told, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["warpcrete", *words])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2 and told in capsys.readouterr().err
+
+
+def test_a_scene_function_names_the_present_name_of_a_parameter():
+    with pytest.raises(SceneError, match=r"parameter = 'radius': .*did you mean 'diameter'"):
+        scenes.tube(radius=0.05)

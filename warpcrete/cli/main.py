@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import click
 
-from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
+from ..core.errors import RENAMED, DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
 from .console import prepare_streams
 from .help_pages import Commands, GroupedCommand, full_help_option
 from .option_types import DEVICE, FLOW, GROWTH, LENGTH, PATH, POWER, PRESSURE, TIME, Completed
@@ -347,7 +347,10 @@ def main() -> None:
         click.echo(error.format_message())
         raise SystemExit(2) from None
     except click.UsageError as error:
-        _fail(" ".join(error.format_message().split()), 2)
+        text = " ".join(error.format_message().split())
+        if isinstance(error, click.NoSuchOption) and (name := RENAMED.get(error.option_name[2:].replace("-", "_"))):
+            text = f"No such option {error.option_name!r}; use '--{name.replace('_', '-')}', which has replaced it"
+        _fail(text, 2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         raise SystemExit(130) from None

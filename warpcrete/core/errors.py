@@ -151,12 +151,20 @@ def refuse(field: str, value: object, problem: str, hint: str = "") -> NoReturn:
     raise SceneError(said + (f"; {one_line(hint)}" if hint else ""))
 
 
+RENAMED = {
+    "mix": "concrete", "radius": "diameter", "aggregate_share": "aggregate_fraction", "shares": "fractions",
+    "most_iterations": "maximum_iterations",
+}  # fmt: skip
+"""Names of parameters that warpcrete 0.2 still accepted, and their present names. The diameter is twice the radius."""
+
+
 def suggested(word: object, known: Iterable[object]) -> str:
-    """Return "did you mean ...?" with the closest of the `known` words; empty if no word is close."""
+    """Return "did you mean ...?" with the present name or the closest of the `known` words; empty if none is close."""
     if not isinstance(word, str):
         return ""
     folded = {str(each).casefold().replace("-", "_"): str(each) for each in known}
-    near = difflib.get_close_matches(word[:LONGEST_VALUE].casefold().replace("-", "_"), folded, 1, 0.6)
+    typed = word[:LONGEST_VALUE].casefold().replace("-", "_")
+    near = difflib.get_close_matches(RENAMED.get(typed, typed), folded, 1, 0.6)
     return f"did you mean {folded[near[0]]!r}?" if near else ""
 
 

@@ -116,9 +116,8 @@ class Study:
     def rows(self, quantities: Sequence[Quantity] | None = None) -> list[dict[str, Any]]:
         """Return one row for each set of varied values: means and standard deviations of quantities over the seeds.
 
-        Without `quantities`, the rows have the compared quantities.
-        If some of the finished runs lack a quantity, such as a plateau, the entry with the suffix `_runs` is the number
-        of runs that have it.
+        Without `quantities`, the rows have the compared quantities. If some of the finished runs lack a quantity, such
+        as a plateau, the entry with the suffix `_runs` is the number of runs that have it.
         """
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
@@ -182,10 +181,10 @@ class Study:
     ) -> Any:
         """Return a Matplotlib figure of each compared quantity as a function of each varied parameter.
 
-        `quantity` selects one quantity, such as "pressure", which is drawn together with its theory. It may be any
-        number in the results of the runs, such as "end_pressure". `x` selects the varied parameter
-        on the horizontal axis. `unit` is the unit of this parameter, such as "m3/h", and `y_unit` that of the quantity.
-        Raises :class:`SceneError` for names and units that the study does not have.
+        `quantity` selects one number in the results of the runs, such as "pressure", which is drawn together with its
+        theory. `x` selects the varied parameter on the horizontal axis. `unit` is the unit of this parameter, such as
+        "m3/h", and `y_unit` that of the quantity. Raises :class:`SceneError` for names and units that the study does
+        not have.
         """
         return draw(self, quantity, x, unit, y_unit)
 
