@@ -171,6 +171,12 @@ def test_a_small_volume_with_a_trade_name_is_a_liquid_admixture():
         ({}, "mix = {}: is empty"),
         ({"density": 2350, "W/C": 0.45}, "mix key = 'W/C': is the entry 'water_binder' of a mix; write 'water_"),
         ({"parts": {"cement CEM II 42": None, "5 R": 340, "water": 170}}, "has no amount; a comma inside braces"),
+        ({"parts": {"cement": 340, "superplasticizer": None}}, "= None: has no amount; state it, as in '3 kg/m3' or"),
+        ({"parts": {"cement": 340, "superplasticizer": True}}, "= True: has no amount; state it, as in '3 kg/m3' or"),
+        ({"parts": {"cement": 340, "superplasticizer": "yes"}}, "= 'yes': has no amount; state it, as in '3 kg/m3' or"),
+        ({"parts": {"cement": 340, "superplasticizer": "0.8 %"}}, "is a share, but must count per volume of concrete; "
+         "multiply it by the kilograms of cement"),
+        ({"parts": {"cement": 340, "slag": "30 %"}}, "is a share, but must count per volume"),
         ({"Sand moisture": "4 %"}, "mix key = 'Sand moisture': is not an entry of a mix; subtract the surface"),
         ({"slump flow": "26 in"}, "mix key = 'slump flow': is the entry 'spread' of a mix; write 'spread: 26 in'"),
         ({"parts": {"cement": 340, "water": 170, "Sikka 12": "30 l/m3"}}, "is a volume, which is accepted for water"),

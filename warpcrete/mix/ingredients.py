@@ -43,7 +43,9 @@ POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag"
            "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip
 """Words in the names of ingredients that are powder, whose grains are finer than sand and belong to the paste."""
-LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
+WATERS = ("water", "ice")
+"""Words in the names of ingredients that are water."""
+LIQUIDS = (*WATERS, "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer")  # fmt: skip
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
@@ -113,7 +115,7 @@ def cement_mass(parts: Mapping[str, float]) -> float:
 
 def water_mass(parts: Mapping[str, float]) -> float:
     """Return the mass of water among the ingredients [kg/m3]."""
-    return sum(mass for name, mass in parts.items() if _noun(name) in ("water", "ice"))
+    return sum(mass for name, mass in parts.items() if _noun(name) in WATERS)
 
 
 def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
@@ -213,7 +215,7 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
             powder += mass / DENSITIES[noun]
         elif noun in LIQUIDS:
             liquid += mass / DENSITIES[noun]
-            water = water or noun in ("water", "ice")
+            water = water or noun in WATERS
         elif not noun and mass > UNKNOWN_MASS and not any(word in VARIABLE for word in _words(name)):
             return 0.0, 0.0
     return (powder, liquid) if water else (0.0, 0.0)
@@ -227,9 +229,7 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     that load. Raises :class:`SceneError` for other texts.
     """
     field = f"mix parts: {name}"
-    if value is None:
-        hint = "a comma inside braces {...} begins another ingredient: put a name with a comma in quotes"
-        refuse(field, value, "has no amount", hint)
+    _check_stated(name, value)
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
         refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, because the volume of "
@@ -243,15 +243,34 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
             problem = "is a volume, which is accepted for water and liquid admixtures only"
             refuse(field, value, problem, "give its mass, for example '340 kg/m3' or '570 lb/yd3'")
         return DENSITIES["admixture" if trade_name else noun] * volume
-    if isinstance(value, str) and "cwt" in value:
-        hint = "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3"
-        refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete", hint)
     if load and not whole and isinstance(value, str) and not is_amount(value, "kg/m3") and value.strip()[-1:].isalpha():
         units = (", ".join(unit_names(each)) for each in ("kg", "kg/m3"))
         refuse(field, value, "must be a number with one of {} for the whole load, or with one of {} for a volume of "
                "concrete".format(*units),
                "leave out separators of thousands" if "," in value else "")  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
+
+
+def _check_stated(name: str, value: Any) -> None:
+    """Refuse an ingredient without an amount, or with an amount that counts per mass of cement."""
+    field, text = f"mix parts: {name}", value if isinstance(value, str) else ""
+    admixture = _noun(name) in LIQUIDS and _noun(name) not in WATERS
+    if value is None or isinstance(value, bool) or (admixture and text and not re.search(r"\d", text)):
+        hints = []
+        if admixture:
+            hints = ["state it, as in '3 kg/m3' or '80 oz/yd3'; if it is unknown, any usual amount will do, because "
+                     "the pressure of a line depends little on it"]  # fmt: skip
+        if value is None:
+            hints.append("a comma inside braces {...} begins another ingredient: put a name with a comma in quotes")
+        refuse(field, value, "has no amount", "; ".join(hints))
+    if "cwt" in text:
+        hint = "multiply it by the pounds of cement in a cubic yard, divide by 100, and write oz/yd3"
+        refuse(field, value, "counts per 100 lb of cement, but must count per volume of concrete", hint)
+    if "%" in text:
+        hint = "give its mass in a cubic metre, as in '120 kg/m3'"
+        if admixture:
+            hint = "multiply it by the kilograms of cement in a cubic metre, divide by 100, and write kg/m3"
+        refuse(field, value, "is a share, but must count per volume of concrete", hint)
 
 
 def density_of(name: str) -> float | None:
