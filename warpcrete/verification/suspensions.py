@@ -229,7 +229,7 @@ def falling_in_bingham(number: float, regularisation: float, device: str, precis
 
 
 SHEAR_STEPS, BINGHAM_STEPS = 4, 30
-# Largest accepted errors with 4 cells across a sphere; the tables in `validation/suspension-exact.md` list the actual errors.
+# Largest accepted errors with 4 cells across a sphere. `validation/suspension-exact.md` lists the actual errors.
 SETTLING, SPIN, SLOPE, APPROACH = 0.085, 0.03, 0.07, 0.13
 
 
