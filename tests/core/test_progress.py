@@ -8,6 +8,7 @@ import pytest
 from pumping import command_process
 
 from warpcrete import scenes
+from warpcrete.core.device import launching
 from warpcrete.core.run import progress, wall_times
 from warpcrete.core.run.progress import ProgressBar
 from warpcrete.mps.simulation import FluidSimulation
@@ -87,6 +88,31 @@ def test_the_pace_of_a_run_leaves_out_preparation_and_compilation(monkeypatch):
     assert run.result["speed"]["steps_per_second"]["value"] == 2.0
     assert run.result["speed"]["wall_time"]["value"] == 63.0
     assert "at_most" not in told[-1][1] and FluidSimulation(scenes.channel(), device="cpu").may_end_early
+
+
+def test_the_time_left_leaves_out_compiling(clock, capsys):
+    """Each tenth takes 10 s; compiling takes 40 s before the first and 100 s after the third."""
+    bar = ProgressBar()
+    calls = [(0, "packing", 0.0), (20, "compiling", 0.5), (40, "compiling", 1.0)]
+    calls += [(40, "packing", 0.0), (50, "packing", 0.1), (60, "packing", 0.2), (70, "packing", 0.3)]
+    calls += [(150, "compiling", 0.9), (170, "compiling", 1.0), (170, "packing", 0.3), (180, "packing", 0.4)]
+    for elapsed, phase, fraction in calls:
+        clock.time = 100.0 + elapsed
+        bar(phase, fraction, {})
+    lines = [line for line in lines_of(capsys) if line.startswith("packing")]
+    assert [line.partition("%, ")[2] for line in lines] == [
+        "00:10 elapsed, about 01:30 left", "00:20 elapsed, about 01:20 left", "00:30 elapsed, about 01:10 left",
+        "00:40 elapsed, about 01:00 left",
+    ]  # fmt: skip
+
+
+def test_preparing_a_run_reports_compiling(monkeypatch):
+    """Commands call `begin` themselves, before `run`."""
+    told = []
+    run = FluidSimulation(scenes.channel(), device="cpu", progress=lambda phase, *more: told.append(phase))
+    monkeypatch.setattr(run, "prepare", lambda: launching._compile_callback.get()("compiling", 0.5))
+    run.begin()
+    assert told == ["compiling"]
 
 
 def test_a_log_of_slow_work_gets_a_line_every_30_seconds(clock, capsys):

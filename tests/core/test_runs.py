@@ -16,7 +16,8 @@ from pumping import alive, wait_until
 
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
-from warpcrete.core.run.quantities import Amount, Quantities
+from warpcrete.core.run.columns import Columns
+from warpcrete.core.run.quantities import Amount, Quantities, Result
 from warpcrete.core.run.run import viewer
 from warpcrete.core.run.tables import Table
 from warpcrete.core.run.viewer import Viewer
@@ -154,6 +155,29 @@ def test_quantities_know_their_units(ran):
     )
     assert f"<td>{pressure!r}</td>" in ran.quantities._repr_html_()
     assert repr(Quantities()) == "no quantities"
+
+
+def test_printed_series_and_results_are_summaries(ran):
+    """A line for each column with unit, ends and range, instead of all numbers; a line for each result."""
+    series = Columns(
+        {"time": np.array([0.0, 0.5, 1.0]), "pressure": np.array([np.nan, 31_750.0, 2e4])},
+        {"time": "s", "pressure": "Pa"}, "sample",
+    )  # fmt: skip
+    assert repr(series).splitlines() == [
+        "2 columns of 3 samples",
+        "column    unit  first   last  smallest  largest",
+        "time      s         0      1         0        1",
+        "pressure  Pa      nan  20000     20000    31750",
+    ]
+    assert "<td>31750</td>" in series._repr_html_() and "<th>largest</th>" in series._repr_html_()
+    assert pickle.loads(pickle.dumps(series))._units == copy.copy(series)._units == {"time": "s", "pressure": "Pa"}
+    assert repr(Columns({"wear": np.zeros(0)}, {})).splitlines()[0] == "1 column of 0 rows"
+    assert repr(ran.series).startswith(f"{len(ran.series)} columns of {len(ran.series['time'])} samples\ncolumn")
+    table = Table({"place": np.array([1.0]), "name": np.array(["hose"])}, {"place": "m"})
+    assert repr(table).startswith("2 columns of 1 row\n") and "hose" in table._repr_html_()
+    lines = dict(line.split("  ", 1) for line in repr(ran.result).splitlines())
+    assert lines["pressure"].strip() == repr(ran["pressure"]) and lines["provenance.device"].strip() == "cpu"
+    assert json.loads(json.dumps(ran.result))["pressure"]["unit"] == "Pa" and repr(Result()) == "no results"
 
 
 def test_a_run_draws_its_columns(ran):

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -35,6 +36,31 @@ def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
         bar.close()
 
 
+@dataclass
+class _Phase:
+    """State of the display of one phase; times are those of the clock [s]."""
+
+    name: str
+    first: float
+    """Fraction done at the start. A resumed run begins at the fraction that an earlier process has done."""
+    start: float
+    shown: float
+    """Time of the last line or update of the bar."""
+    called: float
+    """Time of the last call of the progress callback."""
+    last: float
+    """Fraction done in the last line."""
+
+    @classmethod
+    def at(cls, name: str, fraction: float, now: float) -> _Phase:
+        return cls(name, fraction, now, now, now, fraction)
+
+    def skip_pause(self, now: float) -> None:
+        """Leave out the time since the last call, in which kernels were compiled."""
+        pause = now - self.called
+        self.start, self.shown = self.start + pause, self.shown + pause
+
+
 class ProgressBar:
     """Callback for `Simulation(progress=...)` that shows remaining time, pressure and speed.
 
@@ -44,51 +70,46 @@ class ProgressBar:
 
     def __init__(self) -> None:
         self._bar: tqdm[NoReturn] | None = None
-        self._phase = ""
+        self._phase: _Phase | None = None
+        # Phase that continues when kernels are compiled.
+        self._interrupted: _Phase | None = None
         self._as_lines = not (sys.stderr.isatty() or _in_notebook())
 
     def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
         """Show the fraction of a phase, such as packing, that is done, and current figures such as the pressure."""
-        now = time.monotonic()
-        if phase != self._phase:
-            self.close()
-            self._phase = phase
-            self._start = self._shown = now
-            # The progress bar of a resumed run begins at the fraction that an earlier process has done, not at zero.
-            self._first = self._last = min(fraction, 1.0)
-            self._tenths = int(LINES_PER_PHASE * self._first + 1e-9)
+        now, fraction = time.monotonic(), min(fraction, 1.0)
+        shown = self._phase
+        if shown is None or phase != shown.name:
+            shown = self._begin_phase(phase, fraction, now)
+        shown.called = now
         if self._as_lines:
-            self._write_line(now, min(fraction, 1.0), figures)
+            _write_line(shown, now, fraction, figures)
         else:
-            self._draw(now, min(fraction, 1.0), figures)
+            self._draw(shown, now, fraction, figures)
 
-    def _write_line(self, now: float, fraction: float, figures: Mapping[str, float]) -> None:
-        tenths, since = int(LINES_PER_PHASE * fraction + 1e-9), now - self._shown
-        due = tenths > self._tenths and since >= SHORTEST_LINE_INTERVAL
-        if not due and since < LONGEST_LINE_INTERVAL:
-            return
-        elapsed = now - self._start
-        # The pace may change during a run, for example when concrete begins to flow, so use the pace since the last
-        # line.
-        spent, done = since, fraction - self._last
-        if done <= 0:
-            spent, done = elapsed, fraction - self._first
-        self._shown, self._tenths, self._last = now, tenths, fraction
-        left = f"about {_clock(spent * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
-        if left and figures.get("at_most"):
-            left += " unless the flow ends earlier"
-        parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
-        print(f"{self._phase}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
+    def _begin_phase(self, name: str, fraction: float, now: float) -> _Phase:
+        """Begin a phase, or continue the phase that compiling has interrupted, without the time of compiling."""
+        before, interrupted = self._phase, self._interrupted
+        self.close()
+        if name == "compiling":
+            self._interrupted = before
+        if interrupted is not None and interrupted.name == name:
+            interrupted.skip_pause(now)
+            self._phase = interrupted
+        else:
+            self._phase = _Phase.at(name, fraction, now)
+        return self._phase
 
-    def _draw(self, now: float, fraction: float, figures: Mapping[str, float]) -> None:
+    def _draw(self, phase: _Phase, now: float, fraction: float, figures: Mapping[str, float]) -> None:
         if self._bar is None:
             from tqdm.auto import tqdm
 
             layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
-            self._bar = tqdm(total=1.0, initial=fraction, desc=self._phase, bar_format=layout)
-        elif fraction < 1.0 and now - self._shown < REDRAW_INTERVAL:
+            self._bar = tqdm(total=1.0, initial=phase.first, desc=phase.name, bar_format=layout)
+            self._bar.start_t -= now - phase.start
+        elif fraction < 1.0 and now - phase.shown < REDRAW_INTERVAL:
             return
-        self._shown = now
+        phase.shown = now
         self._bar.n = fraction
         self._bar.set_postfix(_texts(figures), refresh=False)  # pyright: ignore[reportUnknownMemberType]
         self._bar.refresh()
@@ -98,7 +119,26 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.refresh()
             self._bar.close()
-        self._bar, self._phase = None, ""
+        self._bar, self._phase, self._interrupted = None, None, None
+
+
+def _write_line(phase: _Phase, now: float, fraction: float, figures: Mapping[str, float]) -> None:
+    """Print the progress of a phase on standard error, if a line is due."""
+    tenths, before = (int(LINES_PER_PHASE * done + 1e-9) for done in (fraction, phase.last))
+    since, elapsed = now - phase.shown, now - phase.start
+    due = tenths > before and since >= SHORTEST_LINE_INTERVAL
+    if not due and since < LONGEST_LINE_INTERVAL:
+        return
+    # The pace may change during a run, for example when concrete begins to flow, so use the pace since the last line.
+    spent, done = since, fraction - phase.last
+    if done <= 0:
+        spent, done = elapsed, fraction - phase.first
+    phase.shown, phase.last = now, fraction
+    left = f"about {_clock(spent * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
+    if left and figures.get("at_most"):
+        left += " unless the flow ends earlier"
+    parts = [f"{_clock(elapsed)} elapsed", left, *(" ".join(part) for part in _texts(figures).items())]
+    print(f"{phase.name}: {100 * fraction:.0f} %, {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
 
 _announced = False

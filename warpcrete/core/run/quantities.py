@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from ..drawing.html import html_table
@@ -100,3 +100,23 @@ class Quantities(dict[str, float]):
     def _repr_html_(self) -> str:
         """Return the quantities as an HTML table for notebooks."""
         return html_table(self._texts())
+
+
+class Result(dict[str, Any]):
+    """Contents of a result.json; printing them shows one line for each value, with dots in names of nested entries."""
+
+    def __repr__(self) -> str:
+        texts = list(_entry_texts(self))
+        width = max((len(name) for name, _ in texts), default=0)
+        return "\n".join(f"{name:<{width}}  {text}" for name, text in texts) or "no results"
+
+
+def _entry_texts(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the name and the value of each entry as text; entries of a nested dictionary follow each other."""
+    for name, entry in entries.items():
+        if not is_dict(entry):
+            yield prefix + name, f"{entry:.6g}" if isinstance(entry, float) else str(entry)
+        elif set(entry) == {"value", "unit"} and isinstance(entry["value"], int | float):
+            yield prefix + name, repr(Amount(number(entry), str(entry["unit"])))
+        else:
+            yield from _entry_texts(entry, f"{prefix}{name}.")

@@ -21,11 +21,12 @@ from ..errors import RunFolderError, WarpcreteError, one_of, refuse
 from ..inputs.origin import readable
 from ..narrowing import is_dict
 from ..units import shown
+from .columns import Columns
 from .ending import Ending
 from .files import LOCK, PARTIAL, cannot_write, check_new
 from .folders import FolderLock, new_folder
 from .output import RunOutput, output_of
-from .quantities import Quantities, conditions_of
+from .quantities import Quantities, Result, conditions_of
 from .tables import Table, dataframe, dataset
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
@@ -55,7 +56,8 @@ class Run:
 
     scene: Any
     series: dict[str, np.ndarray]
-    """Columns of the run's time series by name, as arrays with one entry per measurement (row)."""
+    """Columns of the run's time series by name, as arrays with one entry per sample. Printing the series shows the
+    unit, ends and range of each column."""
     units: dict[str, str]
     """Unit of each column of the time series, by the column's name."""
     result: dict[str, Any]
@@ -68,6 +70,9 @@ class Run:
     """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
     final_state: FinalState | None = field(default=None, init=False, compare=False)
     """Final state of a run without a folder; None for a run with a folder, or if the state takes much memory."""
+
+    def __post_init__(self) -> None:
+        self.series, self.result = Columns(self.series, self.units, "sample"), Result(self.result)
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"

@@ -123,10 +123,11 @@ class Simulation(CheckpointedSimulation):
         try:
             self.claim()
             self.resumes = path is not None and path.is_file()
-            if path is not None and self.resumes:
-                self.resume(path)
-            else:
-                self.prepare()
+            with report_compiling(self.tell):
+                if path is not None and self.resumes:
+                    self.resume(path)
+                else:
+                    self.prepare()
         except BaseException as error:
             self.note_failure(error)
             self.abandon(refused=isinstance(error, SceneError))

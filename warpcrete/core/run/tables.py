@@ -12,17 +12,28 @@ import numpy as np
 
 from ..errors import WarpcreteError
 from ..narrowing import is_number
+from .columns import Columns
 
 if TYPE_CHECKING:
     from pandas import DataFrame  # pyright: ignore[reportMissingTypeStubs]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Table:
     """Table of a run's results over a coordinate: columns of equal length by name, and the unit of each column."""
 
     columns: dict[str, np.ndarray]
     units: dict[str, str]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", Columns(self.columns, self.units))
+
+    def __repr__(self) -> str:
+        return repr(self.columns)
+
+    def _repr_html_(self) -> str:
+        """Return a summary of the columns as an HTML table for notebooks."""
+        return Columns(self.columns, self.units).html()
 
 
 def dataframe(
