@@ -209,8 +209,8 @@ def test_the_commands_print_the_rules(tmp_path):
     path.write_text(yaml_text({"mix": ORDINARY}), encoding="utf-8")
     found = CliRunner().invoke(cli, ["mix", str(path), "--bore", "2 in"]).output
     assert (
-        "will it block? yes, by rules of practice (1 blocks, 6 fine; bore of 50.8 mm)" in found
-        and "-> use a bore of 80 mm" in found
+        "will it block? yes, by rules of practice (1 blocks, 6 fine; bore of 50.8 mm (2 in))" in found
+        and "-> use a bore of 80 mm (3.15 in), or stones up to 12.7 mm (0.5 in)" in found
     )
     assert "bore" in str(CliRunner().invoke(cli, ["mix", str(path), "--bore", "-2"]).exception)
     site = tmp_path / "site.yaml"

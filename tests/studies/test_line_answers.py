@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 
@@ -11,9 +12,11 @@ from plug_lines import FLOW, METRE, PLUG, line, pumped
 
 from warpcrete import SceneError, WarpcreteError
 from warpcrete.cli.main import cli
+from warpcrete.core.inputs.customary import METRIC_SIZES
 from warpcrete.geometry.pumps import Pump, pump_of
+from warpcrete.mix.blocking import VERDICTS
 from warpcrete.studies.lines.answers import EFFICIENCY, pressure_text, time_text
-from warpcrete.studies.lines.fittings import METHODS_ON_BENDS
+from warpcrete.studies.lines.fittings import methods_on_bends
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.pressures import Stop
 from warpcrete.studies.lines.result import lines_of
@@ -186,7 +189,17 @@ def test_a_straight_line_in_us_units_and_rules_of_practice_have_us_units():
     call += ["--flow", "40 yd3/h"]
     said = CliRunner().invoke(cli, [*call, "--practice"], catch_exceptions=False).output
     assert "| 1 | straight, rises 65 ft | 5 | 480 | 65 |" in said and "| | pressure [psi] | straight pipe |" in said
-    assert "narrowest part 1, straight, rises 65 ft, 5 in" in said
+    assert "narrowest part 1, straight, rises 65 ft, 127 mm (5 in)" in said
+    # 7 in are 177.8 mm, and 28 bar are 406 psi. Every metric amount of an answer is followed by a US one.
+    assert "slump 177.8 mm (7 in); 100 to 160 mm (3.937 to 6.299 in) are usual" in said and "28 bar (406 psi)" in said
+    lines = [line.rsplit(" (", 1)[0] if line.startswith(VERDICTS) else line for line in said.split("\n")]
+    units = "|".join((*METRIC_SIZES, "m3/h", "kW", "m3"))
+    alone = [
+        found
+        for line in lines
+        for found in re.findall(rf"[0-9] (?:{units})\b(?! \(|/|, or| over)(?!, [0-9.]* psi)", line)
+    ]
+    assert not alone, (alone, lines)
 
 
 def test_rules_of_practice_count_parts_as_they_say():
@@ -202,7 +215,11 @@ def test_rules_of_practice_count_parts_as_they_say():
     assert jgj.pressure == pytest.approx(5e3 * 10 + 20e3 * 20 + 2 * 0.1e6 + 8 / 5 * 0.2e6 + 0.8e6, rel=1e-9)
     assert [row.rule for row in rows] == ["AIJ", "JSCE", "JGJ/T 10"] and all("http" in row.source for row in rows)
     text = "\n".join(lines_of(found, practice=True))
-    assert "| JGJ/T 10 | 17.7 |" in text and METHODS_ON_BENDS in text and "a metre of rise counts as 4 m" in text
+    assert (
+        "| JGJ/T 10 | 17.7 |" in text
+        and methods_on_bends() in text
+        and "rise counts as 4 times its length of level pipe" in text
+    )
     down = pumped({"straight": 10}, {"bend": "down"}, {"straight": 20}).practice()[1]
     assert down[1].pressures["straight"] == pytest.approx(30 * METRE) and down[2].pressures["straight"] == 150e3
 

@@ -15,6 +15,7 @@ import click
 
 from ..core.errors import between
 from ..core.inputs.amounts import amount, bare_number
+from ..core.inputs.customary import beside, both
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_whole
 from ..core.run.files import next_folder, write_json
@@ -22,7 +23,7 @@ from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.measurements import Layer
 from ..mix.mix import Mix
-from ..studies.lines.answers import CUSTOMARY_SIZES, beside, pressure_text
+from ..studies.lines.answers import pressure_text
 from ..studies.lines.fit import fit_line
 from ..studies.lines.fit_files import write_fit
 from ..studies.lines.fit_report import fit_lines
@@ -306,8 +307,7 @@ def _rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> list[str]:
     """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)
-    bore = f"{part.narrow / CUSTOMARY_SIZES['in']:.4g} in" if line.customary else f"{1e3 * part.narrow:.4g} mm"
-    where = f"narrowest part {part.number}, {part.label}, {bore}"
+    where = f"narrowest part {part.number}, {part.label}, {both(line.customary, 'mm', part.narrow)}"
     text = rule_lines(verdicts, where)
     if mix is None:
         text.append(

@@ -1,11 +1,13 @@
 """Command `warpcrete mix`: properties that follow from a mix, and a file that states them instead of the mix."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from ..core.errors import positive, refuse
-from ..core.inputs.amounts import amount
+from ..core.inputs.amounts import amount, is_customary
+from ..core.inputs.customary import both
 from ..core.inputs.limits import check_limit
 from ..core.inputs.yaml_files import yaml_text
 from ..core.run.files import atomic_file
@@ -35,8 +37,10 @@ def run(name: str, out: Path | None, bore: str | None = None) -> None:
     click.echo(mix.table())
     for remark in mix.remarks:
         click.echo(f"remark: {remark}")
-    where = "" if wide is None else f"bore of {1e3 * wide:.4g} mm"
-    click.echo("\n" + "\n".join(rule_lines(blocking_rules(mix.given, wide), where)))
+    us = mix.given.customary or is_customary(bore)
+    where = "" if wide is None else f"bore of {both(us, 'mm', wide)}"
+    given = replace(mix.given, customary=us)
+    click.echo("\n" + "\n".join(rule_lines(blocking_rules(given, wide), where)))
     elements = ", run pipe (elements)" if concrete.get("elements") else ""
     click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows){elements}, line, theory")
     if not elements:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..core.inputs.customary import both
 from .axis import Axis
 from .bores import Bores
 from .mesh_bores import MeshBore
@@ -161,6 +162,7 @@ class PipeLine:
         found = []
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
-            found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:.6g} mm may block: "
+            stone, bore = (both(self.customary, "mm", size) for size in (self.largest_stone, narrow))
+            found.append(f"stones of {stone} in a bore of {bore} may block: "
                          f"the bore is narrower than {BLOCKING_RATIO:g} of them")  # fmt: skip
         return found

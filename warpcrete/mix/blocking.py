@@ -7,12 +7,12 @@ to be the best indicator, though a conservative one.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from ..core.inputs.customary import both
 from ..geometry.pipe_line import Part, PipeLine
 from .entries import MixEntries
-from .figures import short
 from .ingredients import cement_mass, powder_mass, water_mass
 
 VERDICTS = ("fine", "unknown", "risky", "blocks")
@@ -108,13 +108,16 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
     return max((each.verdict for each in verdicts), key=VERDICTS.index, default="unknown")
 
 
-def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
+def blocking_rules(
+    mix: MixEntries | None, bore: float | None = None, stone: float | None = None, customary: bool = False
+) -> list[RuleVerdict]:
     """Return the verdicts of all rules of practice on blocking, for a mix in a pipe with an inner diameter `bore` [m].
 
     `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
-    the result contains only the rule that compares the stone with the bore.
+    the result contains only the rule that compares the stone with the bore. The verdicts state amounts also in US units
+    if `customary` is true, or if the mix is described in these units.
     """
-    found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix)]
+    found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix, customary)]
     if mix is not None:
         found += [powder(mix), paste(mix), sand_share(mix), fine_sand(mix), bleeding(mix), slump(mix)]
         found += lightweight(mix)
@@ -123,7 +126,9 @@ def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: flo
 
 def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
     """Return the verdicts of all rules on a mix in a pump line: at its narrowest bore, and behind its reducers."""
-    found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone)
+    if mix is not None and line.customary:
+        mix = replace(mix, customary=True)
+    found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone, line.customary)
     return [*found, *behind_reducers(line)]
 
 
@@ -137,24 +142,28 @@ def narrowest(line: PipeLine) -> Part:
     return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))
 
 
-def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | None) -> RuleVerdict:
+def stone_in_bore(
+    bore: float | None, stone: float | None, mix: MixEntries | None, customary: bool = False
+) -> RuleVerdict:
     """Compare the largest stone with the bore: stones that are too large wedge and form an arch."""
     name = "stone in bore"
     if stone is None:
         return RuleVerdict(name, "unknown", "the largest stone is not known", "add sieve or sizes to the mix, or "
                            "largest_stone to the line", ACI)  # fmt: skip
+    us = customary or (mix is not None and mix.customary)
+    largest, wide = both(us, "mm", stone), both(us, "mm", stone / SAFE)
     if bore is None:
-        widths = f"{1e3 * stone / CRUSHED:.4g} mm, better {1e3 * stone / SAFE:.4g} mm"
-        return RuleVerdict(name, "unknown", f"stones of {1e3 * stone:g} mm need a bore of {widths} or more",
+        widths = f"{both(us, 'mm', stone / CRUSHED)}, better {wide}"
+        return RuleVerdict(name, "unknown", f"stones of {largest} need a bore of {widths} or more",
                            "give the narrowest bore with --bore", f"{ACI}; {SOCIETY}")  # fmt: skip
     ratio = stone / bore
     round_ones = mix is not None and mix.shape == "spheres"
     flowing = mix is not None and (mix.spread or 0) >= SELF_COMPACTING
     limit = ROUNDED if round_ones and not flowing else CRUSHED
     kind = "rounded" if round_ones else "crushed" if mix is not None and mix.shape is not None else "unknown shape"
-    words = f"{1e3 * stone:g} mm in {1e3 * bore:.4g} mm is {ratio:.3g}; {SAFE:g} is safe, {limit:.2g} the limit ({kind}"
+    words = f"{largest} in {both(us, 'mm', bore)} is {ratio:.3g}; {SAFE:g} is safe, {limit:.2g} the limit ({kind}"
     words += ", self-compacting)" if flowing else ")"
-    widths = f"use a bore of {1e3 * stone / SAFE:.4g} mm, or stones up to {1e3 * SAFE * bore:.3g} mm"
+    widths = f"use a bore of {wide}, or stones up to {both(us, 'mm', SAFE * bore, digits=3)}"
     if ratio > limit * (1 + 1e-9):
         return RuleVerdict(name, "blocks", words, widths, f"{ACI}; {SOCIETY}")
     if ratio > SAFE * (1 + 1e-9):
@@ -164,14 +173,15 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
 
 def powder(mix: MixEntries) -> RuleVerdict:
     """Compare the mass of powder with the smallest masses of powder in concretes that could be pumped."""
-    name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
-    mass = powder_mass(mix.parts)
+    name, mass = "powder", powder_mass(mix.parts)
+    source = f"Tuutti 1976, 16 mm stone: blocked below 250 kg/m3, least pressure at 320; {JGJ}: 300"
     if mass == 0:
         return RuleVerdict(name, "unknown", "the mass of cement and fines is not known", "add parts to the mix", source)
-    words = f"{mass:.4g} kg/m3 of cement and other powder; {POWDER_SAFE:g} or more are safe"
+    us = mix.customary
+    words = f"{both(us, 'kg/m3', mass)} of cement and other powder; {both(us, 'kg/m3', POWDER_SAFE)} or more are safe"
     if mass >= POWDER_SAFE:
         return RuleVerdict(name, "fine", words, "", source)
-    more = f"add {POWDER_SAFE - mass:.3g} kg/m3 of cement, ash, slag or limestone"
+    more = f"add {both(us, 'kg/m3', POWDER_SAFE - mass, digits=3)} of cement, ash, slag or limestone"
     return RuleVerdict(name, "blocks" if mass < POWDER_MIN else "risky", words, more, source)
 
 
@@ -186,12 +196,16 @@ def paste(mix: MixEntries) -> RuleVerdict:
     low, high = VOIDS if mix.voids is None else (mix.voids - VOIDS_ERROR, mix.voids + VOIDS_ERROR)
     needed = [mix.sand_and_stone * voids / (1 - voids) for voids in (low, high)]
     measured = "assumed" if mix.voids is None else "measured"
-    words = (f"{1e3 * mix.paste_share:.3g} l/m3 of powder and water; the voids of {1e3 * mix.sand_and_stone:.3g} l/m3 "
-             f"of aggregate take {1e3 * needed[0]:.3g} to {1e3 * needed[1]:.3g} l/m3 (voids of {100 * low:.3g} to "
+
+    def shown(*volumes: float) -> str:
+        return both(mix.customary, "l/m3", *volumes, digits=3)
+
+    words = (f"{shown(mix.paste_share)} of powder and water; the voids of {shown(mix.sand_and_stone)} "
+             f"of aggregate take {shown(*needed)} (voids of {100 * low:.3g} to "
              f"{100 * high:.3g} %, {measured})")  # fmt: skip
     if mix.paste_share > needed[1]:
         return RuleVerdict(name, "fine", words, "", source)
-    more = f"add {1e3 * (needed[1] - mix.paste_share):.2g} l/m3 of paste or improve the grading"
+    more = f"add {both(mix.customary, 'l/m3', needed[1] - mix.paste_share, digits=2)} of paste or improve the grading"
     more += "" if mix.voids is not None else "; measure the voids and state them, as in 'voids: 24 %'"
     return RuleVerdict(name, "blocks" if mix.paste_share < needed[0] else "risky", words, more, source)
 
@@ -219,11 +233,12 @@ def sand_share(mix: MixEntries) -> RuleVerdict:
 def fine_sand(mix: MixEntries) -> RuleVerdict:
     """Compare the share of fine sand with the range in which concrete neither segregates nor becomes sticky."""
     name, source = "fine sand", "GB 50119; a Japanese check list"
+    sieve = "0.3 mm (No. 50 sieve)" if mix.customary else "0.3 mm"
     if mix.fine_sand is None:
-        return RuleVerdict(name, "unknown", "the share of the sand below 0.3 mm is not known",
+        return RuleVerdict(name, "unknown", f"the share of the sand below {sieve} is not known",
                            "add it to the mix, as in 'fine_sand: 18 %'", source)  # fmt: skip
     low, high = FINE_SAND
-    words = f"{100 * mix.fine_sand:.3g} % of the sand are below 0.3 mm; {100 * low:g} to {100 * high:g} % are safe"
+    words = f"{100 * mix.fine_sand:.3g} % of the sand are below {sieve}; {100 * low:g} to {100 * high:g} % are safe"
     if mix.fine_sand < low - 1e-9:
         return RuleVerdict(name, "risky", words, "blend with a finer sand, or add powder", source)
     if mix.fine_sand > high + 1e-9:
@@ -252,7 +267,8 @@ def bleeding(mix: MixEntries) -> RuleVerdict:
         return RuleVerdict(name, "unknown", f"{words}; the mass of the sand is not known, and counts as 0",
                            "add parts to the mix, with sand and gravel apart", source)  # fmt: skip
     return RuleVerdict(name, "risky", words, "lower the water, add powder or a viscosity-modifying agent, and test the "
-                       "bleeding under pressure (GB/T 50080: 10 s and 140 s at 3.5 MPa)", source)  # fmt: skip
+                       f"bleeding under pressure (GB/T 50080: 10 s and 140 s at {both(mix.customary, 'MPa', 3.5e6)})",
+                       source)  # fmt: skip
 
 
 def slump(mix: MixEntries) -> RuleVerdict:
@@ -262,8 +278,12 @@ def slump(mix: MixEntries) -> RuleVerdict:
     """
     name, source = "consistency", f"{JGJ}; B. Palmer, jlconline.com; {SHEN}"
     least, usual, largest = SLUMPS
+
+    def shown(*sizes: float) -> str:
+        return both(mix.customary, "mm", *sizes)
+
     if mix.spread is not None:
-        words = f"spread {1e3 * mix.spread:g} mm; up to {1e3 * LARGEST_SPREAD:g} mm were pumped"
+        words = f"spread {shown(mix.spread)}; up to {shown(LARGEST_SPREAD)} were pumped"
         if mix.spread <= LARGEST_SPREAD:
             return RuleVerdict(name, "fine", words, "", source)
         return RuleVerdict(name, "risky", words, "lower the spread; check that stones do not sink", source)
@@ -271,9 +291,9 @@ def slump(mix: MixEntries) -> RuleVerdict:
         return RuleVerdict(
             name, "unknown", "neither slump nor spread is known", "add slump or spread to the mix", source
         )
-    words = f"slump {1e3 * mix.slump:g} mm; {1e3 * usual:g} to {1e3 * largest:g} mm are usual"
+    words = f"slump {shown(mix.slump)}; {shown(usual, largest)} are usual"
     if mix.slump < usual - 1e-9:
-        limit = f"; below {1e3 * least:g} mm it cannot be pumped" if mix.slump < least else ""
+        limit = f"; below {shown(least)} it cannot be pumped" if mix.slump < least else ""
         return RuleVerdict(name, "risky", words + limit, "raise it with a plasticizer, not with water", source)
     if mix.slump > largest + 1e-9 and (mix.thickener or mix.plasticizer):
         cause = "superplasticizer" if mix.plasticizer else "viscosity-modifying admixture"
@@ -294,17 +314,17 @@ def lightweight(mix: MixEntries) -> Iterator[RuleVerdict]:
     """
     if mix.density >= LIGHTWEIGHT:
         return
-    name, slump_limit = "lightweight aggregate", f"more than {1e3 * LIGHTWEIGHT_SLUMP:g} mm"
-    words, good = f"density {mix.density:.4g} kg/m3", True
+    name, us = "lightweight aggregate", mix.customary
+    words, good = f"density {both(us, 'kg/m3', mix.density)}", True
     if mix.slump is None and mix.spread is None and not mix.parts:
         yield RuleVerdict(name, "unknown", words, "add slump or parts to the mix", CHECK_LIST)
         return
     if mix.slump is not None and mix.spread is None:
-        words += f"; slump {1e3 * mix.slump:g} mm, {slump_limit} is safe"
+        words += f"; slump {both(us, 'mm', mix.slump)}, more than {both(us, 'mm', LIGHTWEIGHT_SLUMP)} is safe"
         good = mix.slump > LIGHTWEIGHT_SLUMP + 1e-9
     if mix.parts:
         cement = cement_mass(mix.parts)
-        words += f"; {cement:.4g} kg/m3 of cement, more than {LIGHTWEIGHT_CEMENT:g} is safe"
+        words += f"; {both(us, 'kg/m3', cement)} of cement, more than {both(us, 'kg/m3', LIGHTWEIGHT_CEMENT)} is safe"
         good = good and cement > LIGHTWEIGHT_CEMENT
     change = "soak the aggregate before mixing, raise the slump with a plasticizer, or add cement, and test the pumping"
     yield RuleVerdict(name, "fine" if good else "risky", words, "" if good else change, CHECK_LIST)
@@ -325,7 +345,8 @@ def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
             run += after.length
         else:
             run = math.inf
-        words = f"{short(run)} m of straight pipe follow part {part.number}, {part.label}; {TAPER_RUN:g} m are required"
+        follows, required = (both(line.customary, "m", length, digits=3) for length in (run, TAPER_RUN))
+        words = f"{follows} of straight pipe follow part {part.number}, {part.label}; {required} are required"
         if run < TAPER_RUN:
             yield RuleVerdict("behind a reducer", "risky", words, "move the next bend or hose away", JGJ)
 

@@ -122,6 +122,8 @@ class MixEntries:
     """Volume fraction of voids in compacted sand and stones."""
     fine_sand: float | None = None
     """Fraction of the sand's mass in grains smaller than 0.3 mm."""
+    customary: bool = False
+    """True if the mix states amounts in US units, so that texts for the user have these units beside metric ones."""
 
     @property
     def largest(self) -> float | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import SceneError, between, one_of, positive, quoted, refuse
-from ..core.inputs.amounts import amount, bare_number, is_amount
+from ..core.inputs.amounts import amount, bare_number, is_amount, is_customary
 from ..core.inputs.limits import warn
 from ..core.inputs.text_files import errors_located_at
 from .entries import GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntries
@@ -117,6 +117,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         water_binder=_water_binder(given, masses),
         voids=_number(given, "voids"),
         fine_sand=_number(given, "fine_sand"),
+        customary=is_customary(given),
     )
 
 

@@ -82,10 +82,11 @@ def accepted_units(unit: str) -> Mapping[str, float]:
 
 CUSTOMARY = {
     *(name for name, factor in UNITS["m"].items() if factor in (INCH, FOOT, YARD)),
-    *(name for name in UNITS["m3/s"] if name.startswith(("yd", "cy", "ft", "gal", "gpm"))),
+    *(name for unit in ("m3/s", "m3", "kg", "kg/m3", "m3/m3") for name in UNITS[unit]
+      if name.startswith(("yd", "cy", "ft", "gal", "gpm", "fl", "oz", "lb", "pc"))),
     *("psi", "PSI", "ksi", "hp"),
-}
-"""Names of the customary US units of lengths, flows, pressures and powers."""
+}  # fmt: skip
+"""Names of the customary US units of lengths, volumes, masses, flows, pressures and powers."""
 DECIMAL = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 """Pattern of a number without sign, with an optional decimal point and an optional exponent: `12`, `0.5` or `1e-3`."""
 COMMA = r"(?:0,[0-9]+|[0-9]{1,3},(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)"

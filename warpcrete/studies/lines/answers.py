@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ...core.inputs.amounts import FOOT, INCH, POUND, PSI, YARD
+from ...core.inputs.amounts import PSI
+from ...core.inputs.customary import beside
 from ...core.units import quantity
 from ...geometry.pumps import Pump
 from ...mix.layer import PIPE_UNCERTAINTY, TRIBOMETER_RATIO
@@ -74,9 +75,6 @@ MEASUREMENTS = {
     "density": (Measurement("weigh a known volume", (1 - WEIGHING, 1 + WEIGHING)),),
 }
 """Measurements that may narrow the band of a pressure, by the cause of uncertainty that they measure."""
-CUSTOMARY_SIZES = {"in": INCH, "ft": FOOT, "yd3": YARD**3, "yd3/h": YARD**3 / 3600, "psi": PSI,
-                   "hp": 550 * FOOT * POUND * 9.80665}  # fmt: skip
-"""SI values of the customary US units in which answers are given beside metric units."""
 
 
 def pressure_text(pressure: float) -> str:
@@ -89,14 +87,6 @@ def time_text(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.3g} min" if seconds < 3 * 3600 else f"{seconds / 3600:.3g} h"
-
-
-def beside(shown: bool, unit: str, *values: float) -> str:
-    """Return one value, or two as a range, in a customary US unit and in parentheses, to follow the metric amount.
-
-    `unit` is a key of :data:`CUSTOMARY_SIZES`, and the values are in SI units. Unless `shown`, the text is empty.
-    """
-    return f" ({' to '.join(f'{value / CUSTOMARY_SIZES[unit]:.4g}' for value in values)} {unit})" if shown else ""
 
 
 def band_text(band: Band, customary: bool) -> str:

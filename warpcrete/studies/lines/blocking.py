@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import between, refuse
+from ...core.inputs.customary import both
 from ...core.run.files import write_json
 from ...core.units import number, quantity
 from ...dem.measure.blockage import STANDING_RATIO
@@ -96,14 +97,15 @@ class BlockingProbability:
         """The probability of a blockage and its conditions as lines of text."""
         low, high = self.interval
         ratio = self.stone / self.part.narrow
+        us = bool(self.part.customary_label)
         state = "was blocked in" if self.blocked else "not blocked:"
         found = [
             f"blocking by simulation: part {self.part.number}, {self.part.label}, {state} {self.blocked} of "
             f"{self.runs} runs: probability {100 * self.probability:.3g} %, 95 % interval {100 * low:.2g} to "
             f"{100 * high:.2g} % (Wilson 1927)",
-            f"{self.stones} stones up to {1e3 * self.stone:.3g} mm in a bore of {1e3 * self.part.narrow:.4g} mm "
-            f"({ratio:.2g}), with a friction of {self.friction:g} between them; elements show arches of stones, not "
-            "bleeding or priming",
+            f"{self.stones} stones up to {both(us, 'mm', self.stone, digits=3)} in a bore of "
+            f"{both(us, 'mm', self.part.narrow)}, a ratio of {ratio:.2g}, with a friction of {self.friction:g} between "
+            "them; elements show arches of stones, not bleeding or priming",
         ]
         if self.coarse > 1:
             found.append(f"stones are enlarged {self.coarse:g} times, which makes blocking likelier")

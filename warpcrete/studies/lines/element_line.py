@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ...core.inputs.amounts import PSI
+from ...core.inputs.customary import beside, both
 from ...core.units import quantity
 from ...geometry.pipe_line import Part, PipeLine
 from .run import GRAVITY
@@ -180,16 +182,19 @@ def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]
     part. The table has one column for each of these methods.
     """
     low, high = min(found.pressures), max(found.pressures)
-    span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""
+    us = found.line.customary
+    span = f"; {both(us, 'bar', low, high)} over {len(found.packed)} seeds" if len(found.packed) > 1 else ""
+    unit, size = ("psi", PSI) if us else ("kPa", 1e3)
     text = [
-        f"**{found.line.name}** by discrete elements: {found.concrete} at {3600 * found.flow:.4g} m3/h",
+        f"**{found.line.name}** by discrete elements: {found.concrete} at {3600 * found.flow:.4g} m3/h"
+        f"{beside(us, 'yd3/h', found.flow)}",
         "",
-        f"- pressure at the pump {found.pressure / 1e5:.4g} bar{span}",
+        f"- pressure at the pump {both(us, 'bar', found.pressure)}{span}",
         *(f"- {remark}" for remark in found.remarks),
         "",
-        "| part | | friction, elements [kPa] | "
-        + "".join(f"{name} [kPa] | " for name in others)
-        + "relative to straight pipe | weight [kPa] | blocked |",
+        f"| part | | friction, elements [{unit}] | "
+        + "".join(f"{name} [{unit}] | " for name in others)
+        + f"relative to straight pipe | weight [{unit}] | blocked |",
         "|" + "---|" * (6 + len(others)),
     ]
     rows = zip(found.line.parts, found.frictions(), found.weights(), found.blocked(), strict=True)
@@ -200,8 +205,8 @@ def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]
         shown = f"{np.mean(ratios):.2f}" if ratios else ""
         if len(ratios) > 1:
             shown += f" ± {np.std(ratios, ddof=1) / math.sqrt(len(ratios)):.2f}"
-        cells = [f"{part.number}", part.label, f"{friction / 1e3:.4g}"]
-        cells += [f"{each[place] / 1e3:.4g}" for each in others.values()]
+        cells = [f"{part.number}", part.label, f"{friction / size:.4g}"]
+        cells += [f"{each[place] / size:.4g}" for each in others.values()]
         stuck = f"{blocked} of {len(found.packed)} seeds" if blocked else "no"
-        text.append(f"| {' | '.join([*cells, shown, f'{weight / 1e3:.4g}', stuck])} |")
+        text.append(f"| {' | '.join([*cells, shown, f'{weight / size:.4g}', stuck])} |")
     return text

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import between, refuse
+from ...core.inputs.customary import both
 from ...core.run.files import write_json
 from ...core.run.method import Method
 from ...core.run.run import Run
@@ -294,8 +295,8 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
         yield "not blocked: no simulated part was blocked"
     laws = [law for each in found.packed for law in each.laws.values()]
     measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
+    us = found.line.customary
     if found.pressure > 1.2 * measured:
-        yield (
-            f"wall friction at pressures above {measured / 1e3:.3g} kPa is extrapolated from lower pressures"
-            + (f", and taken as constant above {largest / 1e3:.3g} kPa" if found.pressure > largest else "")
-        )
+        low, high = (both(us, "kPa", pressure, digits=3) for pressure in (measured, largest))
+        constant = f", and taken as constant above {high}" if found.pressure > largest else ""
+        yield f"wall friction at pressures above {low} is extrapolated from lower pressures{constant}"

@@ -16,7 +16,8 @@ from ...core.drawing.style import (
     open_frame,
     rgb,
 )  # fmt: skip
-from .answers import CUSTOMARY_SIZES, time_text
+from ...core.inputs.customary import CUSTOMARY_SIZES
+from .answers import time_text
 from .pressures import LinePressures
 from .taps import Tap
 

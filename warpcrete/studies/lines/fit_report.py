@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ...core.inputs.customary import CUSTOMARY_SIZES, beside
 from ...geometry.pipe_line import PipeLine
 from ...mix.layer import PIPE_UNCERTAINTY
-from .answers import CUSTOMARY_SIZES, beside
 from .fittings import MODEL_ERRORS
 from .line_fit import LineFit, Stretch
 from .taps import at_one_flow

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.inputs.customary import both
 from ...geometry.course import BEND_EXTRA_LOSS
 from ...geometry.pipe_line import Part
 
@@ -24,13 +25,6 @@ first tuple holds changes of radius divided by the length of the reducer, the se
 them. Source: simulated flows of the concrete no1 at 20 and 30 m3/h through reducers from 150 to 125 mm and from 125 to
 100 mm over 0.15 to 0.6 m, with 12 cells across. In a pipe that widens from 100 to 125 mm over 0.5 m, the simulated loss
 is 0.993 times that of straight pipe."""
-METHODS_ON_BENDS = (
-    "Simulated as a fluid, a bend of 90 degrees costs 2 to 13 % more than straight pipe of its length; simulated with "
-    "stones, it costs the same for a radius of 0.5 m or more, and half as much again for 0.25 m; therefore count it "
-    "by its length, and allow for three times that."
-)
-"""Sentence for site engineers that compares the friction of bends in pipes of 150 mm from two kinds of simulations: as
-a fluid, and with stones as discrete elements."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +49,20 @@ MODEL_ERRORS = {
 """Range of the ratio of a part's friction to that of straight pipe of the same length, by kind of part. For a valve,
 the upper end follows from the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of
 straight pipe."""
+
+
+def methods_on_bends(customary: bool = False) -> str:
+    """Return a sentence for site engineers that compares the friction of bends from two kinds of simulations.
+
+    The simulations are of bends in pipes of 150 mm: as a fluid, and with stones as discrete elements. If `customary` is
+    true, the sentence has lengths also in feet.
+    """
+    wide, tight = (both(customary, "m", radius, digits=3) for radius in (0.5, 0.25))
+    return (
+        "Simulated as a fluid, a bend of 90 degrees costs 2 to 13 % more than straight pipe of its length; simulated "
+        f"with stones, it costs the same for a radius of {wide} or more, and half as much again for {tight}; therefore "
+        "count it by its length, and allow for three times that."
+    )
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.inputs.amounts import PSI
+from ...core.inputs.customary import both
 from ...geometry.pipe_line import Part
 from .fittings import AIJ, JGJ, JSCE
 from .losses import course_of
@@ -37,6 +38,8 @@ JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_VALVE = 0.1e6, 0.8e6
 """Pressure loss of a bend of 90 degrees and of a stop valve [Pa] (JGJ/T 10)."""
+JGJ_COUPLING, JGJ_PUMP = 1e5, 28e5
+"""Pressure loss of a coupling of two pipes, and of the pump itself [Pa] (JGJ/T 10)."""
 JGJ_HOSE, JGJ_HOSE_LENGTHS = 0.2e6, (3.0, 5.0)
 """Pressure loss of a rubber hose [Pa], and the ends of the range of lengths [m] for which JGJ/T 10 states it."""
 OTHER_HOSES = "a shorter or longer hose counts in proportion to its length, which the rule does not cover"
@@ -83,11 +86,14 @@ def _row(rule: str, parts: Sequence[Part], loss: Callable[[Part], float], implie
     return PracticeRow(rule, found, course_of(losses)[0], implies, source)
 
 
-def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
+def practice_rows(
+    parts: tuple[Part, ...], straight: dict[int, float], weight: float, customary: bool = False
+) -> list[PracticeRow]:
     """Return the pressure of a pump line by each rule of practice, with the assumptions of the rule.
 
     `straight` maps the number of each part of the line to the friction [Pa] of a straight pipe with the length and
-    bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m].
+    bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m]. If `customary`
+    is true, the sentences on the rules state amounts also in US units.
 
     If the line's file states the friction of a part, as `factor` or `equivalent`, or a fit has found it, each rule uses
     this friction instead of its own figure: the rule's friction of straight pipe, multiplied by the factor. The weight
@@ -131,23 +137,27 @@ def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: f
         outside = any(part.kind == "hose" and not lengths[0] <= part.length <= lengths[1] for part in others)
         return f"; {OTHER_HOSES}" if outside else ""
 
+    def shown(unit: str, value: float) -> str:
+        return both(customary, unit, value, digits=3)
+
     stated = "; parts with a stated or fitted friction keep it" if len(others) < len(parts) else ""
     longest = max(parts, key=lambda part: part.length if part.kind == "straight" else 0.0)
     metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
     return [
         _row("AIJ", parts, aij,
                     "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
-                    f"this result, {metre / 1e3:.3g} kPa/m in the longest part"
+                    f"this result, {shown('kPa/m', metre)} in the longest part"
                     f"{_as_straight(kinds, AIJ_OTHERS)}{stated}", AIJ),
         _row("JSCE", parts, jsce,
-                    f"a metre of rise counts as {counted:.3g} m of level pipe, or {counted * metre / 1e3:.3g} "
-                    f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa; the rise of bends, "
+                    f"rise counts as {counted:.3g} times its length of level pipe, or {shown('kPa/m', counted * metre)}"
+                    f", while friction and weight are {shown('kPa/m', metre + weight)}; the rise of bends, "
                     f"reducers and hoses does not count, and falling pipe counts as level{hoses(JSCE_HOSE_LENGTHS)}"
                     f"{_as_straight(kinds, JSCE_OTHERS)}{stated}", JSCE),
         _row("JGJ/T 10", parts, jgj,
-                    f"{JGJ_LEVEL / 1e3:g} kPa/m level and {JGJ_RISE / 1e3:g} kPa/m of rise, whatever the concrete "
-                    "and the flow; only the rise of straight pipe counts; without the rule's 1 bar for each coupling "
-                    "and its 28 bar for the pump itself"
+                    f"{shown('kPa/m', JGJ_LEVEL)} level and {shown('kPa/m', JGJ_RISE)} of rise, whatever the concrete "
+                    "and the flow; only the rise of straight pipe counts; without the rule's "
+                    f"{shown('bar', JGJ_COUPLING)} for each coupling and its {shown('bar', JGJ_PUMP)} for the pump "
+                    "itself"
                     f"{hoses(JGJ_HOSE_LENGTHS)}{_as_straight(kinds, JGJ_OTHERS)}{stated}", JGJ),
     ]  # fmt: skip
 

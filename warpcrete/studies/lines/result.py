@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from ...core.drawing.html import html_table
+from ...core.inputs.customary import CUSTOMARY_SIZES, beside, both
 from ...core.run.tables import dataframe, dataset
 from ...core.units import quantity
 from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band
 from .answers import (
     ADVICE,
-    CUSTOMARY_SIZES,
     EFFICIENCY,
     LONGEST_STOP,
     MEASUREMENTS,
@@ -28,13 +28,12 @@ from .answers import (
     RestartMargin,
     band_sentences,
     band_text,
-    beside,
     motor_power,
     pressure_text,
     time_text,
 )
 from .figure import draw
-from .fittings import METHODS_ON_BENDS, is_in_library
+from .fittings import is_in_library, methods_on_bends
 from .line_fit import FITTED_YIELD
 from .losses import GRAVITY
 from .practice import PracticeRow, practice_lines, practice_rows
@@ -177,7 +176,7 @@ class LineResult(LinePressures):
         for x in self.losses:
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
         straight = {x.part.number: x.straight for x in self.losses}
-        rows = practice_rows(self.line.parts, straight, self.concrete.density * GRAVITY)
+        rows = practice_rows(self.line.parts, straight, self.concrete.density * GRAVITY, self.line.customary)
         return PracticeRow("this result", ours, self.pressure, ""), rows
 
     def _restart_record(self) -> dict[str, Any] | None:
@@ -256,8 +255,9 @@ class LineResult(LinePressures):
                   for x in self.losses  # Leave out an unsimulated bore; its friction is that by theory.
                   if self.simulated and x.part.mesh and x.part.factor is None and x.friction != x.theory]  # fmt: skip
         if self.pressure > HIGHEST_PUMP:
-            found.append(f"no concrete pump is known to deliver more than {HIGHEST_PUMP / 1e5:.0f} bar; use a wider "
-                         "pipe, a smaller flow, concrete with less friction, or a second pump on the way")  # fmt: skip
+            found.append("no concrete pump is known to deliver more than "
+                         f"{both(self.line.customary, 'bar', HIGHEST_PUMP)}; use a wider pipe, a smaller flow, "
+                         "concrete with less friction, or a second pump on the way")  # fmt: skip
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
@@ -357,7 +357,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     found += [f"- {remark}" for remark in result.remarks()]
     found += ["", *_table(result)]
     if practice:
-        found += ["", *practice_lines(*result.practice(), us), "", METHODS_ON_BENDS]
+        found += ["", *practice_lines(*result.practice(), us), "", methods_on_bends(us)]
     return found
 
 
