@@ -2,11 +2,12 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 import yaml
 from click.testing import CliRunner
-from plug_lines import FLOW, METRE, line, pumped
+from plug_lines import FLOW, METRE, PLUG, line, pumped
 
 from warpcrete.cli.main import cli
 from warpcrete.geometry.lines import line_of
@@ -159,3 +160,15 @@ def test_a_restart_has_a_band():
     record = found.record()["restart"]
     assert record["begins"]["pressure_high"]["value"] == pytest.approx(at_rest.high)
     assert pumped({"straight": 100}).record()["restart"] is None
+
+
+def test_a_lighter_concrete_needs_less_pressure_to_rise():
+    """The density is uncertain by 10 %, which changes only the weight of 40 m of rise, and not the friction of a plug
+    that flows, or whose layer bears 350 Pa after a rest."""
+    concretes = replace(PLUG, density=2160.0), replace(PLUG, density=2640.0)
+    stop, upright = Stop(600.0, 0.5), line({"straight": 40}, begin="up")
+    found = line_by_theory(upright, PLUG, FLOW, variants={"density": concretes}, stop=stop)
+    for band, friction in ((found.band(), 40 * METRE), (found.restart(), 4 * 350 * 40 / 0.125)):
+        expected = [friction + density * 9.81 * 40 for density in (2160, 2400, 2640)]
+        assert (band.low, band.value, band.high) == pytest.approx(expected)
+        assert band.shares == {"density": 1.0}
