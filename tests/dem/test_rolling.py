@@ -78,6 +78,26 @@ def test_what_rolling_loses_is_booked(start):
     assert booked + stored - 0.5 * (MASS * 9.81) ** 2 / (1e6 * math.pi * RADIUS) == pytest.approx(before, rel=1e-2)
 
 
+@pytest.mark.parametrize("mesh", [False, True], ids=["plane", "mesh"])
+def test_a_floor_takes_the_angular_momentum_that_a_rolling_sphere_loses(start, mesh):
+    """Without gravity, the moment on the floor about its origin, summed over time, is what the sphere loses of
+    its own spin and of its motion about that origin."""
+    scene = dataclasses.replace(incline(0.0, LAW, mesh), gravity=NO_GRAVITY, time_step=TimeStep(fixed=1e-5))
+    fast = dataclasses.replace(scene.bodies[0], positions=np.array([[0.03, 0.02, RADIUS]]),
+                               velocities=np.array([[0.2, 0.1, -0.05]]), spins=np.array([[-30.0, 60.0, 0.0]]))  # fmt: skip
+    stepper = start(dataclasses.replace(scene, bodies=(fast,)))
+
+    def angular_momentum():
+        place, velocity, spin = (by_id(stepper.state, name)[0] for name in ("position", "velocity", "spin"))
+        return MASS * np.cross(place, velocity) + 0.4 * MASS * RADIUS**2 * spin
+
+    before = angular_momentum()
+    stepper.take(100)
+    assert np.linalg.norm(stepper.state.slots.rolling.numpy()[0]) > 0
+    lost = before - angular_momentum()
+    assert np.abs(lost).min() > 0 and stepper.state.walls.angular_impulse.numpy()[0] == pytest.approx(lost, rel=1e-6)
+
+
 def rolling_pair(law=LAW, overlap=1e-3):
     """Two spheres too heavy to move, pressed together, that turn against each other about y without sliding."""
     spins = np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0]])

@@ -1,14 +1,19 @@
 """Lines of the report of a mortar with aggregates."""
 
 import dataclasses
+import math
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from warpcrete import scenes
 from warpcrete.mps.free.quantities import expected
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.suspension import quantities
+from warpcrete.suspension.part.quantities import SuspensionData
+from warpcrete.suspension.stretch.quantities import RunData
 from warpcrete.theory.suspension import concrete_of_mortar
 
 
@@ -23,6 +28,19 @@ def test_the_parts_of_aggregates_and_mortar_that_remain_are_told(monkeypatch):
     assert list(quantities.report_aggregates(run)) == [("first", "line"), ("aggregates", words)]
     run.series.pop("aggregates_inside")
     assert list(quantities.report_aggregates(run)) == [("first", "line")]
+
+
+@pytest.mark.parametrize("rows", [20, 18])
+def test_the_error_of_a_mean_is_that_of_the_means_of_five_blocks(rows):
+    """Ten rows of the last half have the block means 1 to 5 kPa. Their deviation is sqrt(2.5) kPa, and that of the
+    mean of all five sqrt(2.5 / 5) kPa. Nine rows are too few."""
+    late = np.ravel([[mean - 0.5, mean + 0.5] for mean in (4.0, 1.0, 5.0, 2.0, 3.0)])[: rows // 2]
+    series = {"time": 0.1 * np.arange(rows), "pressure": np.concatenate([np.full(rows - len(late), 100.0), late])}
+    nothing: Any = None
+    part, stretch = SuspensionData(nothing, series), RunData(nothing, series, 0.3)
+    assert part.final("pressure") == stretch.mean("pressure") == pytest.approx(late.mean())
+    assert part.error("pressure") == (pytest.approx(math.sqrt(0.5)) if rows == 20 else None)
+    assert part.at_end("pressure") == late[-1]
 
 
 def test_closed_forms_of_a_slump_are_those_of_the_whole_concrete():
