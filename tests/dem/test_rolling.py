@@ -83,8 +83,8 @@ def test_a_floor_takes_the_angular_momentum_that_a_rolling_sphere_loses(start, m
     """Without gravity, the moment on the floor about its origin, summed over time, is what the sphere loses of
     its own spin and of its motion about that origin."""
     scene = dataclasses.replace(incline(0.0, LAW, mesh), gravity=NO_GRAVITY, time_step=TimeStep(fixed=1e-5))
-    fast = dataclasses.replace(scene.bodies[0], positions=np.array([[0.03, 0.02, RADIUS]]),
-                               velocities=np.array([[0.2, 0.1, -0.05]]), spins=np.array([[-30.0, 60.0, 0.0]]))  # fmt: skip
+    moving = dict(velocities=np.array([[0.2, 0.1, -0.05]]), spins=np.array([[-30.0, 60.0, 0.0]]))
+    fast = dataclasses.replace(scene.bodies[0], positions=np.array([[0.03, 0.02, RADIUS]]), **moving)
     stepper = start(dataclasses.replace(scene, bodies=(fast,)))
 
     def angular_momentum():

@@ -36,8 +36,8 @@ def test_intervals_hold_the_true_difference_as_often_as_they_say():
 
 
 def test_the_degrees_of_freedom_of_an_interval_are_those_of_welch():
-    """By hand: the squared standard errors are 1 of two runs and 5/3 of four, so that Welch's formula gives
-    (1 + 5/3)^2 / (1/1 + (5/3)^2 / 3) = 3.69 degrees, which count as 3."""
+    """The squared standard errors are 1 of two runs and 5/3 of four. Welch's formula gives (1 + 5/3)^2 / (1/1 + (5/3)^2
+    / 3) = 3.69 degrees, which count as 3."""
     error = difference("x", [1.0, 3.0], [0.0, 2.0, 4.0, 6.0])
     assert error.shift == pytest.approx(-1 / 3)
     assert error.interval == pytest.approx(3.182 * math.sqrt(8 / 3) / 3, rel=1e-3)
