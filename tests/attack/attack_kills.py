@@ -2,9 +2,9 @@
 
 By hand: PYTHONPATH=tests python tests/attack/attack_kills.py [KILLS] [SEED] [COMMAND ...]
 
-Each command runs once undisturbed. Then it is started again and again, killed once to three times (SIGKILL, SIGTERM or
-SIGINT), continued, and compared: the same bits, no file or process left over, nothing in the temporary directory, and
-no run that has a checkpoint begun anew. By hand; a kill takes some 20 s.
+Each command runs once undisturbed. Then it is started again and again, killed once to three times (SIGKILL, SIGTERM,
+SIGINT or SIGHUP), continued, and compared: the same bits, no file or process left over, nothing in the temporary
+directory, and no run that has a checkpoint begun anew. By hand; a kill takes some 20 s.
 """
 
 import json
@@ -106,7 +106,7 @@ class Attack:
         for _ in range(self.random.choice((1, 1, 2, 3))):
             process = self.start(words)
             delay = self.random.uniform(0.2, 0.95) * self.took[name]
-            how = self.random.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
+            how = self.random.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP))
             try:
                 process.wait(delay)
             except subprocess.TimeoutExpired:

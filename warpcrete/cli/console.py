@@ -1,11 +1,65 @@
-"""Preparation of the command line's output streams for terminals that cannot show all characters."""
+"""Preparation of the command line's output streams: for terminals that show few characters, and for closed ones."""
 
 import io
+import os
 import sys
 
 
+class MessageStream(io.TextIOWrapper):
+    """Standard error of the command; it drops messages that the system cannot write, so that none of them ends a run.
+
+    This happens if the terminal is closed, or if the file of a log lies on a full disk.
+    """
+
+    def write(self, text: str) -> int:
+        """Write a text, or drop it."""
+        try:
+            return super().write(text)
+        except OSError:
+            self._discard()
+            return len(text)
+
+    def flush(self) -> None:
+        """Write buffered texts, or drop them."""
+        try:
+            super().flush()
+        except OSError:
+            self._discard()
+
+    def _discard(self) -> None:
+        """Send everything that follows to the null device."""
+        sink = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(sink, self.fileno())
+        os.close(sink)
+
+
 def prepare_streams() -> None:
-    """Make the output streams escape characters that the terminal cannot show, instead of raising an error."""
+    """Make the output streams escape characters that the terminal cannot show, and make stderr drop failed messages."""
+    _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    if type(sys.stderr) is io.TextIOWrapper:
+        old = sys.stderr
+        sys.stderr = MessageStream(old.buffer, old.encoding, old.errors, line_buffering=True)
+
+
+def _open_closed_streams() -> None:
+    """Connect each standard stream that was closed by the parent process to the null device.
+
+    Otherwise a file of the run gets the number of the stream, and libraries write their messages into it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            sink = os.open(os.devnull, os.O_RDWR)
+            if sink != number:
+                os.dup2(sink, number)
+                os.close(sink)
+            else:
+                os.set_inheritable(sink, True)
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, "w" if number else "r", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)  # Keep the stream open if another one replaces it.

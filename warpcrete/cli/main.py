@@ -3,6 +3,7 @@
 import importlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -337,8 +338,11 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    # Treat SIGTERM like Ctrl-C, so that the run saves its data before it ends.
+    # Treat SIGTERM and the end of the terminal like Ctrl-C, so that the run saves its data before it ends. The command
+    # 'nohup' ignores SIGHUP, and this must stay so.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -366,4 +370,8 @@ def main() -> None:
     except UnicodeError as error:
         _fail(f"{error}; use a UTF-8 locale (LC_ALL=C.UTF-8), or names of ASCII letters", 2)
     except OSError as error:
+        if "warp" in sys.modules:
+            files = importlib.import_module("warpcrete.core.device.kernel_files")
+            if files.in_kernel_cache(error):
+                _fail(files.kernel_cache_problem(error), 2)
         _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)

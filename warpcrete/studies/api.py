@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.errors import refuse
 from ..core.run.files import next_folder
-from ..core.run.progress import progress_bar
+from ..core.run.progress import progress_bar, stderr_is_terminal
 from .study import Progress, run_study
 from .study_result import Study
 
@@ -39,7 +39,7 @@ def study(
     folder = Path(out) if out else next_folder("study")
     if "progress" in settings:
         return run_study(name, module, vary, base=given, out=folder, **settings)
-    with study_progress(not sys.stderr.isatty() if quiet is None else quiet) as tell:
+    with study_progress(not stderr_is_terminal() if quiet is None else quiet) as tell:
         return run_study(name, module, vary, base=given, out=folder, progress=tell, **settings)
 
 

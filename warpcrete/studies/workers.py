@@ -23,9 +23,11 @@ from typing import Any
 
 from ..core.errors import PlausibilityWarning, WarpcreteError, warn_in_one_line
 
-# Workers ignore Ctrl-C from their first moment on, because the parent process handles it and tells them to stop.
+# Workers ignore Ctrl-C and the end of the terminal from their first moment on, because the parent process handles these
+# signals and tells its workers to stop.
 START_CODE = """\
 import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)
+if hasattr(signal, "SIGHUP"): signal.signal(signal.SIGHUP, signal.SIG_IGN)
 import json, sys; sys.path[:] = json.loads(sys.argv[1])
 from warpcrete.studies.workers import serve; serve()
 """

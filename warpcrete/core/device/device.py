@@ -11,6 +11,7 @@ import warp as wp
 
 from ..errors import DeviceError, one_of, refuse
 from .arrays import Scalar
+from .kernel_files import kernel_cache_errors
 
 PRECISIONS = ("float32", "float64")
 SCALARS: dict[str, Scalar] = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
@@ -68,21 +69,37 @@ def quiet_init() -> None:
     wp.config.log_level = wp.LOG_ERROR
     try:
         ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
-        wp.init()
-        return
+        saved_stderr = None
     except OSError:
-        pass
+        saved_stderr = _copy_of_stderr()
+    if saved_stderr is None:
+        _init()
+        return
     # Warp's native code writes its driver warning directly to the process's standard error, regardless of settings, so
     # redirect standard error for a moment.
-    sys.stderr.flush()
-    saved_stderr, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    sink = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 2)
-        wp.init()
+        _init()
     finally:
         os.dup2(saved_stderr, 2)
         os.close(saved_stderr)
         os.close(sink)
+
+
+def _copy_of_stderr() -> int | None:
+    """Return a new file descriptor for standard error, or None if the program has no standard error."""
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    try:
+        return os.dup(2)
+    except OSError:
+        return None
+
+
+def _init() -> None:
+    with kernel_cache_errors():
+        wp.init()
 
 
 def scalar_of(precision: str) -> Scalar:

@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C and SIGTERM: they wait until a block of code has ended, or end runs in an orderly way."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP: they wait until a block of code has ended, or end runs in an orderly way."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from typing import TypeAlias
 
 from .simulation_protocol import SimulationOnDevice
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGHUP: signal.Signals | None = getattr(signal, "SIGHUP", None)
+"""Signal that tells processes that their terminal has closed; None on Windows."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *(() if SIGHUP is None else (SIGHUP,)))
 Handler: TypeAlias = Callable[[int, FrameType | None], object]
 
 
@@ -91,6 +93,8 @@ class StopAtSample:
 
     def _stop(self, signum: int, frame: FrameType | None) -> None:
         writing = bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
+        if self.requested and signum == SIGHUP:
+            return  # Both the system and the shell send this signal when a terminal closes.
         if self.requested and not writing:
             raise KeyboardInterrupt
         self.requested = True
@@ -106,5 +110,7 @@ class StopAtSample:
 
 
 def ignore_interrupts() -> None:
-    """Ignore Ctrl-C in a worker process, because its parent process also gets the signal and handles it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Ignore Ctrl-C and the end of the terminal in a worker process, because its parent process handles them."""
+    for number in SIGNALS:
+        if number != signal.SIGTERM:
+            signal.signal(number, signal.SIG_IGN)

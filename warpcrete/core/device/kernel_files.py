@@ -1,9 +1,12 @@
-"""Files of the compiled kernels that a block of code uses."""
+"""Files of the compiled kernels that a block of code uses, and errors in writing them."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+import warp as wp
+
+from ..errors import DeviceError
 from .arrays import KernelModule
 
 _open_blocks: list[set[KernelModule]] = []
@@ -24,6 +27,28 @@ def kernel_files() -> Generator[set[Path]]:
     finally:
         _open_blocks[:] = [each for each in _open_blocks if each is not modules]
         files |= {Path(code.binary_path) for each in modules for code in each.execs.values() if code.binary_path}
+
+
+@contextmanager
+def kernel_cache_errors() -> Generator[None]:
+    """Raise :class:`DeviceError` if the `with` block cannot write Warp's files of compiled kernels."""
+    try:
+        yield
+    except OSError as error:
+        raise DeviceError(kernel_cache_problem(error)) from error
+
+
+def kernel_cache_problem(error: OSError) -> str:
+    """Return a message on an error in writing Warp's files of compiled kernels."""
+    return (f"kernel cache = '{error.filename or wp.config.kernel_cache_dir}': cannot be written "
+            f"({error.strerror or error}); set the environment variable WARP_CACHE_PATH to a folder in which files can "
+            "be written")  # fmt: skip
+
+
+def in_kernel_cache(error: OSError) -> bool:
+    """Return whether an error concerns one of Warp's files of compiled kernels."""
+    folder = wp.config.kernel_cache_dir
+    return bool(folder and error.filename) and str(error.filename).startswith(str(folder))
 
 
 def note_use(module: KernelModule) -> None:

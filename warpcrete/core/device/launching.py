@@ -22,7 +22,7 @@ from .cores import CoreContention, thread_pinner
 from .device import default_threads, parallel
 from .graphs import GraphLaunch, captured
 from .interrupts import defer_interrupts
-from .kernel_files import note_use
+from .kernel_files import kernel_cache_errors, note_use
 
 PARALLEL_COMPILATIONS = 16
 """Maximum number of kernels compiled in parallel."""
@@ -188,7 +188,8 @@ def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
             except IndexError:
                 return
             note_use(module)
-            load_module(module, device=device, block_dim=block)
+            with kernel_cache_errors():
+                load_module(module, device=device, block_dim=block)
             if (tell := _compile_callback.get()) is not None and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
                 reported = True
                 tell("compiling", 1.0 - len(left) / count)

@@ -73,7 +73,7 @@ class ProgressBar:
         self._phase: _Phase | None = None
         # Phase that continues when kernels are compiled.
         self._interrupted: _Phase | None = None
-        self._as_lines = not (sys.stderr.isatty() or _in_notebook())
+        self._as_lines = not (stderr_is_terminal() or _in_notebook())
 
     def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
         """Show the fraction of a phase, such as packing, that is done, and current figures such as the pressure."""
@@ -181,6 +181,11 @@ def _clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes:02d}:{rest:02d}"
+
+
+def stderr_is_terminal() -> bool:
+    """Return whether standard error is a terminal; programs with windows may have no standard error at all."""
+    return sys.stderr is not None and sys.stderr.isatty()
 
 
 def _in_notebook() -> bool:

@@ -1,0 +1,77 @@
+"""Standard streams that are closed or full, the end of the terminal, and a cache of kernels that cannot be written."""
+
+import os
+import signal
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from warpcrete.core.device import device
+from warpcrete.core.device.interrupts import StopAtSample
+from warpcrete.core.device.kernel_files import kernel_cache_errors
+from warpcrete.core.errors import DeviceError
+from warpcrete.core.run.progress import ProgressBar
+from warpcrete.studies.api import study_progress
+
+SAY = """\
+import os, sys
+from warpcrete.cli.console import prepare_streams
+prepare_streams()
+print("x" * 99999, file=sys.stderr, flush=True)
+sys.stderr.isatty(), os.fstat(0), os.fstat(1), os.fstat(2)
+print("done", flush=True)
+"""
+posix = pytest.mark.skipif(sys.platform == "win32", reason="streams and signals of POSIX")
+
+
+@posix
+@pytest.mark.parametrize("closed", [(2,), (0, 2), (0, 1, 2), ("full",), ("broken",)])
+def test_messages_that_cannot_be_written_end_nothing(closed):
+    def close():
+        for number in closed:
+            if number == "full":
+                os.dup2(os.open("/dev/full", os.O_WRONLY), 2)
+            elif number == "broken":
+                there, here = os.pipe()
+                os.close(there)
+                os.dup2(here, 2)
+            else:
+                os.close(number)
+
+    done = subprocess.run([sys.executable, "-c", SAY], stdout=subprocess.PIPE, preexec_fn=close)
+    assert done.returncode == 0 and done.stdout == (b"" if 1 in closed else b"done\n")
+
+
+def test_a_program_without_standard_error_shows_no_bar(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    with study_progress(quiet=False) as tell:
+        tell("running", 0.5, {})
+    ProgressBar()("running", 0.5)
+
+
+@posix
+def test_the_end_of_the_terminal_stops_a_run_once(monkeypatch):
+    before = signal.signal(signal.SIGHUP, signal.default_int_handler)
+    simulation = SimpleNamespace(finishing=False, stop_requested=False)
+    try:
+        with StopAtSample([simulation]):
+            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGHUP)
+            assert simulation.stop_requested
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_kernel_cache_that_cannot_be_written_is_named(monkeypatch):
+    def refuse():
+        raise PermissionError(13, "Permission denied", "/cache/1.19.0")
+
+    monkeypatch.setattr(device.wp, "init", refuse)
+    with pytest.raises(DeviceError, match=r"kernel cache = '/cache/1\.19\.0'.*WARP_CACHE_PATH"):
+        device.quiet_init()
+    with pytest.raises(DeviceError, match="No space left"), kernel_cache_errors():
+        raise OSError(28, "No space left on device")
