@@ -95,6 +95,17 @@ def test_an_assumed_growth_is_judged_at_the_highest_published_rate_too(tmp_path)
     assert enough.startswith("the pump restarts the line: ") and "in that case" not in enough
 
 
+def test_without_a_pump_the_answer_says_which_pump_restarts_the_line(tmp_path):
+    """It is the upper end of the band; at the highest published rate, it is that of this rate if a user states it."""
+    found, fast = (result(tmp_path, 85, 1200.0, *growth) for growth in ((0.5, ((0.1, 1.0), 1.7)), (1.7, ())))
+    wanted = [f"a pump must deliver {each.restart(each.flow).high / 1e5:.3g} bar" for each in (found, fast)]
+    assert not any(each in "\n".join(lines_of(found)) for each in wanted)
+    found, fast = (replace(each, line=replace(each.line, pump=None)) for each in (found, fast))
+    said = next(each for each in lines_of(found) if wanted[0] in each)
+    assert f", and {fast.restart(fast.flow).high / 1e5:.3g} bar at 1.7 Pa/s, the highest published rate" in said
+    assert f"{wanted[1]}; state the pump" in "\n".join(lines_of(fast))
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [(["--out", "line"], "--out"), (["--pump-pressure", "85 bar"], "--pump-pressure"), (["--practice"], "--practice"),

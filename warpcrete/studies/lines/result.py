@@ -164,11 +164,28 @@ class LineResult(LinePressures):
 
         fast = None
         if stop.highest is not None:
-            worst = Stop(stop.rest, stop.highest)
-            high = replace(self, stop=worst).restart(self.flow).high
+            worst, high = Stop(stop.rest, stop.highest), self._fast_restart
             bearable = _largest(lambda growth: suffices(replace(worst, growth=growth)), stop.highest)
             fast = FastGrowth(stop.highest, high, longest(worst), bearable)
         return RestartMargin(pump, self.restart(self.flow), self.restart(), longest(stop), fast, self.line.customary)
+
+    @property
+    def _fast_restart(self) -> float:
+        """Upper end of the pressure that restarts the line [Pa], if the yield stress grows at the highest rate."""
+        assert self.stop is not None
+        assert self.stop.highest is not None
+        return replace(self, stop=Stop(self.stop.rest, self.stop.highest)).restart(self.flow).high
+
+    def _needed_pump(self) -> str:
+        """Return a sentence on the pressure that a pump must deliver to restart the line, if the line names no pump."""
+        assert self.stop is not None
+        us, high = self.line.customary, self.restart(self.flow).high
+        text = "to restart the line at full flow even at the upper end of its band, a pump must deliver "
+        text += both(us, "bar", high, digits=3)
+        if self.stop.highest is not None:
+            fastest = both(us, "bar", self._fast_restart, digits=3)
+            text += f", and {fastest} at {self.stop.highest:g} Pa/s, the highest published rate"
+        return f"{text}; state the pump (--pump-pressure) for the longest stop that it permits"
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
         """Return the pressure of the line by this program and by each rule of practice, each split by kind of part."""
@@ -348,6 +365,8 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
             f"{_span(full, us)}{_assumed_growth(result.stop)}",
             *(f"- restart: {sentence}" for sentence in result.restart_sentences()[:1]),
         ]
+    if result.stop is not None and result.line.pump is None:
+        found.append(f"- {result._needed_pump()}")
     if result.restart_margin is not None:
         found += [f"- {result.restart_margin.sentence()}", f"- {result.restart_margin.longest_sentence()}"]
     if result.line.pump is not None:
