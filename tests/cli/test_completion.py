@@ -9,8 +9,10 @@ from click.shell_completion import ShellComplete
 
 from warpcrete.cli.main import cli
 from warpcrete.core.inputs.amounts import amount
+from warpcrete.core.inputs.hyphens import spelled
 from warpcrete.geometry.lines import shipped_lines
 from warpcrete.scenes import modules
+from warpcrete.studies.reproduction.reproduce import chosen
 
 
 def completed(line: str) -> list[str]:
@@ -42,6 +44,9 @@ VALUES = {
     "run tube --accuracy 5": ["5%"],
     "trade tube --budget 20": ["20s", "20min", "20h"],
     "trade slump --quantity t5": ["t500"],
+    "trade tube --knob ": ["spacing", "time-step", "tolerance", "regularisation", "precision", "steadiness"],
+    "trade pipe --hydration 0.1 --knob h": ["hydrated-stiffness", "hydrated-bonds"],
+    "trade pipe --knob h": [],
     "line x.yaml --gauge 2b": ["2bar"],
     "line ": [*shipped_lines(), "<files>"],
     "line x.yaml --flow 30m3/h": ["30m3/h", "30m3/hr"],
@@ -51,6 +56,9 @@ VALUES = {
     "theory --rest 10": ["10s", "10ms", "10min", "10h", "10hr"],
     "schema ": ["concrete", "line", "mix", "targets"],
     "reproduce ": ["xu", "zhan"],
+    "reproduce zhan --only y": ["yielding-layer"],
+    "reproduce zhan --only hydrated": ["hydrated-fraction", "hydrated-modulus"],
+    "verify --only a": ["assemblies", "angle-of-repose", "aggregates-in-mortar"],
     "validate --kind sl": ["slump"],
     "study ": list(modules()),
     "study pipe --vel": ["--velocity"],
@@ -85,6 +93,11 @@ def test_every_completed_unit_is_accepted(line):
     unit = {"--flow": "m3/s", "--density": "kg/m3", "--pressure": "Pa", "--rise": "m"}[line.split()[-2]]
     found = completed(line)
     assert len(found) > 3 and len({amount("value", each, unit) for each in found}) > 2
+
+
+def test_hyphens_replace_the_spaces_of_names():
+    assert chosen("zhan", ["stiff-stones", "elbow radius", "units"]) == (["stiff stones"], ["units", "elbow radius"])
+    assert spelled("time-steps", ["time step"]) == "time-steps"
 
 
 def test_a_shell_gets_completions():

@@ -30,7 +30,7 @@ def test_names_are_unique():
 
 
 def test_verify_writes_a_table_and_a_figure(tmp_path, whole_pictures):
-    done = command("verify", "--device", "cpu", "--only", "oblique", "--out", tmp_path / "v")
+    done = command("verify", "--device", "cpu", "--only", "oblique-impact", "--out", tmp_path / "v")
     assert done.returncode == 0, done.stderr
     assert "tangential restitution" in done.stdout and "source of the expected value" in done.stdout
     assert (tmp_path / "v" / "verification.md").read_text(encoding="utf-8").count("| oblique impact |") == 2

@@ -42,7 +42,7 @@ def flow_trade(tmp_path_factory):
 
 def _flow_trade(out):
     return run_trade("channel", channel, base=COARSE, out=out, budget=300.0, device="cpu", threads=1,
-                     knobs=["time step", "regularisation"])  # fmt: skip
+                     knobs=["time-step", "regularisation"])  # fmt: skip
 
 
 @pytest.mark.thorough

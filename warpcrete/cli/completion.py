@@ -7,6 +7,7 @@ from click.shell_completion import CompletionItem
 
 from ..core.inputs.amounts import accepted_units
 from ..core.inputs.concretes import concrete, shipped
+from ..core.inputs.hyphens import hyphenated
 
 NUMBER = re.compile(r"([-+]?[0-9][0-9.,]*(?:[eE][-+]?[0-9]+)?) ?(.*)")
 DEVICES = ("cpu", "cuda")
@@ -72,6 +73,21 @@ def scene_names(incomplete: str) -> list[CompletionItem]:
 def papers(incomplete: str) -> list[CompletionItem]:
     """Complete the name of a paper whose runs `warpcrete reproduce` repeats."""
     return names(("xu", "zhan"), incomplete)
+
+
+def compared(incomplete: str) -> list[CompletionItem]:
+    """Complete a column or row of the report on Zhan et al., for `warpcrete reproduce --only`."""
+    from ..studies.reproduction.reproduce import names_of_parts
+
+    return names(map(hyphenated, names_of_parts()), incomplete)
+
+
+def checked(incomplete: str) -> list[CompletionItem]:
+    """Complete a group or the name of a case of `warpcrete verify`; leave out names that a shell would split."""
+    from ..verification import cases
+
+    found = dict.fromkeys(hyphenated(name) for case in cases() for name in (case.group, case.name))
+    return names([name for name in found if re.fullmatch(r"[\w-]+", name)], incomplete)
 
 
 def devices(incomplete: str) -> list[CompletionItem]:

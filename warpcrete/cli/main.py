@@ -158,7 +158,8 @@ def warm_command(scene: tuple[str, ...], device: str | None) -> None:
 @cli.command("verify")
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
-@click.option("--only", default="", help="Run only the cases whose name or group contains this text")
+@click.option("--only", type=Completed("checked"), default="", help="Run only the cases whose name or group contains "
+              "this text")  # fmt: skip
 @click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
 @click.option("--extremes", is_flag=True, help="Also run a matrix of scenes with extreme parameters")
 @click.option("--out", type=PATH, help="New folder for verification.md and verification.png")
@@ -200,8 +201,9 @@ def validate_command(**settings: Any) -> None:
 @click.option(
     "--seeds", type=int, default=1, show_default=True, help="Number of seeds of each case of discrete elements"
 )
-@click.option("--only", multiple=True, help="With zhan: run only one column ('stiff stones', 'yielding layer' ...) or "
-              "row (units, velocity ...) of the report; may be repeated  [default: all]")  # fmt: skip
+@click.option("--only", type=Completed("compared"), multiple=True, help="With zhan: run only one column (stiff-stones, "
+              "yielding-layer ...) or row (units, velocity ...) of the report; may be repeated  [default: all]"
+              )  # fmt: skip
 @click.option("--known", multiple=True, type=PATH, help="Folder of an earlier reproduction "
               "whose results are reused; may be repeated")  # fmt: skip
 @click.option("--out", type=PATH, help="New folder  [default: runs/reproduce-PAPER-NNN]")

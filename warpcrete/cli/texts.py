@@ -61,7 +61,7 @@ and a run folder for each run.
 \b
   --budget TIME          total wall time, such as 90s, 20min or 2h                        [default: 20min]
   --quantity NAME ...    quantities of result.json whose errors are measured              [default: the scene's]
-  --knob NAME ...        settings that are varied, such as 'time step'                    [default: all of the scene]
+  --knob NAME ...        settings that are varied, such as time-step                      [default: all of the scene]
   --repeat N             number of seeds of each setting                                  [default: 3]
   --out FOLDER           new folder                                                       [default: runs/trade-NNN]
   --resume FOLDER        continue a trade for another --budget; its finished runs are kept

@@ -6,6 +6,7 @@ import click
 
 from .. import verification
 from ..core.device.device import find_device
+from ..core.inputs.hyphens import hyphenated
 from ..core.run.files import atomic_file, check_new
 from ..core.run.folders import new_folder
 from ..verification import extremes as edge
@@ -21,7 +22,8 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
     if out is not None:
         check_new(out)
     found = find_device(device)
-    chosen = [case for case in verification.cases() if only.lower() in f"{case.group}: {case.name}".lower()]
+    part = hyphenated(only.lower())
+    chosen = [case for case in verification.cases() if part in hyphenated(f"{case.group}: {case.name}".lower())]
     if not chosen:
         raise click.UsageError(
             f"only = {only!r}: matches no case; use part of one of these names: "

@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem
 
 from ..core.device.device import PRECISIONS
 from ..core.errors import WarpcreteError
+from ..core.inputs.hyphens import hyphenated
 from ..core.inputs.parameters import Field
 from ..methods import method_of
 from ..scenes import METHODS, modules
@@ -56,6 +57,8 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
         return with_units(trade.UNITS, incomplete)
     if command == "trade" and last == "quantity" and module is not None:
         return names([each.name for each in method_of(module.scene()).quantities], incomplete)
+    if command == "trade" and last == "knob" and module is not None:
+        return names(map(hyphenated, _knobs(module, given)), incomplete)
     if last.replace("-", "_") in fields:
         field = fields[last.replace("-", "_")]
         if field.kind is bool:
@@ -65,6 +68,19 @@ def words(command: str, given: Sequence[str], incomplete: str, context: click.Co
     if own.get(last) is Path or (scene is None and command == "calibrate"):
         return names((), incomplete, files=True)
     return names(modules(), incomplete) if scene is None else []
+
+
+def _knobs(module: Any, given: Sequence[str]) -> list[str]:
+    """Return the names of the settings that a trade may vary, for the parameters in the words `given`."""
+    try:
+        _, options = study.parsed(list(given))
+        options = {name: each for name, each in options.items() if name not in (*trade.ONE, *trade.SEVERAL)}
+        values = {name: each[0] for name, each in study.parameter_values(module, options).items()}
+        scene = module.scene.declared(values)
+    except (WarpcreteError, click.UsageError):
+        scene = module.scene.declared({})
+    trading = getattr(module, "trading", None)
+    return [knob.name for knob in trading.knobs(scene) if len(knob.levels) > 1] if trading else []
 
 
 def _fields(module: Any, given: Sequence[str]) -> Mapping[str, Field]:

@@ -6,6 +6,7 @@ from typing import Any
 
 from ...core.device.device import find_device
 from ...core.errors import RunFolderError, one_of, refuse
+from ...core.inputs.hyphens import spelled
 from ...core.run.files import read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...scenes import modules
@@ -106,18 +107,25 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
     return report_progress
 
 
+def names_of_parts() -> list[str]:
+    """Return the names of the columns and rows of the report on Zhan et al."""
+    return [*CONCRETES, *OPEN_ASSUMPTIONS, UNITS_ROW, *(row.name for row in ZHAN)]
+
+
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the columns and rows of the report on Zhan et al. that `only` names.
 
     Columns stand for concretes and for alternatives to uncertain assumptions. Rows are the pipe units and the varied
     parameters. An empty list of columns or rows stands for all of them.
     """
-    columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
         refuse("only", list(only), "has an effect for the paper zhan only", "leave out 'only'")
+    known = names_of_parts()
+    only = [spelled(name, known) for name in only]
     for name in only:
-        one_of("only", name, [*columns, *rows])
-    columns, rows = [name for name in columns if name in only], [name for name in rows if name in only]
+        one_of("only", name, known)
+    columns = [name for name in (*CONCRETES, *OPEN_ASSUMPTIONS) if name in only]
+    rows = [name for name in known if name in only and name not in columns]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
         refuse("only", list(only), "selects no runs", f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")
     return columns, rows

@@ -16,6 +16,7 @@ from typing import Any
 from ...core.device.device import default_threads, find_device
 from ...core.errors import RunFolderError, at_least, between, positive, refuse
 from ...core.inputs.by_name import names_from_file
+from ...core.inputs.hyphens import spelled
 from ...core.inputs.limits import check_limit
 from ...core.inputs.origin import check_files, check_named
 from ...core.run.files import check_new, next_folder, read_json, read_record, write_json
@@ -96,7 +97,8 @@ def run_trade(
             problem = "has no exact solution for comparison"
             refuse("quantity", name, problem, f"use {' or '.join(n for n in known if f'{n}_error' in known)}")
     all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
-    for name in knobs or ():
+    knobs = [spelled(name, all_knobs) for name in knobs or ()]
+    for name in knobs:
         if name not in all_knobs:
             refuse("knob", name, f"must be one of {', '.join(all_knobs)}")
     seeded = _random(scene)

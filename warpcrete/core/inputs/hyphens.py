@@ -1,0 +1,13 @@
+"""Names of several words, in which the user may write hyphens instead of spaces, so that a shell needs no quotes."""
+
+from collections.abc import Iterable
+
+
+def hyphenated(name: str) -> str:
+    """Return a name with hyphens instead of spaces, such as "time-step" for "time step"."""
+    return name.replace(" ", "-")
+
+
+def spelled(name: str, known: Iterable[str]) -> str:
+    """Return the one of the `known` names that `name` spells with hyphens instead of spaces, or else `name` itself."""
+    return {hyphenated(each): each for each in known}.get(hyphenated(name), name)
