@@ -77,7 +77,9 @@ def test_an_ingredient_that_may_be_powder_leaves_the_paste_unknown():
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
-        ("crushed limestone", "stone"), ("limestone 8/16", "stone"), ("limestone 4-16 mm", "stone"),
+        ("crushed limestone", "stone"), ("limestone 8/16", "stone"), ("No. 57 limestone", "stone"),
+        ("#67", "stone"), ("rock flour", "powder"),
+        ("limestone 4-16 mm", "stone"),
         ("limestone powder", "powder"), ("limestone", "powder"), ("limestone sand", "stone"),
         ("crushed quartz", "stone"), ("Type I/II cement", "powder"), ("Type I/II", "powder"),
         ("limestone 0/0.063 mm", "powder"), ("expansive agent", "powder"),
@@ -262,7 +264,10 @@ def test_laws_that_a_mix_cannot_have(section, says):
     assert str(caught.value).startswith(says) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("number", "sizes"), [("#57", (4.75e-3, 25e-3)), ("# 8", (2.36e-3, 9.5e-3))])
+@pytest.mark.parametrize(("number", "sizes"), [
+    ("#57", (4.75e-3, 25e-3)), ("# 8", (2.36e-3, 9.5e-3)), *((text, (4.75e-3, 19e-3)) for text in (
+        "No. 67", "no 67", "No.67 stone", "67 stone", "67 crushed limestone", "#67s", "number 67", "Size 67")),
+])  # fmt: skip
 def test_size_numbers_of_astm_are_sizes(number, sizes):
     assert read_sizes(number) == sizes
 
@@ -274,8 +279,10 @@ def test_a_number_sign_without_quotes_is_explained(tmp_path):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(SceneError, match=says):
             read_mix(path)
-    with pytest.raises(SceneError, match=r"mix sizes = '#99': must be one of #57, #67"):
-        read_sizes("#99")
+    with pytest.raises(SceneError, match=r"mix sizes = '#99': must be one of #1, #2, #3, #357"):
+        read_sizes("No. 99 stone")
+    with pytest.raises(SceneError, match=r"mm', or a size number of ASTM C33 as in '#67'"):
+        read_sizes(67)
 
 
 def test_a_mix_that_leaves_much_air_points_to_moist_sand():
@@ -292,9 +299,14 @@ def test_a_mix_that_leaves_much_air_points_to_moist_sand():
         (["#67 stone"], {}, (0.00475, 0.019)), (["# 57 limestone", "#8 pea gravel"], {}, (0.00236, 0.025)),
         (["#67 stone"], {"sizes": "10 mm"}, (0.004, 0.01)), (["gravel"], {}, None), (["#99 stone"], {}, None),
         (["#67 stone"], {"sieve": {4: 0, 16: 1}}, None), (["gravel", "sand #8"], {}, None),
+        (["67 stone"], {}, (0.00475, 0.019)), (["No. 57"], {}, (0.00475, 0.025)),
+        (["No 8 rock"], {}, (0.00236, 0.0095)), (["16 gravel"], {}, None), (["8 gravel"], {}, None),
     ],
 )  # fmt: skip
 def test_a_size_number_in_the_name_of_a_part_is_the_size_of_the_stones(names, more, sizes):
     """A ticket that names its stone as '#67 stone' once left the largest stone unknown."""
     parts = {"cement": 340, "water": 180, "sand": 790, **dict.fromkeys(names, 1040 / len(names))}
-    assert mix_of({"parts": parts, "slump": "120 mm", **more}).given.sizes == sizes
+    with warnings.catch_warnings(record=True) as caught:
+        given = mix_of({"parts": parts, "slump": "120 mm", **more}).given
+    assert given.sizes == sizes and given.water_binder == pytest.approx(180 / 340)
+    assert ("#99 is no size number of ASTM C33" in "".join(str(each.message) for each in caught)) == ("#99" in names[0])

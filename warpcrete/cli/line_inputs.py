@@ -17,7 +17,7 @@ from ..geometry.customary_labels import as_customary
 from ..geometry.pipe_line import Part, PipeLine
 from ..geometry.pumps import pump_of
 from ..mix.mix import Mix, flow_amounts, mix_named, mix_of
-from ..mix.stones import SMALLEST
+from ..mix.stones import SMALLEST, sizes_by_number
 from ..mps.common.mixes import concrete_of
 from ..studies.lines.losses import read_line, with_stone
 from ..theory.pipe import Concrete
@@ -77,7 +77,8 @@ def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
     given = _with_pump(given, {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")})
     if any(is_customary(settings[name]) for name in MEASURES):
         given = as_customary(given)
-    stone = _amount("stone", settings, "m", "size_max")
+    sizes = None if settings["stone"] is None else sizes_by_number("stone", settings["stone"])
+    stone = sizes[1] if sizes is not None else _amount("stone", settings, "m", "size_max")
     guess = _guessed(settings, stone)
     name = guess.name if guess is not None else settings["concrete"] or given.concrete
     if name is None:

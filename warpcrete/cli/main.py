@@ -229,7 +229,7 @@ def reproduce_command(**settings: Any) -> None:
 @click.option("--rise", type=LENGTH, help="Height of the end of a line without a file above its start  [default: 0 m]")
 @click.option("--slump", type=LENGTH, help="Slump of a concrete of which nothing else is known, such as '180 mm'")
 @click.option("--spread", type=LENGTH, help="Spread of a concrete of which nothing else is known, such as '600 mm'")
-@click.option("--stone", type=LENGTH, help="Size of the largest stone, such as '20 mm'")
+@click.option("--stone", type=LENGTH, help="Size of the largest stone, such as '20 mm', '3/4 in' or '#67'")
 @click.option("--concrete", type=Completed("concretes"), help="Concrete, instead of the line's: no1, no2, no3, or a "
               "file with a section 'flow'; with --method dem, zhan or another concrete of 'pipe'")  # fmt: skip
 @click.option("--flow", type=FLOW, help="Volume flow, instead of the line's, such as '30 m3/h'")

@@ -7,6 +7,7 @@ from typing import Any
 from ..core.errors import quoted, refuse, suggested
 from ..core.inputs.amounts import amount, is_amount, unit_names
 from ..core.inputs.limits import warn
+from .stones import SIZE_NUMBERS, is_size_number, size_numbers
 
 HEAVY = {**dict.fromkeys(("barite", "baryte", "barytes"), 4200.0), **dict.fromkeys(("magnetite", "hematite"), 4900.0)}
 """Densities of heavy rocks [kg/m3]. An ingredient with such a word in its name, such as "barite sand", has the density
@@ -18,7 +19,7 @@ DENSITIES = {
     **dict.fromkeys(("ash", "flyash", "pfa", "silica", "microsilica", "fume"), 2250.0),
     **dict.fromkeys(("water", "ice"), 1000.0),
     **dict.fromkeys(("sand", "gravel", "aggregate", "aggregates", "stone", "stones", "grit", "chippings", "granite",
-                     "basalt", "crushed", "coarse", "fine", "pebbles"), 2650.0),
+                     "basalt", "crushed", "coarse", "fine", "pebbles", "rock"), 2650.0),
     **dict.fromkeys(("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture", "admixtures",
                      "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
                      "sp", "latex", "agent", "hrwr", "hrwra", "mrwr", "wr", "wra", "wrda", "aea", "reducer"), 1100.0),
@@ -26,7 +27,7 @@ DENSITIES = {
     **HEAVY,
 }  # fmt: skip
 """Usual densities of ingredients [kg/m3]. The keys are words by which the name of an ingredient is recognised."""
-COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
+COARSE = ("gravel", "stone", "stones", "rock", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
 """Words that mean coarse aggregate. If the mix states a density of coarse aggregate, it applies to ingredients with
 such a word in their names."""
 LIGHT = ("lightweight", "light", "expanded", "pumice", "perlite")
@@ -56,7 +57,7 @@ GENERAL = ("type", "powder", "binder")
 powder", says of which kind."""
 ROCKS = ("limestone", "marble", "quartz")
 """Words for rocks. An ingredient with such a word in its name is powder. However, it is aggregate if the name also says
-that the rock is crushed, or states a grain size."""
+that the rock is crushed, or states a grain size or the number of a size."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp", "hrwr", "hrwra",
                 "mrwr", "wr", "wra", "wrda")  # fmt: skip
 """Words in the names of ingredients that are plasticizers, which make concrete flow more easily. The abbreviations
@@ -128,7 +129,7 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
         words = _words(name)
         if DENSITIES.get(_noun(name)) != DENSITIES["sand"] and not any(word in HEAVY for word in words):
             continue
-        stony = any(word in COARSE for word in words)
+        stony = is_coarse(name)
         if "sand" in words and any(word in MIXED_WITH_SAND for word in words):
             return 0.0, 0.0
         if "sand" in words or ("fine" in words and not stony):
@@ -176,7 +177,7 @@ def _density(name: str, coarse: float) -> float | None:
     `coarse` is the density of coarse aggregate [kg/m3]. Unless it is the usual one, the mix states it, and it takes
     precedence over the density that follows from the ingredient's name.
     """
-    if coarse != DENSITIES["gravel"] and any(word in COARSE for word in _words(name)):
+    if coarse != DENSITIES["gravel"] and is_coarse(name):
         return coarse
     if any(word in VARIABLE for word in _words(name)) or not (noun := _noun(name)):
         return None
@@ -184,21 +185,30 @@ def _density(name: str, coarse: float) -> float | None:
     return DENSITIES[(heavy or [noun])[0]]
 
 
+def is_coarse(name: str) -> bool:
+    """Return whether the name of an ingredient has a word for coarse aggregate, or the number of a size of stones."""
+    numbered = _noun(name) == "aggregate" and any(number in SIZE_NUMBERS for number in size_numbers(name))
+    return numbered or any(word in COARSE for word in _words(name))
+
+
 def _noun(name: str) -> str:
     """Return the word of an ingredient's name that tells what it is: usually the last word that the program knows.
 
     The result is empty if no word is known. For example, limestone sand is sand, silica fume is powder, and limestone
-    that is crushed or has a grain size ("limestone 8/16") is aggregate. "Type", "powder" and "binder" stand for cement
-    only if there is no other known word, as in "Type I/II", and powder of stone is filler.
+    that is crushed or has a size ("limestone 8/16", "#57 limestone") is aggregate, and so is "#57" alone. "Type",
+    "powder" and "binder" stand for cement only if there is no other known word, as in "Type I/II", and powder of stone
+    is filler.
     """
     words = _words(name)
     if words[-1:] == ["agent"] and any(word.startswith(("expan", "swell")) for word in words):
         return "powder"
     known = [word for word in words if word in DENSITIES]
-    if known[-1:] == ["powder"] and any(word in (*COARSE, "rock", "sand") for word in words):
+    if not known and is_size_number(name):
+        return "aggregate"
+    if (known[-1:] == ["powder"] or words[-1:] == ["flour"]) and any(word in (*COARSE, "sand") for word in words):
         return "filler"
     noun = ([word for word in known if word not in (*GENERAL, "water")] or known or [""])[-1]
-    stony = "crushed" in known or re.search(r"\d\s*[/-]\s*[1-9]", name) is not None
+    stony = "crushed" in known or re.search(r"\d\s*[/-]\s*[1-9]", name) is not None or size_numbers(name) != []
     return "aggregate" if noun in ROCKS and stony and "powder" not in known else noun
 
 

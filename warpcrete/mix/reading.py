@@ -13,6 +13,7 @@ from .entries import GRAVEL, KEYS, LARGEST_NAMES, NUMBERS, OTHER_NAMES, MixEntri
 from .ingredients import (
     MIN_AMOUNT,
     check_volume,
+    is_coarse,
     is_thickener,
     mass_per_volume,
     paste_volumes,
@@ -22,7 +23,7 @@ from .ingredients import (
     water_mass,
 )
 from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
-from .stones import SIZE_NUMBERS, read_shape, read_sieve, read_sizes
+from .stones import SIZE_NUMBERS, read_shape, read_sieve, read_sizes, size_numbers
 
 T = TypeVar("T")
 PACKING = 0.57
@@ -129,9 +130,12 @@ def _named_sizes(given: Mapping[str, Any], masses: Mapping[str, float]) -> tuple
     """
     if "sieve" in given:
         return None
-    stones = (name for name in masses if not re.search(r"\b(sand|fine)", name, re.IGNORECASE))
-    numbers = (found for name in stones for found in re.findall(r"#\s*\d+", name))
-    sizes = [SIZE_NUMBERS[number] for each in numbers if (number := each.replace(" ", "")) in SIZE_NUMBERS]
+    numbers = [number for name in masses if is_coarse(name) for number in size_numbers(name)]
+    for number in numbers:
+        if number not in SIZE_NUMBERS:
+            warn(f"mix parts: {number} is no size number of ASTM C33 ({', '.join(SIZE_NUMBERS)}); correct it, or add "
+                 "'sizes'")  # fmt: skip
+    sizes = [SIZE_NUMBERS[number] for number in numbers if number in SIZE_NUMBERS]
     return (min(low for low, _ in sizes), max(high for _, high in sizes)) if sizes else None
 
 

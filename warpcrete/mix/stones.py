@@ -1,5 +1,6 @@
 """Read the sieve curve, the sizes and the shape of the coarse aggregate from the entries of a mix."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,10 +16,49 @@ SMALLEST = 4e-3
 """Diameter of the smallest coarse aggregate that is assumed if only the largest is stated [m]."""
 FINEST, COARSEST = 1e-3, 0.3
 """Smallest and largest diameter of coarse aggregate that a mix may state [m]. Finer grains belong to the mortar."""
-SIZE_NUMBERS = {"#57": (4.75e-3, 25e-3), "#67": (4.75e-3, 19e-3), "#6": (9.5e-3, 19e-3), "#7": (4.75e-3, 12.5e-3),
-                "#78": (2.36e-3, 12.5e-3), "#8": (2.36e-3, 9.5e-3)}  # fmt: skip
+SIZE_NUMBERS = {
+    "#1": (37.5e-3, 90e-3), "#2": (37.5e-3, 63e-3), "#3": (25e-3, 50e-3), "#357": (4.75e-3, 50e-3),
+    "#4": (19e-3, 37.5e-3), "#467": (4.75e-3, 37.5e-3), "#5": (12.5e-3, 25e-3), "#56": (9.5e-3, 25e-3),
+    "#57": (4.75e-3, 25e-3), "#6": (9.5e-3, 19e-3), "#67": (4.75e-3, 19e-3), "#7": (4.75e-3, 12.5e-3),
+    "#78": (2.36e-3, 12.5e-3), "#8": (2.36e-3, 9.5e-3), "#89": (1.18e-3, 9.5e-3),
+}  # fmt: skip
 """Smallest and largest nominal size of coarse aggregate [m] by its size number (ASTM C33, grading requirements for
 coarse aggregates)."""
+MARKED = re.compile(r"(?:#|\b(?:no|number|size)\b\.?)\s*([0-9]+)s?\b", re.IGNORECASE)
+"""Pattern of a size number in the name of an ingredient, such as '#57', 'No. 57' or 'number 57'."""
+STONES = r"\s+(?:(?:crushed|coarse|washed)\s+)*(?:stone|rock|limestone|granite|gravel|aggregate)s?\b"
+"""Pattern of the words for stones that may follow a size number."""
+UNMARKED = re.compile(rf"\b([0-9]{{2,3}})s?{STONES}", re.IGNORECASE)
+"""Pattern of a number before a word for stones, as in '57 stone'. It is a size number only if it is a known one, and
+not one of a single digit, because '8 gravel' may mean 8 mm."""
+NUMBER_OF_STONES = re.compile(rf"([0-9]+)s?{STONES}", re.IGNORECASE)
+"""Pattern of a size number before a word for stones at the start of a text that states the size of stones."""
+
+
+def size_numbers(name: str) -> list[str]:
+    """Return the numbers of stone sizes that the name of an ingredient states, such as ['#57'] for 'No. 57 stone'.
+
+    A number with a mark, such as '#58', is included even if no size has this number.
+    """
+    plain = (f"#{found}" for found in UNMARKED.findall(name))
+    return [*(f"#{found}" for found in MARKED.findall(name)), *(each for each in plain if each in SIZE_NUMBERS)]
+
+
+def is_size_number(name: str) -> bool:
+    """Return whether a name consists of a known size number with a mark, such as '#57' or 'No. 57'."""
+    return MARKED.fullmatch(name.strip()) is not None and size_numbers(name)[0] in SIZE_NUMBERS
+
+
+def sizes_by_number(field: str, text: str) -> tuple[float, float] | None:
+    """Return the smallest and the largest size [m] for the size number that a text states, or None without a number.
+
+    `field` is the name of the entry or option. Raises :class:`warpcrete.SceneError` for an unknown number.
+    """
+    number = MARKED.match(text.strip()) or NUMBER_OF_STONES.match(text.strip())
+    if number is None:
+        return None
+    one_of(field, f"#{number[1]}", SIZE_NUMBERS)
+    return SIZE_NUMBERS[f"#{number[1]}"]
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
@@ -60,18 +100,19 @@ def read_sizes(given: Any) -> tuple[float, float]:
 
     If the entry is a single amount, it is the largest size, and the smallest is :data:`SMALLEST`. A text such as '#57'
     is a size number of ASTM C33. Raises :class:`warpcrete.SceneError` if the entry is neither of these nor a pair of
-    possible sizes.
+    possible sizes. 'No. 57', '57 stone' and '#57 stone' are size numbers, too.
     """
     if given is None:
         hint = "write '20 mm', or put a size number of ASTM C33 in quotes, as in '#57', because # starts a comment"
         refuse("mix sizes", given, "is empty", hint)
-    if isinstance(given, str) and given.strip().startswith("#"):
-        number = given.replace(" ", "")
-        one_of("mix sizes", number, SIZE_NUMBERS)
-        return SIZE_NUMBERS[number]
+    if isinstance(given, str) and (found := sizes_by_number("mix sizes", given)) is not None:
+        return found
     if isinstance(given, str | int | float) and not isinstance(given, bool):
         largest = amount("mix sizes", given, "m")
-        between("largest of mix sizes", largest, 2 * SMALLEST, COARSEST, "m", "write millimetres as in '20 mm'")
+        hint = "write millimetres as in '20 mm'"
+        if bare_number(given) and f"#{largest:g}" in SIZE_NUMBERS:
+            hint += f", or a size number of ASTM C33 as in '#{largest:g}'"
+        between("largest of mix sizes", largest, 2 * SMALLEST, COARSEST, "m", hint)
         return SMALLEST, largest
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         problem = "must be the largest size, or the smallest and the largest"
