@@ -215,3 +215,17 @@ def test_a_rheometer_may_read_five_times_the_yield_stress_of_a_heap():
     section["concrete"]["uncertainty"] = "10 %"
     stated = mix_of(section)["yield stress"]
     assert (stated.low, stated.high) == pytest.approx((810, 990)) and stated.source == "as given"
+
+
+@pytest.mark.parametrize("air", [None, "5 %"])
+def test_an_assumed_air_content_is_told(air):
+    """320 / 3100 + 60 / 2250 + 175 / 1000 + 2 % = 0.325 of a cubic metre, and the rest is sand and stones."""
+    parts = {"cement": 320, "fly ash": 60, "water": 175, "sand": 790, "gravel": 980}
+    mix = mix_of({"parts": parts, "slump": "7 in", **({} if air is None else {"air": air})})
+    said = [each for each in mix.remarks if "states no air content: 2 % is assumed" in each]
+    assert len(said) == (air is None)
+    if air is None:
+        assert (
+            f"leaves {1e3 * (1 - 320 / 3100 - 60 / 2250 - 0.175 - 0.02):.3g} l/m3 ({0.675 * 27:.3g} ft3/yd3)" in said[0]
+        )
+        assert mix["yield stress"].way == "slump of 177.8 mm (7 in)"

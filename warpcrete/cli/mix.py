@@ -1,11 +1,12 @@
 """Command `warpcrete mix`: properties that follow from a mix, and a file that states them instead of the mix."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from ..core.errors import positive, refuse
+from ..core.errors import PlausibilityWarning, positive, refuse
 from ..core.inputs.amounts import amount, is_customary
 from ..core.inputs.customary import both
 from ..core.inputs.limits import check_limit
@@ -64,7 +65,10 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     found: dict[str, object] = {"name": mix.name, "source": source}
     if mix.concrete.layer_law.name == BINGHAM or {"layer_yield", "layer_viscosity"} <= set(mix.elements):
-        found["elements"] = dict(PipeParameters.implied({"concrete": name}))
+        with warnings.catch_warnings():
+            # The mix was read before, with its own warnings, and a remark says that it has no sieve curve.
+            warnings.simplefilter("ignore", PlausibilityWarning)
+            found["elements"] = dict(PipeParameters.implied({"concrete": name}))
     return found | {"flow": {key: getattr(mix.concrete, key) for key in mix.flow}}
 
 

@@ -8,6 +8,7 @@ of the relation from which it follows.
 
 from collections.abc import Iterator
 
+from ..core.inputs.customary import both
 from ..theory.fits import StraightLine, straight_line
 from ..theory.laws import BINGHAM
 from ..theory.pipe import Concrete, Line, measured_layer
@@ -130,7 +131,8 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
         error = SLUMP_ERROR_FACTOR * blur
         yield _pair(thick * value, (thick * value / error, thick * value * error),
                     (stress, stress / error, stress * error), concrete,
-                    f"slump of {1e3 * given.slump:.4g} mm", f"JGJ/T 10, after Morinaga 1973{more}")  # fmt: skip
+                    f"slump of {both(given.customary, 'mm', given.slump)}",
+                    f"JGJ/T 10, after Morinaga 1973{more}")  # fmt: skip
     value, stress = ASSUMED
     error = ASSUMED_ERROR_FACTOR * blur
     yield _pair(

@@ -10,12 +10,13 @@ from ..core.drawing.html import html_table
 from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import NamedConcrete, concrete, known_only
+from ..core.inputs.customary import both
 from ..theory.pipe import Concrete, scaled
 from .entries import MixEntries
 from .figures import Figure, around, reconciled, short
 from .layer import ASSUMPTION, OF_PASTE, layers
 from .measurements import Layer
-from .reading import DENSITY_TOLERANCE, read
+from .reading import DENSITY_TOLERANCE, USUAL_AIR, read
 from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
@@ -302,6 +303,10 @@ def mix_of(
     figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
     if told.layer.contradicted:
         remarks.append(GAUGES_CONTRADICT)
+    if told.sand_and_stone is not None and given.get("air") is None:
+        left = both(told.customary, "l/m3", told.sand_and_stone, digits=3)
+        remarks.append(f"the mix states no air content: {100 * USUAL_AIR:g} % is assumed, which leaves {left} for sand "
+                       "and stones; state it as in 'air: 2 %'")  # fmt: skip
     if told.sieve is None and told.sizes is None:
         remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks), others)

@@ -8,6 +8,7 @@ rheometers.
 from collections.abc import Iterator
 from dataclasses import replace
 
+from ..core.inputs.customary import both
 from ..theory.fits import straight_line
 from ..theory.inverse import (
     viscosity_of_t500,
@@ -79,13 +80,14 @@ def yield_stresses(given: MixEntries) -> Iterator[Figure]:
     if given.spread is not None:
         at = [given.spread + off for off in (READ_SPREAD, 0.0, -READ_SPREAD)]
         yield Figure("yield stress", yield_of_heap(at[1], given.density), yield_of_heap(at[0], given.density),
-                     yield_of_long_heap(at[2], given.density), "Pa", f"spread of {1e3 * given.spread:.4g} mm",
+                     yield_of_long_heap(at[2], given.density), "Pa",
+                     f"spread of {both(given.customary, 'mm', given.spread)}",
                      "heap that resists its stretch; upper limit Roussel & Coussot 2005", "cone")  # fmt: skip
     if given.slump is not None:
         flat = min(given.slump + HEAP_CENTRE + READ_SLUMP, FLATTEST)
         yield Figure("yield stress", yield_of_slump(given.slump, given.density), yield_of_slump(flat, given.density),
                      yield_of_slump_measured(given.slump - READ_SLUMP, given.density),
-                     "Pa", f"slump of {1e3 * given.slump:.4g} mm",
+                     "Pa", f"slump of {both(given.customary, 'mm', given.slump)}",
                      "tall cone (Murata 1984, von Mises), lower limit with the centre 100 mm too high (Yeh 2007); "
                      "upper limit Ferraris & de Larrard 1998", "cone")  # fmt: skip
 
