@@ -6,7 +6,9 @@ from pumping import SMALL
 
 from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
-from warpcrete.dem.scene.scene import Bodies, Scene, Settle
+from warpcrete.dem.measure.probes import body_sums
+from warpcrete.dem.scene.clumps import elongated
+from warpcrete.dem.scene.scene import Bodies, Scene, Settle, TimeStep
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 
 
@@ -39,6 +41,22 @@ def one(
         bodies=(Bodies(positions=[[0.0, 0, height]], sizes=0.02, velocities=np.array([velocity], float)),),
     )  # fmt: skip
     return Scene(**(settings | changes))
+
+
+@pytest.mark.parametrize("template", [None, elongated(2.0)], ids=["sphere", "clump"])
+def test_a_body_in_free_fall_keeps_its_energy(start, template):
+    """Energies of motion and of height belong to one time, the middle of a step, so that their sum is constant."""
+    bodies = Bodies(positions=[[0, 0, 0]], sizes=0.02, velocities=np.array([[1.0, 0.5, 2.0]]), template=template,
+                    spins=np.array([[0, 0, 30.0]]))  # fmt: skip
+    fixed = dict(gravity=(1.0, 0, -9.81), walls=(), time_step=TimeStep(fixed=1e-3))
+    stepper = start(one(Contact(), bodies=(bodies,), **fixed))
+    found = []
+    for _ in range(10):
+        stepper.take(20)
+        sums = body_sums(stepper.model, stepper.state)
+        found.append((sums.kinetic_energy, sums.potential_energy))
+    kinetic, potential = np.array(found).T
+    assert np.ptp(kinetic) > 0.1 * kinetic[0] and np.ptp(kinetic + potential) < 1e-12 * kinetic[0]
 
 
 @pytest.mark.parametrize(
