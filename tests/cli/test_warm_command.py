@@ -26,6 +26,10 @@ def test_wrong_scenes_and_devices_are_refused_before_anything_is_compiled(monkey
     monkeypatch.setattr("warpcrete.cli.warm.explain", compiled)
     for words, message in (
         (("tube", "tub"), "'tub'"), (("tube", "--device", "cuda:99"), "cuda:99"),
+        (("pipe", "tube", "--contact", "linear"), "--contact: is not a parameter of this scene"),
+        (("pipe", "--contact", "lineal"), "contact = 'lineal'"),
+        (("pipe", "--bonds", "true", "tube"), "takes one value"),
+        (("--contact", "linear"), "--contact: needs the name of a scene before it"),
     ):  # fmt: skip
         done = command("warm", *words)
         assert done.returncode == 2 and message in done.stderr and done.stderr.startswith("error: "), done.stderr
@@ -82,6 +86,18 @@ def test_each_named_scene_is_forecast_on_the_device_without_a_cache(tmp_path, mo
     _, first, _, second, last = done.stdout.splitlines()
     assert first.split()[:2] == ["tube", "mps"] and second.split()[:2] == ["pipe", "dem"]
     assert 0 <= float(first.split()[2]) < 60 and last.startswith("kernels for cpu are ready")
+
+
+def test_parameters_and_contact_laws_are_compiled_each_time(tmp_path, monkeypatch):
+    """The code of a user's law may have changed, so no record of an earlier call can hold for it."""
+    laws = []
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr("warpcrete.cli.warm.explain", lambda scene, **more: laws.append(type(scene.contact).__name__))
+    words = ["--contact", "rolling", "--device", "cpu"]
+    for names in (["pipe"], ["slump", "--method", "dem"], ["pipe", "funnel-dem"]):
+        done = command("warm", *names, *words)
+        assert done.returncode == 0, done.stderr
+    assert laws == 4 * ["RollingResistance"] and not list(tmp_path.iterdir())
 
 
 @pytest.mark.thorough

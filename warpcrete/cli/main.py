@@ -143,16 +143,18 @@ def view_run(run: Path, web: bool, bind: str) -> None:
     raise SystemExit(process.wait())
 
 
-@cli.command("warm")
+@cli.command("warm", context_settings={"ignore_unknown_options": True}, options_metavar="[--PARAMETER VALUE ...] "
+             "[OPTIONS]")  # fmt: skip
 @click.argument("scene", type=Completed("scene_names"), nargs=-1)
 @click.option("--device", type=DEVICE, help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 def warm_command(scene: tuple[str, ...], device: str | None) -> None:
     """Compile the kernels of each SCENE, so that its first run starts at once; without a name, those of all scenes.
 
-    Use it when you install warpcrete, or when you build a container. Runs with other features, such as another flow law
-    or precision, still compile the kernels that these features need.
+    Use it when you install warpcrete, or when you build a container. Parameters of a scene, such as a contact law of
+    your own, may follow its name: `warpcrete warm pipe --contact sticky:Sticky`. Runs with other features, such as
+    another flow law or precision, still compile the kernels that these features need.
     """
-    load("warm").run(scene, scenes(), device)
+    load("warm").run(by_method(list(scene)), scenes(), device)
 
 
 @cli.command("verify")

@@ -4,6 +4,7 @@ import hashlib
 import json
 import time
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -20,34 +21,55 @@ from ..core.run.provenance import provenance
 from ..methods import method_of
 from ..studies.tradeoffs.explain import explain
 from .options import check_scene
+from .study import parameter_values, parsed
 
 
-def run(names: tuple[str, ...], modules: dict[str, Any], device: str | None) -> None:
-    """Compile the kernels that the default runs of the named scenes need, or those of all scenes if no name is given.
+def run(words: list[str], modules: dict[str, Any], device: str | None) -> None:
+    """Compile the kernels that scenes need: those of all scenes, or those that `words` names, with their parameters.
 
-    A scene whose kernels are known to be in the cache takes no time. Raises :class:`warpcrete.SceneError` for an
-    unknown scene or device before anything is compiled.
+    A default scene whose kernels are known to be in the cache takes no time. Raises :class:`warpcrete.SceneError` for
+    an unknown scene, parameter or device before anything is compiled.
     """
-    for name in names:
-        check_scene(name, modules)
+    names, parameters = _scenes_and_parameters(words, modules)
     found = find_device(device)
     code = _code_hash()
-    for name in names or modules:
-        record = _record(name, Path(modules[name].__file__), found, code)
-        if _is_complete(record):
+    made = {name: modules[name].scene(**parameters) for name in names}
+    for name, scene in made.items():
+        # A record does not depend on parameters or on the code of a user's contact law.
+        record = None if parameters else _record(name, Path(modules[name].__file__), found, code)
+        if record is not None and _is_complete(record):
             click.echo(f"{name:12s} ready: an earlier call compiled its kernels, and all of them are in the cache")
             continue
-        scene = modules[name].scene()
         started = time.perf_counter()
         click.echo(f"{name:12s} begins; each kernel that is not in the cache is compiled")
         # A forecast takes the first steps of a small copy of the scene, measures it and draws a frame, so it compiles
         # all kernels of a run.
         with kernel_files() as files:
             explain(scene, device=str(found), cache=False)
-        with suppress(OSError, RunFolderError):  # Ignore the error: the kernels are ready without a record.
-            _write_record(record, files)
+        if record is not None:
+            with suppress(OSError, RunFolderError):  # Ignore the error: the kernels are ready without a record.
+                _write_record(record, files)
         click.echo(f"{name:12s} {method_of(scene).name:10s} {time.perf_counter() - started:5.1f} s")
     click.echo(f"kernels for {found} are ready; later runs of these scenes with their features start without compiling")
+
+
+def _scenes_and_parameters(words: list[str], modules: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of scenes at the beginning of `words`, or all names, and the parameters that follow."""
+    names = list(takewhile(lambda word: not word.startswith("-"), words))
+    for name in names:
+        check_scene(name, modules)
+    if len(names) == len(words):
+        return names or list(modules), {}
+    if not names:
+        raise click.UsageError(
+            f"{words[0]}: needs the name of a scene before it; write 'warpcrete warm SCENE {words[0]}'"
+        )
+    _, options = parsed(words[len(names) :])
+    for option, values in options.items():
+        if len(values) > 1:
+            raise click.UsageError(f"--{option}: takes one value; write the names of scenes first")
+    values = {name: parameter_values(modules[name], options) for name in names}[names[-1]]
+    return names, {name: several[0] for name, several in values.items()}
 
 
 def _record(name: str, scene_file: Path, device: wp.Device, code: str) -> Path:
