@@ -14,11 +14,12 @@ import warp as wp
 from ..core.device.device import parallel
 
 WIDTH = 4.0
-"""Width of a cube of the coarse grid, in particle spacings. A width of 6 would need a quarter more iterations of the
-linear solves. A width of 3 would save only a tenth of the iterations, with twice as many cubes."""
+"""Width of a cube of the coarse grid, in particle spacings. With a width of 6, the linear solves would need a quarter
+more iterations. With a width of 3, they would need only a tenth fewer iterations, but the grid would have twice as many
+cubes."""
 LEAST = 12.0
-"""Minimum height of a column of concrete, in cubes of the coarse grid, for which the coarse grid is used. Solves for a
-lower column take no longer without it."""
+"""Minimum height of a column of concrete, in cubes of the coarse grid, for which the coarse grid is used. For lower
+columns, the coarse grid does not speed up the linear solves."""
 ABOVE = 1.1
 """Height of the coarse grid, divided by the initial height of the column of concrete. Particles that rise above the
 grid are assigned to its topmost cubes."""

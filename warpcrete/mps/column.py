@@ -49,8 +49,8 @@ MIN_SLIP_RATIO = 0.9
 """Minimum ratio of slip velocity to mean velocity for simulating a flow as a column of concrete that a piston pushes
 through the pipe. With less slip, the column loses volume and its forces do not balance."""
 MIN_PARTICLES_ACROSS = 4
-"""Minimum number of particles across the pipe. A trade-off of accuracy for run time tries no particle spacing that
-would leave fewer."""
+"""Minimum number of particles across the pipe. The search for faster settings skips particle spacings that would place
+fewer particles across the pipe."""
 FLOW = 1500e-6
 """Volume flow of the reference case of Xu, Li & Jiang 2021 [m3/s]."""
 NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")
@@ -122,10 +122,11 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def phases(self, concrete: Concrete, dimensions: int) -> tuple[Concrete, Aggregates | None]:
-        """Return the concrete as one fluid, and the aggregate and mortar of a flow with two phases, otherwise None.
+        """Return the concrete as one fluid, and its aggregate and mortar (None in a flow with one phase).
 
-        `concrete` has the constants that the parameters state. Where they state a constant of the mortar, the constant
-        of the concrete follows from it by homogenisation, so that theory describes the simulated concrete.
+        `concrete` has the constants that the parameters state. If the parameters also state the viscosity or the yield
+        stress of the mortar, homogenisation computes that constant of the concrete from the mortar's, so that theory
+        describes the simulated concrete.
         """
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
@@ -149,7 +150,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         """Return the volume flow [m3/s] that the parameters state, or that theory predicts for the stated pressure.
 
         `bulk` is the pipe's radius minus the thickness of the slip layer [m]. Raises :class:`SceneError` if flow and
-        pressure are both stated, or if nothing flows.
+        pressure are both stated, or if the volume flow is not positive.
         """
         flow = self.flow
         if self.pressure is not None:
@@ -357,7 +358,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any
     """Return other flows on which the settings of a trade-off are tested too, as changes of a flow's parameters.
 
     The changes apply to a flow with one phase. The accuracy of these variants is measured against theory. They have
-    other concretes, flow rates and pipes. With the flow rate, the part of the flow that slip carries changes; the
+    other concretes, flow rates and pipes. The flow rate changes the part of the flow that slip carries, and the
     self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends (piston or periodic)
     as the flow itself, because the settings found for the flow are applied to its variants.
     """

@@ -58,7 +58,7 @@ class FlowDisplay(Display):
         return x
 
     def scale(self) -> tuple[str, float, float] | None:
-        """Return label, lowest and highest value of the quantity that colours show; None if they show materials."""
+        """Return label, lowest and highest value of the quantity that colours show; None if colours show materials."""
         scene, theory = self.simulation.scene, self.simulation.scene.theory()
         if self.colouring == "pressure":
             return "pressure [kPa]", 0.0, theory.pressure / 1e3

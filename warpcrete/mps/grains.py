@@ -15,8 +15,8 @@ class Grains:
     """Rigid grains of coarse aggregate; each grain is a group of particles."""
 
     order: np.ndarray
-    """Indices of the particles in the initial layout, in the order in which the state stores the particles: first those
-    of each grain, grain by grain, then those of the mortar."""
+    """Indices of the particles in the initial layout, in the order in which the state stores the particles: first the
+    particles of the grains, grain by grain, then the particles of the mortar."""
     group: np.ndarray
     """Grain number of each particle, -1 for mortar, in the order in which the state stores the particles, shape
     (n,)."""

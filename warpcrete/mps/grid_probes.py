@@ -19,8 +19,8 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     """Measure a flow and return a row of the time series.
 
     `before` is the previous row, from which the rate of change of momentum is computed. The momentum of a channel is
-    per metre of depth. The pressure of a periodic pipe is the driving force per volume, which balances friction and
-    weight, times the pipe's length.
+    per metre of depth. The pressure of a periodic pipe is the driving force per volume times the pipe's length; this
+    force balances friction and weight.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     drive = state.mesh.drive.numpy()
@@ -107,8 +107,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
     """Return the theoretical velocity of each cell [m/s], averaged over its width; cells are sorted by their distance.
-
-    The distance is that from the axis of a tube, or from the middle of a channel.
+    The distance is measured from the axis of a tube, or from the middle of a channel.
     """
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(

@@ -111,9 +111,8 @@ class MovingParticles(Stepping):
     def _coarse(self) -> CoarseGrid | None:
         """Return the coarse grid of cubes that preconditions the linear solves, or None if it would save no time.
 
-        The result is None in two cases. The first case is a flow with rigid grains, which are larger than the cubes.
-        The second case is a short column of concrete, in which solves with the diagonal preconditioner alone take no
-        longer.
+        The result is None for flows with rigid grains, which are larger than the cubes. It is also None for short
+        columns of concrete, whose linear solves take no longer with the diagonal preconditioner alone.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:

@@ -11,7 +11,7 @@ from ..core.units import number
 from ..theory.pipe import velocity
 
 LEFT = 0.65
-"""Width of the curves in a figure that shows particles on the right, relative to that of the figure."""
+"""Fraction of a figure's width that the panels with curves take up, if the figure shows particles on its right side."""
 
 
 def plot_flow(
@@ -50,7 +50,8 @@ def _pressure(axes: Any, run: Run) -> None:
             label="printed (Xu et al.)",
         )
     axes.set(xlabel="time [s]", ylabel=_pressure_label(run.scene))
-    # Exclude the first two pressures, which are far below all later ones, from the limits of the axis.
+    # Exclude the first two pressures, which are far below all later ones, when the limits of the pressure axis are
+    # computed.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     if np.isfinite(lowest + highest):

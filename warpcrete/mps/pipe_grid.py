@@ -73,8 +73,9 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
 def resistance(scene: Any, mean: float) -> float:
     """Return the derivative of the wall's force per volume with respect to the mean velocity `mean` [kg/m3/s].
 
-    The derivative is that of the steady state of a scene with the attributes `concrete`, `line`, `form`, `radius` and
-    `length`. With it, the driving force of a periodic pipe anticipates how the wall's force changes with the velocity.
+    The derivative is taken at the steady state of `scene`, which has the attributes `concrete`, `line`, `form`,
+    `radius` and `length`. The driving force of a periodic pipe uses the derivative to anticipate how the wall's force
+    changes with the velocity.
     """
     little, flow = 1e-3, math.pi * scene.radius**2 * mean
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))

@@ -13,10 +13,8 @@ from .common.run import largest
 from .scene import FluidScene
 
 AVERAGED_FRACTION = 0.2
-"""Last fraction of the simulated time over which quantities are averaged, if the scene states a duration.
-
-A run without a stated duration ends when the flow is steady, and its quantities are those of the last row of the time
-series.
+"""If the scene states a duration, quantities are averaged over this last fraction of the simulated time. A run without
+a stated duration ends when the flow is steady, and its quantities are taken from the last row of the time series.
 """
 THEORY_COLUMNS = ("pressure", "slip_velocity", "wall_stress")
 """Columns of the time series for which theory gives a value."""

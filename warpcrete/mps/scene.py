@@ -36,7 +36,7 @@ class Aggregates:
     fraction: float
     """Volume fraction of the coarse aggregate."""
     mortar: Concrete
-    """Density and flow law of the mortar between the grains; its slip layer is that of the concrete."""
+    """Density and flow law of the mortar between the grains; the mortar has the same slip layer as the concrete."""
     density: float = 2630.0
     """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
@@ -171,8 +171,8 @@ class FluidScene(Parametrised, FlowSettings):
     velocity: float
     """Velocity of the piston [m/s]."""
     spacing: float
-    """Wanted particle spacing [m]; the nearest spacing is used that fits a whole number of times into the width of the
-    channel or the radius of the tube."""
+    """Wanted particle spacing [m]. The simulation uses the nearest spacing of which the width of the channel or the
+    radius of the tube is a multiple."""
     aggregates: Aggregates | None = None
     watch: FlowWatch = field(default_factory=FlowWatch)
     published: Mapping[str, float] = field(default_factory=dict)
@@ -245,7 +245,7 @@ class FluidScene(Parametrised, FlowSettings):
 
     @property
     def form(self) -> str:
-        """Form of the theory that results are compared with, "plane" or "pipe"."""
+        """Geometry for which the closed forms are evaluated, "plane" for a channel or "pipe" for a tube."""
         return "plane" if self.dimensions == 2 else "pipe"
 
     @property
@@ -255,7 +255,7 @@ class FluidScene(Parametrised, FlowSettings):
 
     @property
     def weight(self) -> float:
-        """Part of the pressure that carries the weight of the concrete [Pa]."""
+        """Hydrostatic part of the driving pressure, which carries the weight of the concrete [Pa]."""
         return self.concrete.density * self.gravity * self.length
 
     def friction(self, wall_stress: float) -> float:

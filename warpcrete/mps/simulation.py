@@ -30,8 +30,8 @@ TYPICAL_DURATION = 0.03
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, as fractions of the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Simulated time that a run allows for slip to break the thixotropic structure of the slip layer, divided by the time
-in which the structure decays to 1/e."""
+"""Longest simulated time that a run waits until slip has broken the thixotropic structure of the slip layer, divided by
+the time in which the structure decays to 1/e."""
 MIN_SLIP_RATIO = 0.1
 """Ratio of slip velocity to mean velocity above which a run continues until the thixotropic structure of the slip layer
 is broken."""
@@ -39,7 +39,7 @@ MAX_STRUCTURE_LEFT = 0.01
 """Maximum fraction of the yield stress gained at rest that the slip layer may still have in a flow that counts as
 steady."""
 COMPARISON_INTERVAL = 5e-3
-"""Simulated time between two rows of the time series that must agree in a steady flow [s]."""
+"""Simulated time between two rows of the time series [s]. In a steady flow, the values in these rows must agree."""
 
 
 class FluidSimulation(FlowRun):
@@ -98,7 +98,7 @@ class FluidSimulation(FlowRun):
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
-        # The momentum of a channel is that per metre of depth.
+        # The momentum of a channel is stated per metre of depth.
         return "kg/s" if column == "momentum" and self.scene.dimensions == 2 else super().unit(column)
 
     def place_flow(self) -> MovingParticles | GridFlow:

@@ -9,8 +9,8 @@ A step is a pressure-correction scheme whose predictor uses the pressure of the 
 4. Positions: particles move with their velocities. A further solve, with a loose tolerance, then moves them out of
    crowded regions without changing any velocity.
 
-The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails,
-notebooks/theory/particles.md says what is done instead and why.
+Xu, Li & Jiang 2021 describe the method in sections 2.1 to 2.5. Where the printed scheme fails,
+notebooks/theory/particles.md describes and explains the changes.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ FINITE_COLUMNS = ("pressure", "wall_stress", "fastest", "volume_error", "momentu
 CURES = "a smaller time step, a finer spacing, precision float64"
 COLUMN_CURES = {False: "; for concrete that shears, ends = periodic",
                 True: "; for concrete that shears, one phase without aggregates"}  # fmt: skip
-"""Further advice in the error message of a column of particles on a piston. The key is True for a column with
-aggregates, which cannot be simulated on a grid."""
+"""Text that is added to the error message if the unstable flow is a column of particles on a piston. The key is True
+for a column with aggregates. Such a column cannot be simulated on a grid, so its advice differs."""
 
 
 class WatchedFlow:

@@ -36,7 +36,7 @@ class Course:
     """Mean time step [s]."""
     remarks: Sequence[str] = ()
     slowdown: float = 1.0
-    """Mean wall time of a step, divided by that of the first steps."""
+    """Mean wall time of a step over the whole run, divided by the mean wall time of the first steps."""
 
 
 def flow_forecast(
@@ -107,10 +107,10 @@ def flow_forecast(
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow; return its run, the expected simulated time [s], and a list of remarks.
 
-    The copy's scene equals that of the flow except for the attributes in `changes`. The simulated time is the one after
-    which the copy became steady, and there is no remark then. If the copy does not become steady, a remark says so with
-    the text `unmet`. If the copy needs more wall time than `COPY_TIME` or stops with an error, the simulated time is
-    the longest one that the flow may simulate, and a remark states the reason. After an error, the returned run is
+    The copy's scene equals the scene of the flow except for the attributes in `changes`. The simulated time is the time
+    after which the copy became steady; then there are no remarks. If the copy does not become steady, a remark says so
+    with the text `unmet`. If the copy needs more wall time than `COPY_TIME` or stops with an error, the simulated time
+    is the longest time that the flow may simulate, and a remark states the reason. After an error, the returned run is
     None.
     """
     copy: FlowRun | None = None

@@ -32,13 +32,13 @@ maximum number of steps."""
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 VELOCITY_ERROR = 1e-6
 """Tolerance of the viscosity solve, which stops when the norm of its residual is below this fraction of a typical norm.
-The typical norm is that of the residual if every velocity is wrong by the typical speed of the flow; in a pipe, this
-speed is the mean velocity."""
+The typical norm is the norm that the residual has if every velocity is wrong by the typical speed of the flow. In a
+pipe, the typical speed is the mean velocity."""
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
-"""Ratio of the absolute tolerance of the pressure solve to the relative one, which is the scene's `tolerance`. The
-relative tolerance multiplies the initial residual. The absolute tolerance multiplies the residual of a flow whose
-divergence is everywhere its typical speed divided by a typical length (in a pipe, its radius). The solve stops when its
-residual is below either product."""
+"""Absolute tolerance of the pressure solve, divided by its relative tolerance. The relative tolerance is the scene's
+`tolerance`. The relative tolerance multiplies the initial residual. The absolute tolerance multiplies the residual of a
+flow whose divergence is everywhere its typical speed divided by a typical length (in a pipe, its radius). The solve
+stops when its residual is below either product."""
 MAX_CONCURRENT_FLOWS = 64
 """Maximum number of independent flows that are simulated on one GPU at the same time."""
 

@@ -97,7 +97,7 @@ class FreeDisplay(GridDisplay):
         return "shear rate [1/s]", 0.0, rounded_up(SHOWN_SHEAR * rate)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""
+        """Return curves over time: width, height and speed of the concrete, or the concrete left in a funnel."""
         word = "spread" if self.simulation.scene.about_axis else "position of the front"
         test = self.simulation.scene.test
         if test and test.outflow:

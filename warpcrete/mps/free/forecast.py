@@ -27,11 +27,11 @@ Simulations gave ratios from 1.0 to 1.3.
 COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
 MAX_SPEEDUP = 3.0
-"""Maximum factor by which a forecast assumes that steps get faster: mean wall time of the first steps, divided by the
-mean over all steps. Steps get faster as a funnel empties."""
+"""Maximum factor by which a forecast assumes that steps get faster as a funnel empties. The factor is the mean wall
+time of the first steps, divided by the mean wall time of all steps."""
 CELLS_ACROSS = 4
 """Minimum number of cells that the coarser copy has along each side of the concrete and along each dimension of the
-vessel except its bars."""
+vessel. The diameter of bars does not count as such a dimension."""
 
 
 def forecast(
@@ -102,10 +102,10 @@ def course_of(simulation: FreeSimulation) -> Course:
 
 
 def _slowdown(simulation: FreeSimulation, run: Run, changes: dict[str, float]) -> float:
-    """Return the mean wall time of a step of a coarser copy's finished `run`, divided by that of its first steps.
+    """Return the mean wall time of all steps of a coarser copy's finished `run`, divided by that of the first steps.
 
     The first steps are shorter than later ones, so their solves need fewer iterations. `changes` are the attributes of
-    the scene in which the copy differs.
+    the scene in which the copy differs from the flow itself.
     """
     start = type(simulation)(
         replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,

@@ -23,8 +23,8 @@ UNITS = {
     "steps": "1",
     MOST: "m/s",
 }
-"""Units of the columns of the time series. The last column holds the speed that a fraction of the concrete does not
-exceed. It exists only for standard tests in which this fraction, their `slow_share`, is below 1."""
+"""Units of the columns of the time series. The last column exists only for standard tests whose `slow_share` is below
+1. It holds the speed that this fraction of the concrete does not exceed."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:

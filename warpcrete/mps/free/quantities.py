@@ -33,8 +33,8 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
 def whole_volume(scene: FreeScene, simulated: float) -> float:
     """Return the volume of all concrete of a scene [m3], or per metre of depth in a plane [m2].
 
-    `simulated` is the volume of the concrete that is simulated: per radian about an axis, and only one half for each
-    plane of symmetry in space.
+    `simulated` is the volume of the concrete that is simulated. In axisymmetric flow it is per radian. In space, each
+    plane of symmetry halves it.
     """
     return simulated * (2 * math.pi if scene.axial else 2 ** _mirrors(scene))
 

@@ -112,7 +112,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def whole_concrete(self) -> Concrete:
-        """Concrete with its aggregates, as closed forms need it; in this class, the simulated fluid itself."""
+        """Concrete including its aggregates, for closed forms. In this class, it is the simulated fluid itself."""
         return self.concrete
 
     @property
@@ -222,5 +222,5 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
             )
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""
+        """Return the values of all members of :class:`FreeSettings` by name; they control the simulation of a scene."""
         return {f.name: getattr(self, f.name) for f in fields(FreeSettings)}

@@ -80,7 +80,7 @@ class GridDisplay(Display):
         return values / 1e3 if self.colouring == "pressure" else values
 
     def surface_values(self, surface: Surface) -> np.ndarray:
-        """Return the quantity that colours the surface at its vertices, in the unit of the colour scale, shape (v,)."""
+        """Return the quantity that the surface's colours show, at each vertex, in the unit of the colour scale."""
         return self._shown(surface.fields[FIELDS[self.colouring]])
 
     def surface(self, cut: bool = False) -> Surface:

@@ -25,8 +25,9 @@ SURFACE_ARRAYS = ("pressure_change",)
 STRUCTURE_ARRAYS = ("gained", "layer")
 """Names of further arrays of the struct `Fields` on which the next step depends if the concrete is thixotropic."""
 FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
-"""Names of the arrays of the struct `Fields` with one entry per face. EDGE_ARRAYS names those with one entry per edge,
-and PARTICLE_LISTS those with one entry per particle. Most other arrays of the struct have one entry per cell."""
+"""Names of the arrays of the struct `Fields` with one entry per face. The names in EDGE_ARRAYS belong to arrays with
+one entry per edge, and the names in PARTICLE_LISTS to arrays with one entry per particle. Most other arrays of the
+struct have one entry per cell."""
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles", "sorted_position", "sorted_mass")
 GPU_LISTS = ("sorted_position", "sorted_mass")
@@ -36,9 +37,9 @@ SLOT_BYTES = {2: 4 * 278, 3: 4 * 558}
 """Memory per cell, including its faces, its particles and its rows of the linear systems [bytes], in single precision,
 by number of axes."""
 COLUMN_BYTES = {2: 4 * 54, 3: 4 * 96}
-"""Additional memory per cell on a CPU [bytes], in single precision, by number of axes: that of the array `columns` of
-the struct `Fields`, less that of the empty GPU_LISTS. The array `columns` has an entry for each column of each
-particle. Full cells hold nine particles in a plane and eight in space."""
+"""Additional memory per cell on a CPU [bytes], in single precision, by number of axes. It is the memory of the array
+`columns` of the struct `Fields`, minus the memory of the GPU_LISTS, which a CPU does not allocate. The number holds for
+full cells, with nine particles each in a plane and eight in space."""
 
 FIRST_STEP_RATIO = 0.01
 """Length of the first step, divided by the longest allowed one, if the length of time steps adapts to the flow."""

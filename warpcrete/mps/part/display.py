@@ -99,7 +99,7 @@ class PartDisplay(GridDisplay):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the pressure along the axis, and for comparison that of straight pipes with the same bores."""
+        """Return the pressure along the axis, and the pressure in straight pipes with the same bores."""
         return (Profile("pressure", "Pressure [kPa] along the axis [m]", (
             Points("this run", self._pressures, RUN), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
@@ -121,7 +121,7 @@ class PartDisplay(GridDisplay):
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
         """Arc lengths [m] and, for each, the theoretical frictional loss from there to the end [Pa].
 
-        The loss is that of straight pipes with the bores of the part.
+        The loss is computed for straight pipes with the bores of the part.
         """
         end = self._scene.axis.length
         s = np.linspace(0, end, RING_COUNT)
@@ -142,7 +142,7 @@ class PartDisplay(GridDisplay):
             s = np.linspace(0, scene.axis.length, RING_COUNT)
             vertices, faces = scene.axis.swept(s, scene.bore(s), FACETS_AROUND)
         # Move the drawn wall a little outwards. If it coincided with the surface of the concrete, a viewer could not
-        # tell which of the two is in front.
+        # tell whether the wall or the concrete is in front.
         outward = vertices - scene.axis.projected(vertices)[0]
         outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
         return [DrawnWall("wall", vertices + WALL_GAP * scene.radius * outward, faces, False, GLASS)]

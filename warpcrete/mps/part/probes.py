@@ -36,12 +36,12 @@ The filled volume of a slice is the sum of the open volumes of its cells with co
 def friction_ahead(flow: GridFlow, mortar: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return arc lengths [m], and at each of them the mean axial stress of the cross-section without weight [Pa].
 
-    The axial stress is the pressure less the deviatoric normal stress along the axis, and positive in compression. In
-    straight pipe it balances the friction on the wall, which the pressure alone does not: within about two diameters of
-    an end or a bend, a plug bears a normal stress that fades, and the slope of the pressure differs from friction by
-    up to 6 %. The solver leaves out the hydrostatic pressure, so the axial stress is the frictional loss from the
-    cross-section to the end of the pipe. `mortar` is the fraction of each cell that is not filled by aggregates; the
-    mean is that over the mortar, because the pressure inside aggregates has no meaning.
+    The axial stress is the pressure minus the deviatoric normal stress along the axis, and positive in compression. In
+    straight pipe, the slope of the axial stress equals the friction on the wall. The slope of the pressure differs from
+    the friction by up to 6 % within about two diameters of an end or a bend, because the plug bears a deviatoric normal
+    stress there, which fades with the distance. The solver leaves out the hydrostatic pressure, so the axial stress is
+    the frictional loss from the cross-section to the end of the pipe. `mortar` is the fraction of each cell that is not
+    filled by aggregates. Means are taken over the mortar only, because the pressure inside aggregates has no meaning.
     """
     scene: PartScene = flow.scene
     layout = flow.state.layout
@@ -84,7 +84,7 @@ def _deviatoric_stress(flow: GridFlow, liquid: np.ndarray, s: np.ndarray) -> np.
 
 
 def _slope(values: np.ndarray, known: np.ndarray, axis: int) -> np.ndarray:
-    """Return half the change of a value from the lower to the upper neighbour of each cell along an array axis.
+    """Return half the difference between the values of each cell's upper and lower neighbours along an array axis.
 
     Cells whose value is not `known` are left out: if one neighbour is unknown, the result is the difference between the
     cell and its other neighbour, and if both are unknown, the result is 0.
@@ -133,8 +133,8 @@ def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]
     """Return the frictional loss of each section of a part of a pump line [Pa].
 
     The loss is the difference of the pressures at the ends of the section. At the ends of straight pipes, the pressure
-    is that of a straight line, fitted to the pressures along the pipe except within one radius of its ends. At all
-    other ends, and in pipes too short for a line, the pressure is the mean over the cross-section.
+    is taken from a straight line, which is fitted to the pressures along the pipe except within one radius of its ends.
+    At all other ends, and in pipes too short for a line, the pressure is the mean over the cross-section.
     """
     sections = scene.sections
     at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]

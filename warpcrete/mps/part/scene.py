@@ -101,8 +101,8 @@ class PartScene(Parametrised, PartSettings):
     flow: float
     """Volume flow of the concrete through the part [m3/s]."""
     spacing: float
-    """Wanted width of the cells [m]. The nearest width is used that divides the pipe's radius at the start of the
-    part."""
+    """Wanted width of the cells [m]. The simulation uses the nearest width of which the pipe's radius at the start of
+    the part is a multiple."""
     parts: tuple[Section, ...] = ()
     """Sections whose losses are reported; if empty, they are derived from `axis` and `bores`."""
     wall: MeshWall | None = None
@@ -111,8 +111,8 @@ class PartScene(Parametrised, PartSettings):
     insert: tuple[float, float] | None = None
     """Two places along the axis between which a mesh that is shorter than the part lies, as arc lengths [m].
 
-    Before and behind the mesh, the bore has the cross-section of that end of the mesh which is nearer. None stands for
-    a mesh of full length.
+    Upstream and downstream of the mesh, the bore has the cross-section of the nearer end of the mesh. None means that
+    the mesh is as long as the part.
     """
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
@@ -230,12 +230,12 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def rounded_spacing(self) -> float:
-        """Width of the cells [m], which divides the radius at the start of the part."""
+        """Width of the cells [m]; the pipe's radius at the start of the part is a multiple of this width."""
         return self.radius / max(3, round(self.radius / self.spacing))
 
     @property
     def simulated_share(self) -> float:
-        """Share of the part's cross-sections that is simulated: 0.5 if only one half of the part is, otherwise 1."""
+        """Fraction of each cross-section that is simulated: 0.5 if a plane of symmetry halves the part, else 1."""
         return 0.5 if self.is_half else 1.0
 
     @property
@@ -258,9 +258,9 @@ class PartScene(Parametrised, PartSettings):
     def middle(self) -> tuple[float, float]:
         """Arc lengths [m] between which this part of the pump line bends or changes its bore.
 
-        The range extends from the first bend or taper to the last one. Without bends and tapers, the range is that in
-        which the bore of the part's triangle mesh changes its radius. In a straight pipe of constant bore, both values
-        are half the length of the part.
+        The range extends from the first bend or taper to the last one. Without bends and tapers, the range is the
+        stretch in which the bore of the part's triangle mesh changes its radius. In a straight pipe of constant bore,
+        both values are half the length of the part.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)
@@ -336,7 +336,7 @@ class PartScene(Parametrised, PartSettings):
         return sum(self._uniform_loss(*stretch) for stretch in pairwise([begin, *inner, end]))
 
     def _uniform_loss(self, begin: float, end: float) -> float:
-        """Return the frictional loss by theory between two arc lengths between which no taper begins or ends [Pa]."""
+        """Return the frictional loss by theory between two arc lengths [Pa]. No taper may begin or end between them."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:

@@ -21,8 +21,8 @@ from .quantities import QUANTITIES, RunData
 from .scene import PartScene
 
 SAMPLES = 10
-"""Length of each of two successive periods, divided by the longest allowed time step. A flow counts as steady if its
-pressure hardly changes over both periods."""
+"""Length of a period, divided by the longest allowed time step. A flow counts as steady if its pressure hardly changes
+in each of two successive periods."""
 
 
 class PartSimulation(FlowRun):
@@ -56,8 +56,8 @@ class PartSimulation(FlowRun):
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        # Subtract the hydrostatic pressure, which does not depend on the flow, so that the relative change is that of
-        # the frictional pressure.
+        # Subtract the hydrostatic pressure, which does not depend on the flow, so that the relative change of the
+        # frictional pressure alone is tested.
         weight = scene.density * scene.gravity * scene.rise
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
@@ -76,7 +76,7 @@ class PartSimulation(FlowRun):
         }
 
     def friction_profile(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and the loss by friction from each of them to the end, for the run's result [Pa]."""
+        """Return arc lengths [m] and the frictional loss from each arc length to the end [Pa], for the run's result."""
         return friction_ahead(self.flow)
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
